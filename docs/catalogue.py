@@ -1,0 +1,107 @@
+"""Write the catalogue's part of ``docs/effects.md`` from the catalogue itself: ``python docs/catalogue.py``."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from torchrl_athletic.effects import CATALOGUE, Effect, JointAddress, LinkInertia, Parameter, Plant
+
+PAGE = Path(__file__).with_name("effects.md")
+BEGIN, END = "<!-- from here on written by docs/catalogue.py -->\n", "<!-- to here -->\n"
+HINGE, SLIDE = (
+    mujoco.MjModel.from_xml_string(f"""
+    <mujoco><worldbody><body><joint name="joint" {kind}/>
+      <inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>""")
+    for kind in ('axis="0 1 0"', 'type="slide" axis="1 0 0"')
+)
+
+
+def page(text: str) -> str:
+    """The page with the catalogue's part written anew."""
+    before, _, rest = text.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    effects = (*CATALOGUE, LinkInertia())
+    return before + BEGIN + "\n".join([overview(), *(section(effect) for effect in effects)]) + END + after
+
+
+def overview() -> str:
+    """A row for each effect."""
+    rows = [
+        f"| [{e.name}](#{e.name}) | `{_cell(e.equation)}` | {parameters(e)} | {e.shows_in} | {e.source} |"
+        for e in CATALOGUE
+    ]
+    head = "| effect | equation | parameters [hinge; slide] | shows along | source |"
+    return "\n".join(["", head, "|---|---|---|---|---|", *rows, ""])
+
+
+def section(effect: Effect) -> str:
+    """Everything that the catalogue knows of one effect."""
+    said = {"Summary": "", "Parameters": "", "Fingerprint": "", "Simulation": "", "Notes": ""}
+    for paragraph in (inspect.getdoc(type(effect)) or "").split("\n\n"):
+        head, _, rest = paragraph.partition(": ")
+        key = head.partition(",")[0]  # "Parameters, in total"
+        if not said["Summary"]:
+            said["Summary"] = _line(paragraph)
+        elif key in said:
+            said[key] = _line(f"{head.removeprefix(key).removeprefix(',').strip()}: {rest}".removeprefix(": "))
+        else:
+            said["Notes"] = _line(f"{said['Notes']} {paragraph}")
+    lines = [f"\n### {effect.name}\n", said["Summary"] + (f" {said['Notes']}" if said["Notes"] else ""), ""]
+    lines += [
+        f"- **Equation:** `{effect.equation}`",
+        f"- **Parameters:** {said['Parameters']}",
+        f"- **Fingerprint:** {said['Fingerprint']} Shows along {effect.shows_in}.",
+        f"- **Simulation:** {said['Simulation']} Changes {_listed(changes(effect))}.",
+    ]
+    excluded = {e.name for e in CATALOGUE if e.name in effect.excludes or effect.name in e.excludes}
+    if excluded:
+        lines.append(f"- **Not on one joint with:** {_listed(sorted(excluded))}")
+    lines.append(f"- **Source:** {effect.source}")
+    if effect.experiments:
+        lines += ["", "| rival | experiment that tells them apart |", "|---|---|"]
+        lines += [f"| `{rival}` | {effect.experiment(rival, 'the joint')} |" for rival in effect.experiments]
+    return "\n".join([*lines, ""])
+
+
+def parameters(effect: Effect) -> str:
+    """Names with the units that a hinge and a slide give them."""
+    hinge, slide = ({p.name: p.unit for p in _parameters(effect, model)} for model in (HINGE, SLIDE))
+    units = {name: unit if slide.get(name, unit) == unit else f"{unit}; {slide[name]}" for name, unit in hinge.items()}
+    return ", ".join(f"`{name}` [{unit}]" for name, unit in units.items())
+
+
+def changes(effect: Effect) -> list[str]:
+    """What the effect touches in a simulation: fields of ``mjModel``, and what stands between command and torque."""
+    plant = Plant(HINGE, _address(HINGE), 1)
+    given = {name: value.copy() for name, value in vars(plant).items() if isinstance(value, np.ndarray)}
+    effect.apply(plant, 0, np.array([[p.nominal + p.scale for p in _parameters(effect, HINGE)]]))
+    chain = [f"Plant.{name}" for name, value in given.items() if (getattr(plant, name) != value).any()]
+    return [*(f"mjModel.{name}" for name in plant.fields), *chain, *(["Plant.laws"] if plant.laws else [])]
+
+
+def _parameters(effect: Effect, model: mujoco.MjModel) -> tuple[Parameter, ...]:
+    return effect.parameters(model, _address(model), 0)
+
+
+def _address(model: mujoco.MjModel) -> JointAddress:
+    return JointAddress.of(model, ("joint",))
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "∣")  # a bar would end the cell
+
+
+def _line(text: str) -> str:
+    return " ".join(text.replace("``", "`").split())
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

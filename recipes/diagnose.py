@@ -1,0 +1,19 @@
+"""Say what physics a MuJoCo model leaves out, from recordings of the real robot.
+
+python recipes/diagnose.py                    # demo: an arm that hides one effect; no data, a minute, 0.4 GB
+python recipes/diagnose.py --dataset emps     # a public recording of a real bench
+python recipes/diagnose.py --model robot.xml --recordings train/ --heldout heldout/ --output out/
+
+Files and folders are named one after the other. Ctrl-C leaves a report of what is known; the same command goes on.
+
+The demo hides a torque lag of 22.33 ms at the elbow. Found: actuation_lag at the elbow, 22.56 ms, probability 98 %.
+Over 0.5 s windows kept aside the error falls from 23.1 to 0.6 mrad, where the sensors' noise leaves 0.5.
+--demo N hides another effect.
+"""
+
+import tyro
+
+from torchrl_athletic.diagnosis.command import Config, main
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))

@@ -1,0 +1,167 @@
+"""The command line: flags to inputs, errors in one line, an ending that says where the report is."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import tyro
+from diagnosis.plants import pendulum, record, smooth_torque
+
+from torchrl_athletic.diagnosis import command
+from torchrl_athletic.diagnosis.command import Config, inputs, main
+from torchrl_athletic.diagnosis.result import Answer
+from torchrl_athletic.recordings import RecordingError, write_recording
+
+RECIPE = Path(__file__).parents[2] / "recipes/diagnose.py"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A robot with three takes, as a user has it."""
+    monkeypatch.chdir(tmp_path)
+    Path("robot.xml").write_text(pendulum())
+    Path("train").mkdir()
+    for k, path in enumerate(("train/a.npz", "train/b.npz", "c.npz")):
+        write_recording(record(pendulum(), smooth_torque(1.0, seed=k), seed=k), Path(path))
+    return tmp_path
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What reaches the diagnosis; it answers at once that nothing is missing."""
+    calls = []
+
+    def answer(*args, **settings):
+        calls.append((args, settings))
+        return SimpleNamespace(answer=Answer("nothing_missing", ("All is well.",), complete=len(calls) == 1))
+
+    monkeypatch.setattr(command, "diagnose", answer)
+    return calls
+
+
+def parsed(*args: str) -> Config:
+    return tyro.cli(Config, args=args)
+
+
+def test_files_and_folders_are_named_one_after_the_other(folder):
+    config = parsed("--model", "robot.xml", "--recordings", "train", "c.npz", "--heldout", "c.npz", "--seed", "3")
+    model, recordings, heldout = inputs(config)
+    assert config.seed == 3
+    assert model == Path("robot.xml")
+    assert [Path(r.source).name for r in recordings] == ["a.npz", "b.npz", "c.npz"]
+    assert [Path(r.source).name for r in heldout] == ["c.npz"]
+
+
+def test_every_flag_reaches_the_diagnosis(folder, asked, capsys):
+    flags = "--model robot.xml --recordings train --drive measured --seed 4 --time-budget 60 --output there"
+    main(parsed(*flags.split()))
+    [((model, recordings, heldout), settings)] = asked
+    assert (model, len(recordings), heldout) == (Path("robot.xml"), 2, [])
+    assert {k: settings[k] for k in ("drive", "seed", "time_budget", "output")} == {
+        "drive": "measured",
+        "seed": 4,
+        "time_budget": 60.0,
+        "output": Path("there"),
+    }
+    shown = capsys.readouterr()
+    assert "All is well." in shown.out
+    assert "there/report.html" in shown.out
+    assert "Stopped early" not in shown.out
+    assert shown.err == ""  # no bar where nobody looks
+    main(parsed(*flags.split()))
+    assert "The same command goes on from here." in capsys.readouterr().out
+
+
+def test_without_arguments_the_demo_runs(asked, monkeypatch):
+    import torchrl_athletic.recordings.demo as demo
+
+    r = record(pendulum(), smooth_torque(1.0))
+    seeds = []
+    made = SimpleNamespace(model_xml="<mujoco/>", recordings=[r], heldout=[r, r])
+    monkeypatch.setattr(demo, "concealed_demo", lambda seed: seeds.append(seed) or made)
+    main(parsed())
+    main(parsed("--demo", "7"))
+    assert seeds == [0, 7]
+    assert asked[0][0] == ("<mujoco/>", [r], [r, r])
+
+
+def test_a_data_set_brings_model_and_recordings(monkeypatch):
+    import torchrl_athletic.recordings.datasets as datasets
+
+    monkeypatch.setattr(
+        datasets, "load_dataset", lambda name: SimpleNamespace(model=name, recordings=[1], heldout=(2,))
+    )
+    assert inputs(parsed("--dataset", "emps")) == ("emps", [1], [2])
+    with pytest.raises(SystemExit):
+        parsed("--dataset", "nonsense")
+
+
+def test_foreign_columns_are_read_by_their_map(folder):
+    r = record(pendulum(), smooth_torque(1.0))
+    table = np.stack([1e3 * r.time, np.rad2deg(r.position[:, 0]), r.torque_command[:, 0]], axis=1)
+    np.savetxt("log.csv", table, delimiter=",", header="t,angle,u", comments="")
+    names = {"time": {"name": "t", "unit": "ms"}, "position": {"name": "angle", "unit": "deg"}, "torque_command": "u"}
+    Path("map.json").write_text(json.dumps({"joint_names": ["pendulum"], **names}))
+    _, [read], _ = inputs(parsed("--model", "robot.xml", "--recordings", "log.csv", "--columns", "map.json"))
+    np.testing.assert_allclose(read.position, r.position, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("flags", "missing"), [(["--model", "x.xml"], "--recordings"), (["--recordings", "x"], "--model")]
+)
+def test_half_of_what_is_needed_is_refused(flags, missing):
+    with pytest.raises(RecordingError, match=f"{missing} is missing. Give both, or --dataset NAME, or nothing at all"):
+        inputs(parsed(*flags))
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        ("--model robot.xml", "error: --recordings is missing"),
+        ("--model nowhere.xml --recordings train", "nowhere.xml: there is no such model"),
+        ("--model bad.xml --recordings train", "bad.xml: MuJoCo cannot compile it"),
+        ("--model robot.xml --recordings nowhere", "nowhere: there is no such file or folder"),
+        ("--model robot.xml --recordings robot.xml", "not a known kind of file"),
+        ("--model robot.xml --recordings broken.npz", "broken.npz"),
+        ("--model robot.xml --recordings train --columns nowhere.json", "nowhere.json"),
+        ("--model robot.xml --recordings train --columns broken.npz", "broken.npz"),
+        ("--model knee.xml --recordings train", "joint_names has 'pendulum', the model has ['knee']"),
+        ("--model robot.xml --recordings train --drive measured", "there is no torque_measured"),
+        ("--model robot.xml --recordings train --output robot.xml", "--output robot.xml is a file. Name a folder."),
+    ],
+)
+def test_a_mistake_is_answered_in_one_line(folder, flags, says):
+    Path("bad.xml").write_text("<mujoco><worldbody><body><joint/></body></worldbody></mujoco>")
+    Path("knee.xml").write_text(pendulum(name="knee"))
+    Path("broken.npz").write_bytes(b"PK\x03\x04 not a zip")
+    with pytest.raises(SystemExit) as stopped:
+        main(parsed(*flags.split()))
+    message = str(stopped.value.code)  # text makes the exit code 1
+    assert message.startswith("error: ")
+    assert says in message
+    assert "\n" not in message
+
+
+def test_ctrl_c_before_anything_was_found_ends_without_a_traceback(folder, monkeypatch):
+    def stop(*_args, **_kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "diagnose", stop)
+    with pytest.raises(SystemExit, match="Stopped before there was anything to report"):
+        main(parsed("--model", "robot.xml", "--recordings", "train"))
+
+
+def test_the_recipe_ends_with_one_line_on_stderr_and_code_1(folder):
+    run = subprocess.run(
+        [sys.executable, RECIPE, "--model", "nowhere.xml", "--recordings", "train"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 1
+    assert run.stdout == ""
+    assert run.stderr == "error: nowhere.xml: there is no such model. Name an MJCF file, or pass its text.\n"

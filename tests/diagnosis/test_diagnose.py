@@ -1,0 +1,213 @@
+"""The whole way from a model and recordings to ``diagnosis.json``, on one joint."""
+
+import json
+from pathlib import Path
+
+import jsonschema
+import mujoco
+import numpy as np
+import pytest
+from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
+
+from torchrl_athletic.diagnosis import Diagnosis, diagnose
+from torchrl_athletic.diagnosis.diagnose import ModelError, load_model
+from torchrl_athletic.effects import CATALOGUE
+from torchrl_athletic.recordings import RecordingError
+
+NUMBER = {"type": "number"}
+SHARE = {"type": "number", "minimum": 0, "maximum": 1}
+INTERVAL = {"type": "array", "items": NUMBER, "minItems": 2, "maxItems": 2}
+TEXT = {"type": "string", "minLength": 1}
+JOINT = {"type": ["string", "null"]}
+ERRORS = {"before": NUMBER, "after": NUMBER, "floor": NUMBER}
+
+
+def an_object(properties, optional=()):
+    return {"type": "object", "properties": properties, "required": [p for p in properties if p not in optional]}
+
+
+def each(items):
+    return {"type": "array", "items": items}
+
+
+SCORE = an_object(
+    {**ERRORS, "share_closed": NUMBER, "per_joint": {"type": "object", "additionalProperties": an_object(ERRORS)}}
+)
+RIVAL = an_object({"effect": TEXT, "joint": JOINT, "probability": SHARE, "separating_experiment": TEXT})
+FINDING = an_object(
+    {
+        "effect": {"enum": [e.name for e in CATALOGUE]},
+        "joint": JOINT,
+        "probability": SHARE,
+        "sentence": TEXT,
+        "parameters": {
+            "type": "object",
+            "minProperties": 1,
+            "additionalProperties": an_object({"value": NUMBER, "ci95": INTERVAL, "unit": TEXT}),
+        },
+        "regime": TEXT,
+        "rivals": each(RIVAL),
+    }
+)
+DIAGNOSIS = an_object(
+    {
+        "schema": {"const": "torchrl_athletic/diagnosis/1"},
+        "verdict": {"enum": ["nothing_missing", "explained", "partly_explained", "unexplained"]},
+        "findings": each(FINDING),
+        "locations": each(an_object({"joint": TEXT, "regime": TEXT, "share_of_error": SHARE})),
+        "fit": an_object({"train": SCORE, "heldout": SCORE}, optional=("heldout",)),
+        "unexplained_share": SHARE,
+        "quality": {"type": "object"},
+    }
+)
+"""The design's contract."""
+
+FEW = tuple(e for e in CATALOGUE if e.name in ("coulomb_friction", "viscous_friction", "torque_offset"))
+MODEL = pendulum()
+
+
+def recordings(kinds, **joint):
+    true = pendulum(joint=" ".join(f'{key}="{value}"' for key, value in {"damping": 0.05, **joint}.items()))
+    return [record(true, smooth_torque(5.0, 1.5, seed=k), noise=1e-4, seed=k) for k in kinds]
+
+
+@pytest.fixture(scope="module")
+def output(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("out") / "new" / "folder"
+
+
+@pytest.fixture(scope="module")
+def diagnosis(output) -> Diagnosis:
+    train, heldout = recordings([0, 1], damping=0.2), recordings([2], damping=0.2)
+    return diagnose(MODEL, train, heldout, catalogue=FEW, output=output)
+
+
+def test_what_was_left_out_is_named_with_its_number(diagnosis):
+    best = diagnosis.answer.findings[0]
+    assert (best.effect, best.joint) == ("viscous_friction", "pendulum")
+    assert best.parameters["damping"].value == pytest.approx(0.2, rel=0.05)
+    assert diagnosis.answer.verdict == "explained"
+    assert diagnosis.answer.fit["heldout"].after < 0.1 * diagnosis.answer.fit["heldout"].before
+
+
+def test_the_json_keeps_the_contract(diagnosis, output):
+    text = (output / "diagnosis.json").read_text(encoding="utf-8")
+    content = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    jsonschema.validate(content, DIAGNOSIS)
+    assert content["findings"]
+    shares = [f["probability"] for f in content["findings"]]
+    assert shares == sorted(shares, reverse=True)
+    for finding in content["findings"]:
+        assert finding["probability"] + sum(r["probability"] for r in finding["rivals"]) <= 1 + 1e-9
+        for p in finding["parameters"].values():
+            assert p["ci95"][0] <= p["value"] <= p["ci95"][1]
+
+
+def test_what_was_saved_loads_as_it_was(diagnosis, output):
+    back = Diagnosis.load(output)
+    assert back.answer == diagnosis.answer
+    r = recordings([3], damping=0.2)[0]
+    for window in (0.5, None):
+        np.testing.assert_array_equal(back.corrected.rollout(r, window), diagnosis.corrected.rollout(r, window))
+        np.testing.assert_array_equal(back.nominal.rollout(r, window), diagnosis.nominal.rollout(r, window))
+    before, after = (np.abs(s.rollout(r, None) - r.position).max() for s in (back.nominal, back.corrected))
+    assert after < 0.1 * before
+
+
+def test_the_folder_holds_the_four_files_and_nothing_else(diagnosis, output):
+    assert {p.name for p in output.iterdir()} == {"diagnosis.json", "report.html", "corrected.xml", "corrected.json"}
+    mujoco.MjModel.from_xml_path(str(output / "corrected.xml"))
+
+
+def test_a_folder_without_a_diagnosis_says_so(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"holds no diagnosis\.json\. Name the folder given as --output"):
+        Diagnosis.load(tmp_path)
+
+
+def test_without_output_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    fine = pendulum(step=0.0005)  # half a step of the integrator is a delay that the diagnosis would notice
+    r = record(fine, smooth_torque(5.0, 1.5), noise=1e-4)
+    found = diagnose(fine, [r], catalogue=FEW)
+    assert "heldout" not in found.answer.fit
+    assert found.answer.findings == ()  # and what is not missing is not found
+    assert found.answer.verdict == "nothing_missing"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_same_seed_gives_the_same_answer(diagnosis):
+    train, heldout = recordings([0, 1], damping=0.2), recordings([2], damping=0.2)
+    assert diagnose(MODEL, train, heldout, catalogue=FEW).answer == diagnosis.answer
+
+
+def test_a_model_comes_as_a_path_a_text_or_a_spec(tmp_path, monkeypatch):
+    (tmp_path / "robot.xml").write_text(MODEL)
+    monkeypatch.chdir(tmp_path)
+    ways = [tmp_path / "robot.xml", str(tmp_path / "robot.xml"), "robot.xml", MODEL, mujoco.MjSpec.from_string(MODEL)]
+    loaded = [load_model(way) for way in ways]
+    assert len({xml for _, xml, _ in loaded}) == 1
+    assert {name for *_, name in loaded} == {"pendulum"}
+    assert {model.body("link").mass[0] for model, *_ in loaded} == {0.5}
+
+
+OBJ = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+
+
+def test_the_corrected_model_of_one_with_meshes_compiles_anywhere(tmp_path, monkeypatch):
+    (tmp_path / "robot" / "assets").mkdir(parents=True)
+    (tmp_path / "robot" / "assets" / "link.obj").write_text(OBJ)
+    geom = '<geom type="mesh" mesh="link"/></body></worldbody>'
+    asset = '<compiler meshdir="assets"/><asset><mesh name="link" file="link.obj"/></asset><worldbody>'
+    text = MODEL.replace("</body></worldbody>", geom).replace("<worldbody>", asset)
+    (tmp_path / "robot" / "robot.xml").write_text(text)
+    monkeypatch.chdir(tmp_path / "robot")
+    spec = mujoco.MjSpec.from_file(str(tmp_path / "robot" / "robot.xml"))
+    for way in ("robot.xml", spec):
+        _, xml, _ = load_model(way)
+        monkeypatch.chdir(tmp_path)
+        assert mujoco.MjModel.from_xml_string(xml).nmesh == 1
+        monkeypatch.chdir(tmp_path / "robot")
+    assert spec.meshdir == "assets"  # the caller's stays as it was
+
+
+@pytest.mark.parametrize(
+    ("text", "says"), [("<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", "mass"), ("<nonsense", "XML")]
+)
+def test_a_model_that_does_not_compile_is_refused_in_one_line(text, says, tmp_path):
+    (tmp_path / "bad.xml").write_text(text)
+    for way, name in ((tmp_path / "bad.xml", "bad.xml"), (text, "the model")):
+        with pytest.raises(ModelError, match=f"{name}: MuJoCo cannot compile it .*{says}") as caught:
+            load_model(way)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_model_that_is_not_there_is_named():
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.xml: there is no such model\. Name an MJCF file"):
+        diagnose("nowhere.xml", recordings([0]))
+
+
+@pytest.mark.parametrize(
+    ("model", "makes", "says"),
+    [
+        (MODEL, lambda: [], "no recordings: name a file or a folder"),
+        (
+            pendulum(name="knee"),
+            lambda: recordings([0]),
+            r"take_0: joint_names has 'pendulum', the model has \['knee'\]",
+        ),
+        (
+            MODEL,
+            lambda: [*recordings([0]), record(double_pendulum(), np.zeros((200, 2)), (0.1, 0))],
+            "Diagnose takes of the same joints together",
+        ),
+        (MODEL, lambda: [recordings([0])[0].slice(0, 20)], r"take_0: the take lasts 0\.19 s, at least .* Leave it out"),
+    ],
+)
+def test_recordings_that_cannot_be_used_are_refused_with_the_mend(model, makes, says):
+    with pytest.raises(RecordingError, match=says):
+        diagnose(model, makes(), catalogue=FEW)
+
+
+def test_the_measured_torque_can_only_drive_where_it_was_measured():
+    with pytest.raises(RecordingError, match="there is no torque_measured"):
+        diagnose(MODEL, recordings([0]), drive="measured", catalogue=FEW)

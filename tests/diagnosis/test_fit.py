@@ -1,0 +1,151 @@
+"""A fit finds what was put in, says how sure it is, and leaves alone what cannot be followed."""
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis.plants import candidate, double_pendulum, pendulum, record, slider, smooth_torque, take
+
+from torchrl_athletic.diagnosis.fit import Hypothesis, _follows, draw_windows, fit
+from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.replay import simulate, windows_of
+from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.effects import (
+    ActuationDelay,
+    CoulombFriction,
+    JointAddress,
+    ReflectedInertia,
+    TorqueOffset,
+    TorqueScale,
+    ViscousFriction,
+)
+from torchrl_athletic.recordings.demo import HiddenEffect, make_recordings
+from torchrl_athletic.recordings.demo import pendulum as demo_pendulum
+
+
+def fit_one(true_xml, effects, seconds=3.0, seed=0, noise=1e-4, start=None, given=None):
+    """Fit a recording of ``true_xml`` with effects added to the given model."""
+    given = given or pendulum()
+    r = record(true_xml, smooth_torque(seconds, seed=seed), noise=noise, seed=seed)
+    h = Hypothesis(tuple(candidate(e, r, given) for e in effects))
+    t = take(given, r, noise)
+    return fit(h, [t], h.nominal if start is None else np.array(start), np.random.default_rng(seed), max_windows=20)
+
+
+def test_parameters_of_data_made_by_mujoco_come_back():
+    true = pendulum(joint='damping="0.12" armature="0.03" frictionloss="0"')
+    fitted = fit_one(true, [ViscousFriction(), ReflectedInertia()], seconds=6.0)
+    assert fitted.values == pytest.approx([0.12, 0.03], rel=0.02)
+
+
+def test_several_takes_are_fitted_together():
+    true = slider(joint='damping="1.5"')
+    rs = [record(true, smooth_torque(3.0, seed=k), seed=k) for k in range(2)]
+    h = Hypothesis((candidate(ViscousFriction(), rs[0], slider()), candidate(TorqueScale(), rs[0], slider())))
+    fitted = fit(h, [take(slider(), r) for r in rs], h.nominal, np.random.default_rng(0), max_windows=20)
+    assert fitted.values == pytest.approx([1.5, 1.0], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("effect", "name", "true"),
+    [
+        (CoulombFriction(), "coulomb_friction", {"torque": 0.15}),
+        (ReflectedInertia(), "reflected_inertia", {"armature": 0.02}),
+        (TorqueOffset(), "torque_offset", {"torque": 0.2}),
+        (ActuationDelay(), "actuation_delay", {"delay": 0.012}),
+    ],
+)
+def test_parameters_of_an_independent_plant_come_back(effect, name, true):
+    robot = demo_pendulum()
+    recordings = make_recordings(robot, [HiddenEffect(name, "pendulum", true)], ["gaussian"], duration=5.0)
+    model = mujoco.MjModel.from_xml_string(robot.model_xml)
+    parameters = effect.parameters(model, JointAddress.of(model, ("pendulum",)), 0)
+    h = Hypothesis((Candidate(effect, 0, "pendulum", parameters),))
+    takes = prepare(recordings, model).takes
+    fitted = fit(h, takes, h.nominal + 0.5 * h.scale, np.random.default_rng(0), max_windows=12)
+    assert fitted.values == pytest.approx(list(true.values()), rel=0.05)
+
+
+@pytest.mark.parametrize("start", [0.2, 3.0, 50.0])
+def test_values_and_intervals_stay_within_their_bounds(start):
+    true = pendulum(joint='damping="0"')  # and the torque five times what the bound on its scale allows
+    true = true.replace('mass="0.5"', 'mass="0.1"').replace(
+        'diaginertia="0.01 0.01 0.01"', 'diaginertia=".002 .002 .002"'
+    )
+    fitted = fit_one(true, [TorqueScale(), ViscousFriction()], start=[start, 0.0])
+    low, high = fitted.hypothesis.bounds
+    assert fitted.values[0] == pytest.approx(high[0])
+    for values in (fitted.values, *fitted.interval().T):
+        assert (values >= low - 1e-9).all()
+        assert (values <= high + 1e-9).all()
+
+
+def test_intervals_cover_the_truth_in_most_cases_and_are_as_wide_as_the_scatter():
+    fine = pendulum(step=0.001)  # so that the integrator adds no bias
+    true = pendulum(step=0.001, joint='damping="0.12"')
+    fits = [fit_one(true, [ViscousFriction()], 3.0, seed, noise=1e-3, given=fine) for seed in range(20)]
+    values = np.array([f.values[0] for f in fits])
+    low, high = np.array([f.interval()[0] for f in fits]).T
+    assert np.mean((low <= 0.12) & (high >= 0.12)) > 0.5
+    assert 0.6 < np.median(high - low) / (4 * values.std()) < 1.7
+
+
+def test_the_same_seed_gives_the_same_answer_and_another_one_a_different_interval():
+    one, two = (fit_one(pendulum(joint='damping="0.12"'), [ViscousFriction()], seed=3) for _ in range(2))
+    np.testing.assert_array_equal(one.values, two.values)
+    np.testing.assert_array_equal(one.samples, two.samples)
+    assert one.cost == two.cost
+    assert np.ptp(one.samples) > 0
+
+
+def test_no_effect_at_all_is_a_fit_too():
+    fitted = fit_one(pendulum(), [])
+    assert fitted.values.shape == (0,)
+    assert fitted.interval().shape == (0, 2)
+
+
+def test_only_takes_that_the_model_follows_are_fitted_end_to_end():
+    nothing = Hypothesis(())
+    regular = take(pendulum(), record(pendulum(), smooth_torque(5.0)))
+    chaotic = take(
+        double_pendulum(), record(double_pendulum(), np.zeros((1000, 2)), start=(2.5, 2.0), noise=1e-3), 1e-3
+    )
+    loose = np.full(1, 1.0)
+    assert _follows(nothing, windows_of(regular, None), np.zeros(0), loose)
+    assert not _follows(nothing, windows_of(chaotic, None), np.zeros(0), loose)
+    assert not _follows(
+        nothing, windows_of(regular, None), np.zeros(0), 1e-9 * loose
+    )  # it drifts, for what windows show
+    short = windows_of(chaotic, 0.1)  # although half a tenth of a second after a start it is followed
+    assert np.abs(simulate(short, nothing.build, np.zeros((1, 0)))[0] - short.measured).mean() < 0.02
+
+
+def test_a_push_does_not_steer_the_parameters():
+    r = record(pendulum(joint='damping="0.12"'), smooth_torque(6.0), noise=1e-4)
+    pushed = r.position.copy()
+    pushed[300:350] += 0.3 * np.sin(np.pi * np.arange(50) / 50)[:, None]  # something held it for half a second
+    h = Hypothesis((candidate(ViscousFriction(), r, pendulum()),))
+    disturbed = type(r)(r.time, r.joint_names, pushed, torque_command=r.torque_command)
+    fitted = fit(h, [take(pendulum(), disturbed, 1e-4)], h.nominal, np.random.default_rng(0))
+    assert fitted.values == pytest.approx([0.12], rel=0.15)
+
+
+def test_windows_are_drawn_evenly_over_the_takes():
+    takes = [take(pendulum(), record(pendulum(), smooth_torque(s))) for s in (10.0, 5.0)]
+    drawn = draw_windows(takes, 0.1, 45, np.random.default_rng(0))
+    assert [len(w.start) for w in drawn] == [30, 15]
+    for w in drawn:
+        assert len(set(w.start.tolist())) == len(w.start)
+        assert set(w.start.tolist()) <= set(windows_of(w.take, 0.1).start.tolist())
+    everything = draw_windows(takes, 0.1, 10_000, np.random.default_rng(0))
+    assert sum(w.index.size for w in everything) == sum(windows_of(t, 0.1).index.size for t in takes)
+
+
+def test_a_hypothesis_hands_out_the_numbers_of_each_candidate():
+    r = record(pendulum(), smooth_torque(1.0))
+    friction, delay, scale = (candidate(e, r, pendulum()) for e in (ViscousFriction(), ActuationDelay(), TorqueScale()))
+    h = Hypothesis((friction, delay), trims=(scale,))
+    values = np.array([0.1, 0.02, 1.03])
+    assert [float(h.values_of(c, values)[0]) for c in (scale, friction, delay)] == [1.03, 0.1, 0.02]
+    assert h.nominal.tolist() == [0.05, 0.0, 1.0]
+    with pytest.raises(ValueError, match="not part of the hypothesis"):
+        h.values_of(candidate(TorqueOffset(), r, pendulum()), values)

@@ -1,0 +1,133 @@
+"""The verdict follows from the shares that are left; probabilities are shares of the evidence."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from torchrl_athletic.diagnosis import gates
+from torchrl_athletic.diagnosis.gates import EXPLAINED, NEAR_FLOOR, PARTLY, summarise, verdict_of
+from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Score
+
+FLOOR = 1.0
+FINDING = Finding(
+    "coulomb_friction", "elbow", 0.9, "Dry friction.", {"torque": Estimate(1, (0.9, 1.1), "N·m")}, "everywhere"
+)
+
+
+def score(left: float, before: float = 10.0) -> Score:
+    """A score with the given share of the error energy above the floor left."""
+    after = float(np.sqrt(FLOOR**2 + left * (before**2 - FLOOR**2)))
+    return Score(before, after, FLOOR, 0.0, {"elbow": {"before": before, "after": after, "floor": FLOOR}})
+
+
+def evidence(left: float):
+    return [SimpleNamespace(left=lambda: np.array([0.0, left]))]
+
+
+def verdict(findings=(FINDING,), train=0.0, heldout=None, torque_left=0.0, is_open=True, before=10.0):
+    heldout = None if heldout is None else score(heldout, before)
+    return verdict_of(evidence(torque_left), findings, score(train, before), heldout, is_open)
+
+
+@pytest.mark.parametrize(
+    ("case", "expected"),
+    [
+        (dict(train=0.0), "explained"),
+        (dict(train=EXPLAINED - 0.01), "explained"),
+        (dict(train=EXPLAINED + 0.01), "partly_explained"),
+        (dict(train=PARTLY - 0.01), "partly_explained"),
+        (dict(train=PARTLY + 0.01), "unexplained"),
+        (dict(train=0.0, heldout=EXPLAINED + 0.01), "partly_explained"),  # the worse of the two decides
+        (dict(train=0.0, heldout=0.9), "unexplained"),
+        (dict(train=0.5, heldout=0.0), "partly_explained"),
+        (dict(train=0.0, torque_left=2 * EXPLAINED - 0.01), "explained"),
+        (dict(train=0.0, torque_left=2 * EXPLAINED + 0.01), "partly_explained"),  # the torque must be explained as well
+        (dict(findings=(), before=1.0, is_open=False), "nothing_missing"),
+        (dict(findings=(), before=NEAR_FLOOR - 0.1, is_open=False), "nothing_missing"),
+        (dict(findings=(), before=NEAR_FLOOR + 0.1, is_open=False), "unexplained"),
+        (
+            dict(findings=(), before=1.0, is_open=True),
+            "unexplained",
+        ),  # at the floor, and torque is missing all the same
+    ],
+)
+def test_the_verdict_table(case, expected):
+    assert verdict(**case)[0] == expected
+
+
+def test_the_unexplained_share_is_the_greater_one():
+    assert verdict(train=0.1, heldout=0.3)[1] == pytest.approx(0.3)
+    assert verdict(train=0.4, heldout=0.3)[1] == pytest.approx(0.4)
+    assert verdict(findings=(), is_open=False, before=1.0)[1] == 0.0
+
+
+def test_before_anything_was_scored_nothing_is_called_explained():
+    assert verdict_of([], [FINDING], None, None, True)[0] == "partly_explained"
+    assert verdict_of([], [], None, None, True)[0] == "unexplained"
+    assert verdict_of([], [], None, None, False)[0] != "nothing_missing"
+
+
+def test_one_joint_far_from_its_floor_is_enough_not_to_call_the_model_complete():
+    rows = {"a": dict(before=1.0, after=1.0, floor=1.0), "b": dict(before=9.0, after=9.0, floor=1.0)}
+    both = Score(6.4, 6.4, 1.0, 0.0, rows)
+    assert verdict_of([], [], both, None, False)[0] == "unexplained"
+    assert (
+        verdict_of([], [], dataclasses.replace(both, per_joint={"a": rows["a"]}), None, False)[0] == "nothing_missing"
+    )
+
+
+def atom(name: str, joint: str = "elbow"):
+    return SimpleNamespace(candidate=SimpleNamespace(key=(name, joint)))
+
+
+def scored(evidence: float, *atoms):
+    return SimpleNamespace(evidence=evidence, fit=SimpleNamespace(terms=atoms))
+
+
+def test_probabilities_are_shares_of_the_evidence_among_those_who_could_stand_there(monkeypatch):
+    kept, term, rival, far = atom("payload"), atom("coulomb"), atom("stribeck"), atom("backlash")
+    options = [scored(100.0, kept, term), scored(104.0, kept, rival), scored(140.0, far, kept)]
+    monkeypatch.setattr(gates, "alternatives", lambda *_: options)
+    atoms, shares = gates._probabilities(SimpleNamespace(judge=None, best=options[0], simulated={}), term)
+    assert atoms == [term, rival, far]
+    assert sum(shares) == pytest.approx(1.0)
+    assert shares[1] / shares[0] == pytest.approx(np.exp(-2.0))  # evidence is twice the log odds
+    assert shares[2] < 1e-8
+
+
+def test_what_the_simulation_says_of_a_combination_counts_beside_the_torque_domain(monkeypatch):
+    term, rival = atom("coulomb"), atom("stribeck")
+    options = [scored(100.0, term), scored(104.0, rival)]
+    monkeypatch.setattr(gates, "alternatives", lambda *_: options)
+    part = SimpleNamespace(judge=None, best=options[0], simulated={frozenset({("coulomb", "elbow")}): 10.0})
+    shares = gates._probabilities(part, term)[1]
+    assert shares[1] / shares[0] == pytest.approx(np.exp(3.0))
+
+
+def test_equals_share_the_probability_and_odds_do_not_depend_on_the_level(monkeypatch):
+    term, rival = atom("coulomb"), atom("stribeck")
+    for level in (-1e5, 0.0, 1e5):
+        options = [scored(level, term), scored(level, rival)]
+        monkeypatch.setattr(gates, "alternatives", lambda *_, options=options: options)
+        assert gates._probabilities(SimpleNamespace(judge=None, best=options[0], simulated={}), term)[1] == [0.5, 0.5]
+
+
+WHERE = (Location("elbow", "everywhere", 0.8, (0.7, 0.9)), Location("elbow", "moving backwards", 0.6, (0.5, 0.7)))
+
+
+def test_the_summary_says_the_most_important_first():
+    text = summarise("explained", [FINDING], WHERE, score(0.0), True, 0.04)
+    assert text[0] == FINDING.sentence
+    assert text[1] == "80 % of the error arises at elbow; it is densest when moving backwards (elbow)."
+    assert text[2].startswith("Over 0.5 s windows of recordings kept aside the error falls to 10 %")
+    assert "4 % of its energy above the sensors' floor stays unexplained" in text[2]
+    assert "none were kept aside" in summarise("explained", [FINDING], WHERE, score(0.0), False, 0.04)[2]
+
+
+def test_the_summary_of_no_finding_tells_nothing_missing_from_unexplained():
+    assert summarise("nothing_missing", [], WHERE, score(0.0), True, 0.0) == (
+        "Nothing is missing: the model follows the recordings as closely as the sensors' noise allows.",
+    )
+    assert "no effect of the catalogue explains how" in summarise("unexplained", [], WHERE, score(1.0), True, 1.0)[0]

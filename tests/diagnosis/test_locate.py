@@ -1,0 +1,171 @@
+import numpy as np
+import pytest
+from diagnosis.columns import NAMES, STEP, signals
+
+from torchrl_athletic.diagnosis.locate import feature, feature_unit, locate, regime_maps, regime_of
+from torchrl_athletic.diagnosis.screen import Bank
+
+N = 3000
+TIME = STEP * np.arange(N)
+V = np.stack([np.sin(1.3 * TIME), np.cos(1.7 * TIME)], -1)
+MOTION = {
+    "position": np.stack([-np.cos(1.3 * TIME) / 1.3, np.sin(1.7 * TIME) / 1.7], -1),
+    "velocity": V,
+    "acceleration": np.stack([1.3 * np.cos(1.3 * TIME), -1.7 * np.sin(1.7 * TIME)], -1),
+}
+SPEEDS = np.abs(V)
+
+
+def rng():
+    return np.random.default_rng(0)
+
+
+def bank_of(missing, **given) -> Bank:
+    return Bank([signals(missing, **{**MOTION, **given})], [], noise=np.ones(2))
+
+
+def at_elbow(torque):
+    noise = np.random.default_rng(1).normal(size=(N, 2))
+    return bank_of(np.stack([np.zeros(N), torque], -1) + noise)
+
+
+def joints_and_regimes(found):
+    return found[:2], found[2:]
+
+
+def test_shares_of_the_joints_sum_to_one_and_come_largest_first():
+    bank = bank_of(np.random.default_rng(0).normal(0, [3, 5], (N, 2)))
+    joints, _ = joints_and_regimes(locate(bank, rng()))
+    assert [x.regime for x in joints] == ["everywhere"] * 2
+    assert {x.joint for x in joints} == set(NAMES)
+    assert sum(x.share_of_error for x in joints) == pytest.approx(1)
+    assert joints[0].share_of_error >= joints[1].share_of_error
+
+
+def test_a_share_is_the_energy_of_the_acceleration_that_the_joints_own_missing_torque_would_cause():
+    torque = np.tile([6.0, 4.0], (N, 1))
+    bank = bank_of(torque)
+    own = np.diagonal(bank.takes[0].inertia, axis1=1, axis2=2)
+    energy = ((torque**2 - 1) / own**2).sum(0)
+    joints, _ = joints_and_regimes(locate(bank, rng()))
+    got = {x.joint: x.share_of_error for x in joints}
+    assert [got[name] for name in NAMES] == pytest.approx(list(energy / energy.sum()))
+
+
+@pytest.mark.parametrize(
+    ("torque", "regime"),
+    [
+        (np.where(V[:, 1] > 0, 6.0, 0.0), "moving forwards"),
+        (np.where(V[:, 1] < 0, 6.0, 0.0), "moving backwards"),
+        (np.where(SPEEDS[:, 1] > np.quantile(SPEEDS[:, 1], 2 / 3), 6.0, 0.0), "faster than 0.87 rad/s"),
+        (np.where(SPEEDS[:, 1] < np.quantile(SPEEDS[:, 1], 1 / 3), 6.0, 0.0), "slower than 0.51 rad/s"),
+        (np.where(MOTION["position"][:, 1] > 0.3, 6.0, 0.0), "position above 0.29 rad"),
+        (np.where(TIME > 20, 6.0, 0.0), "in the last third of the take"),
+        (np.where(TIME < 10, 6.0, 0.0), "in the first third of the take"),
+    ],
+)
+def test_an_error_is_located_at_its_joint_and_in_its_regime(torque, regime):
+    joints, regimes = joints_and_regimes(locate(at_elbow(torque), rng()))
+    assert joints[0].joint == "elbow"
+    assert joints[0].share_of_error > 0.95
+    assert regime in [x.regime for x in regimes if x.joint == "elbow"][:3]
+
+
+def test_errors_just_after_a_reversal_are_seen():
+    turned = np.flatnonzero(np.diff(np.sign(V[:, 1]))) + 1
+    since = np.min(np.where(np.arange(N) >= turned[:, None], np.arange(N) - turned[:, None], N), axis=0)
+    _, regimes = joints_and_regimes(locate(at_elbow(np.where(since < 10, 9.0, 0.0)), rng()))
+    assert regimes[0].joint == "elbow"
+    assert regimes[0].regime == "just after a reversal"
+    assert regimes[0].share_of_error > 0.8
+
+
+def test_an_even_error_has_no_regime():
+    _, regimes = joints_and_regimes(locate(bank_of(np.full((N, 2), 6.0)), rng()))
+    assert not [x for x in regimes if x.share_of_error > 0.5]
+
+
+def test_bands_hold_the_share_and_are_narrow_for_a_long_even_take():
+    uneven = at_elbow(np.where(TIME < 1.5, 30.0, 1.5))
+    for bank in (uneven, at_elbow(6 * V[:, 0])):
+        for x in locate(bank, rng()):
+            low, high = x.ci95
+            assert 0 <= low <= x.share_of_error <= high <= 1
+    wide, narrow = (
+        next(np.ptp(x.ci95) for x in locate(bank, rng()) if x.regime == "moving forwards" and x.joint == "elbow")
+        for bank in (
+            at_elbow(np.where((V[:, 1] > 0) & (TIME < 4), 9.0, 0.5)),
+            at_elbow(np.where(V[:, 1] > 0, 9.0, 0.5)),
+        )
+    )
+    assert narrow < 0.1
+    assert wide > narrow
+
+
+def test_below_the_noise_there_is_nothing_to_locate_and_masked_rows_count_for_nothing():
+    assert locate(bank_of(np.full((N, 2), 0.9)), rng()) == ()
+    valid = np.tile([True, False], (N, 1))
+    masked = Bank([signals(np.full((N, 2), 6.0), valid, **MOTION)], [], noise=np.ones(2))
+    joints, _ = joints_and_regimes(locate(masked, rng()))
+    assert [(x.joint, x.share_of_error) for x in joints] == [("shoulder", 1.0), ("elbow", 0.0)]
+
+
+def test_the_same_seed_draws_the_same_bands():
+    bank = at_elbow(6 * V[:, 0])
+    assert locate(bank, rng()) == locate(bank, rng())
+
+
+def test_no_more_regimes_than_asked_for():
+    torque = np.where((V[:, 1] > 0) & (TIME < 10), 9.0, 0.0)
+    assert len(locate(at_elbow(torque), rng(), most=2)) == 2 + 2
+
+
+# --- maps ---
+
+
+def test_a_map_shows_the_missing_torque_as_a_function_of_its_feature():
+    left = np.zeros((N, 2))
+    maps = {(m.joint, m.feature): m for m in regime_maps(bank_of(np.stack([0 * TIME, 2 * V[:, 1]], -1)), left, rng())}
+    assert set(maps) >= {(j, f) for j in NAMES for f in ("speed", "position", "load", "acceleration", "time")}
+    speed = maps["elbow", "speed"]
+    np.testing.assert_allclose(speed.before, 2 * speed.centre, atol=0.08)
+    np.testing.assert_allclose(speed.after, 0)
+    assert (speed.before_band[:, 0] <= speed.before).all()
+    assert (speed.before <= speed.before_band[:, 1]).all()
+    assert (speed.unit, speed.torque_unit, speed.noise) == ("rad/s", "N·m", 1.0)
+    np.testing.assert_allclose(maps["shoulder", "speed"].before, 0)
+
+
+def test_a_joint_that_hardly_ever_counts_has_no_map():
+    valid = np.tile([True, False], (N, 1))
+    masked = Bank([signals(np.ones((N, 2)), valid, **MOTION)], [], noise=np.ones(2))
+    assert {m.joint for m in regime_maps(masked, np.zeros((N, 2)), rng())} == {"shoulder"}
+
+
+# --- features and words ---
+
+
+def test_features_run_along_all_takes():
+    bank = Bank([signals(np.ones((N, 2)), **MOTION) for _ in range(2)], [], noise=np.ones(2))
+    np.testing.assert_array_equal(feature(bank.takes, "speed", 1), np.tile(V[:, 1], 2))
+    np.testing.assert_allclose(feature(bank.takes, "time", 0), np.tile(TIME, 2))
+    s = bank.takes[0]
+    assert [feature_unit(s, f, 0) for f in ("speed", "position", "load", "acceleration", "time")] == [
+        *("rad/s", "rad", "N·m", "rad/s²", "s")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("explained", "name", "words"),
+    [
+        (V[:, 1] ** 3, "speed", "most at speeds above 0.87 rad/s: "),
+        (np.sign(V[:, 1]), "speed", "at all speeds"),
+        (np.where(np.abs(V[:, 1]) < 0.4, 1.0, 0.0), "speed", "most at speeds below 0.51 rad/s: 100 %"),
+        (np.where(MOTION["position"][:, 1] > 0.3, 1.0, 0.0), "position", "most at positions above 0.29 rad: 100 %"),
+        (MOTION["acceleration"][:, 1] ** 3, "acceleration", "most at accelerations above"),
+        (0 * TIME, "speed", "everywhere"),
+    ],
+)
+def test_where_an_effect_explains_most_is_said_in_words(explained, name, words):
+    torque = np.stack([0 * TIME, explained], -1)
+    assert regime_of(bank_of(torque), torque, 1, name).startswith(words)

@@ -1,0 +1,172 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from effects.arm import JOINTS, arm, record
+from scipy.signal import lfilter
+
+from torchrl_athletic.diagnosis.prepare import drive_signals, prepare
+from torchrl_athletic.effects import ActuationDelay, TorqueScale
+from torchrl_athletic.recordings import Recording, RecordingError
+
+NOISE = 2e-5
+
+
+@pytest.fixture(scope="module")
+def takes() -> list[Recording]:
+    rng = np.random.default_rng(0)
+    made = [record(seconds=5.0, seed=seed) for seed in (0, 1)]
+    return [
+        replace(r, position=r.position + rng.normal(0, NOISE, r.position.shape), source=f"{k}.npz")
+        for k, r in enumerate(made)
+    ]
+
+
+def test_every_recording_is_checked_projected_and_put_on_the_grid(takes):
+    prepared = prepare(takes, arm())
+    assert len(prepared.quality) == len(prepared.signals) == len(prepared.takes) == 2
+    np.testing.assert_allclose(prepared.position_noise, NOISE, rtol=0.2)
+    assert prepared.repeatability is None
+    assert len({s.kernel for s in prepared.signals}) == 1
+    for s in prepared.signals:
+        assert s.missing.std() < 0.02 * s.command.std()
+
+
+def test_a_width_that_is_given_is_used(takes):
+    assert [s.kernel for s in prepare(takes, arm(), kernel=0.017).signals] == [0.017] * 2
+
+
+def test_a_gap_splits_a_take_and_nothing_is_made_up_across_it(takes):
+    (first, _) = takes
+    cut = np.r_[0:500, 650:1250]
+    gapped = replace(
+        first, time=first.time[cut], position=first.position[cut], torque_command=first.command[cut], source="gap.npz"
+    )
+    prepared = prepare([gapped], arm())
+    assert [s.recording.source for s in prepared.signals] == ["gap.npz"] * 2
+    inside = np.concatenate([s.time for s in prepared.signals])
+    assert not ((inside > first.time[499]) & (inside < first.time[650])).any()
+    whole = prepare([first], arm(), kernel=prepared.signals[0].kernel)
+    left, right = prepared.signals
+    assert np.abs(left.missing).max() < 0.05
+    assert np.abs(right.missing).max() < 0.05
+    assert len(left.time) + len(right.time) < len(whole.signals[0].time)
+
+
+def test_a_piece_too_short_to_see_a_motion_in_is_left_out(takes):
+    (first, _) = takes
+    cut = np.r_[0:20, 200:1250]
+    gapped = replace(first, time=first.time[cut], position=first.position[cut], torque_command=first.command[cut])
+    prepared = prepare([gapped], arm())
+    assert len(prepared.signals) == len(prepared.takes) == 1
+    assert prepared.signals[0].recording.time[0] == pytest.approx(first.time[200])
+
+
+def test_only_short_pieces_are_refused_with_the_mend(takes):
+    (first, _) = takes
+    cut = np.concatenate([np.arange(k, k + 20) for k in range(0, 1200, 100)])
+    gapped = replace(
+        first, time=first.time[cut], position=first.position[cut], torque_command=first.command[cut], source="gaps.npz"
+    )
+    with pytest.raises(RecordingError, match=r"gaps\.npz.*the take lasts .* s are needed to see a motion in it"):
+        prepare([gapped], arm())
+
+
+def test_one_take_that_is_too_short_is_refused(takes):
+    with pytest.raises(RecordingError, match=r"0\.npz: the take lasts 0\.20 s, at least"):
+        prepare([takes[0].slice(0, 50)], arm())
+
+
+def test_frozen_readings_of_one_joint_are_masked_at_all_that_feel_its_acceleration(takes):
+    (first, _) = takes
+    position = first.position.copy()
+    position[400:440, 1] = position[400, 1]
+    (s,) = prepare([replace(first, position=position)], arm()).signals
+    assert np.abs(s.missing).max() > 10
+    assert np.abs(s.missing[s.valid]).max() < 0.1
+    away = np.abs(s.time - first.time[420]) > 0.3
+    assert s.valid[away].mean() > 0.9
+
+
+def test_no_recording_other_joints_and_joints_the_model_lacks_are_refused(takes):
+    with pytest.raises(RecordingError, match="no recordings: name a file or a folder"):
+        prepare([], arm())
+    other = replace(takes[1], joint_names=("shoulder", "wrist"))
+    with pytest.raises(RecordingError, match=r"1\.npz: joint_names are .*Diagnose takes of the same joints together"):
+        prepare([takes[0], other], arm())
+    with pytest.raises(RecordingError, match=r"joint_names has 'knee'.*Rename it with a column map"):
+        prepare([replace(takes[0], joint_names=("shoulder", "knee"))], arm())
+
+
+def test_joints_may_come_in_any_order(takes):
+    swapped = takes[1].ordered(JOINTS[::-1])
+    np.testing.assert_array_equal(swapped.position[:, 0], takes[1].position[:, 1])
+    alike, straight = prepare([takes[0], swapped], arm()), prepare(takes, arm())
+    np.testing.assert_array_equal(alike.signals[1].missing, straight.signals[1].missing)
+
+
+def test_a_robot_that_rests_is_refused(takes):
+    still = replace(takes[0], position=0 * takes[0].position, source="still.npz")
+    with pytest.raises(RecordingError, match=r"still\.npz: no joint moves.*Excite the joints"):
+        prepare([still], arm())
+
+
+def test_the_measured_torque_drives_when_asked(takes):
+    (first, _) = takes
+    logged = replace(
+        first, torque_command=0.5 * first.command, torque_measured=first.command, torque_semantics="link_side"
+    )
+    commanded, measured = (prepare([logged], arm(), drive).signals[0] for drive in ("command", "measured"))
+    assert np.abs(measured.missing).max() < 0.05
+    np.testing.assert_allclose(commanded.missing, measured.missing + 0.5 * measured.command, atol=1e-9)
+    with pytest.raises(RecordingError, match="there is no torque_measured to drive the simulation with"):
+        prepare([first], arm(), "measured")
+
+
+def test_repeats_tell_the_repeatability(takes):
+    (first, _) = takes
+    rng = np.random.default_rng(3)
+    again = replace(first, position=first.position + rng.normal(0, 10 * NOISE, first.position.shape), source="2.npz")
+    prepared = prepare([replace(r, metadata={"repeat_id": "a"}) for r in (first, again)], arm())
+    assert prepared.repeatability is not None
+    np.testing.assert_allclose(prepared.repeatability, 10 * NOISE / np.sqrt(2), rtol=0.3)
+
+
+def test_the_report_names_its_source_once(takes):
+    (report, _) = prepare(takes, arm()).report()["recordings"]
+    assert report["source"] == "0.npz"
+    assert not any(w.startswith("0.npz") for w in report["warnings"])
+
+
+# --- the drive alone ---
+
+
+def drive(takes, received, noise=0.0):
+    (first, _) = takes
+    measured = received(first.command) + np.random.default_rng(5).normal(0, noise, first.command.shape)
+    logged = replace(first, torque_measured=measured, torque_semantics="link_side")
+    return drive_signals(prepare([logged], arm()))[0]
+
+
+def test_a_perfect_drive_misses_nothing(takes):
+    s = drive(takes, lambda u: u)
+    assert np.abs(s.missing).max() < 0.02 * np.abs(s.command).max()  # half a hold
+
+
+def test_a_drive_that_scales_is_seen_as_a_scale(takes):
+    s = drive(takes, lambda u: 0.8 * u)
+    predicted = TorqueScale().fingerprint(s, 1, {}).columns[:, 1, 0] * (1 - 1 / 0.8)
+    np.testing.assert_allclose(s.missing[:, 1], predicted, atol=0.03 * np.abs(s.command[:, 1]).max())
+
+
+def test_a_drive_that_is_late_is_seen_as_a_delay(takes):
+    s = drive(takes, lambda u: np.vstack([np.tile(u[:1], (5, 1)), u[:-5]]))
+    predicted = ActuationDelay().fingerprint(s, 0, {"delay": 0.02}).constant[:, 0]
+    left = s.missing[:, 0] - predicted
+    assert left.std() < 0.15 * s.missing[:, 0].std()
+
+
+def test_the_noise_of_the_drive_is_that_of_its_torque_sensor(takes):
+    quiet, loud = (drive(takes, lambda u: lfilter([0.2], [1, -0.8], u, axis=0), noise) for noise in (0.0, 0.05))
+    extra = (loud.missing - quiet.missing).std(0)
+    np.testing.assert_allclose(loud.noise, extra, rtol=0.25)

@@ -1,0 +1,288 @@
+"""Replay is MuJoCo, step for step: closed forms, plain loops, and every sample exactly once."""
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis.plants import RATE, STEP, double_pendulum, pendulum, record, slider, smooth_torque, take
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torchrl_athletic.diagnosis import replay
+from torchrl_athletic.diagnosis.corrected import Simulation
+from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
+from torchrl_athletic.recordings import Recording, sensor_noise
+
+NOTHING = np.zeros((1, 0))
+
+
+def as_given(plant, values):
+    """Build nothing."""
+
+
+def random_steps(samples: int, joints: int = 1, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(samples, joints))
+
+
+def plain_loop(model: mujoco.MjModel, q, v, torques: np.ndarray, substeps: int) -> np.ndarray:
+    """Positions after every sample. Torques (steps, J)."""
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = q, v
+    out = []
+    for i, torque in enumerate(torques):
+        data.qfrc_applied[:] = torque
+        mujoco.mj_step(model, data)
+        if (i + 1) % substeps == 0:
+            out.append(data.qpos.copy())
+    return np.array(out)
+
+
+@pytest.mark.parametrize("step", [0.01, 0.002])
+def test_a_slider_follows_the_closed_form_within_the_integrators_half_step(step):
+    force = 5 * random_steps(200)
+    time, mass = np.arange(200) / RATE, 2.0
+    v = np.concatenate([[0.0], np.cumsum(force[:-1, 0]) / RATE / mass])
+    q = np.concatenate([[0.0], np.cumsum(v[:-1] / RATE + force[:-1, 0] / mass / RATE**2 / 2)])
+    t = take(slider(step), Recording(time, ("carriage",), q[:, None], torque_command=force))
+    w = windows_of(t, 0.5)
+    predicted = simulate(w, as_given, NOTHING, start=(q[w.start, None], v[w.start, None]))[0, :, :, 0]
+    gained = v[w.index] - v[w.start, None]  # semi-implicit Euler is late by half a step of it, exactly
+    assert (np.abs(predicted - q[w.index]) <= step / 2 * np.abs(gained) + 1e-9).all()
+    assert np.abs(gained).max() > 0.1
+
+
+def test_a_pendulum_swings_as_the_damped_oscillator_does():
+    step, inertia, damping, weight = 0.0005, 0.09, 0.05, 0.5 * 9.81 * 0.4
+    decay, omega = damping / (2 * inertia), np.sqrt(weight / inertia - (damping / (2 * inertia)) ** 2)
+    time = np.arange(0, 4, 1 / RATE)
+    q = 1e-3 * np.exp(-decay * time) * np.cos(omega * time)
+    v = -decay * q - 1e-3 * omega * np.exp(-decay * time) * np.sin(omega * time)
+    t = take(pendulum(step), Recording(time, ("pendulum",), q[:, None], torque_command=np.zeros((400, 1))))
+    for seconds in (0.5, None):
+        w = windows_of(t, seconds)
+        predicted = simulate(w, as_given, NOTHING, start=(q[w.start, None], v[w.start, None]))[0, :, :, 0]
+        assert np.abs(predicted - q[w.index]).max() < 1e-3 * omega * step
+    assert np.abs(t.velocity[5:-5, 0] - v[5:-5]).max() < 0.01 * np.abs(v).max()  # where windows start by themselves
+
+
+def five_parameters(plant, values):
+    damping, delay, lag, scale, offset = values.T
+    plant.of("dof_damping")[:, 0] = damping
+    plant.delay[:, 0], plant.lag[:, 0], plant.torque_scale[:, 0], plant.torque_offset[:, 0] = delay, lag, scale, offset
+
+
+SETS = np.array([[0.1, 0.0, 0.0, 1.0, 0.0], [0.05, 0.013, 0.0, 1.2, 0.1], [0.0, 0.02, 0.03, 0.7, -0.2]])
+
+
+@pytest.mark.parametrize("laws", [False, True])
+def test_many_sets_at_once_give_what_each_gives_alone_bit_for_bit(monkeypatch, laws):
+    t = take(pendulum(), record(pendulum(), smooth_torque(3.0)))
+    w = windows_of(t, 0.5)
+
+    def build(plant, values):
+        five_parameters(plant, values)
+        if laws:
+            plant.laws.append(lambda q, v: -0.02 * v * np.abs(v))
+
+    together = simulate(w, build, SETS)
+    for k in range(len(SETS)):
+        np.testing.assert_array_equal(together[k], simulate(w, build, SETS[k : k + 1])[0])
+    monkeypatch.setattr(replay, "CHUNK", 1)
+    np.testing.assert_array_equal(together, simulate(w, build, SETS))
+    assert not np.array_equal(together[0], together[1])
+
+
+def test_the_native_rollout_and_the_stepwise_one_agree():
+    w = windows_of(take(pendulum(), record(pendulum(), smooth_torque(3.0))), 0.5)
+
+    def stepwise(plant, values):
+        five_parameters(plant, values)
+        plant.laws.append(lambda q, v: np.zeros_like(v))
+
+    np.testing.assert_allclose(simulate(w, stepwise, SETS), simulate(w, five_parameters, SETS), rtol=0, atol=1e-12)
+
+
+def test_a_law_adds_its_torque_at_every_step():
+    t = take(slider(), record(slider(), smooth_torque(2.0)))
+    w = windows_of(t, 0.5)
+
+    def law(plant, values):
+        plant.laws.append(lambda q, v: -3.0 * q - 4.0 * v)
+
+    for n, (start, found) in enumerate(zip(w.start, simulate(w, law, NOTHING)[0], strict=True)):
+        data = mujoco.MjData(t.model)
+        data.qpos[:], data.qvel[:] = t.position[start], t.velocity[start]
+        for k in range(w.length * t.substeps):
+            u = t.recording.torque_command[start + k // t.substeps]
+            data.qfrc_applied[:] = u - 3.0 * data.qpos - 4.0 * data.qvel
+            mujoco.mj_step(t.model, data)
+            if (k + 1) % t.substeps == 0:
+                np.testing.assert_allclose(found[k // t.substeps], data.qpos, atol=1e-13, err_msg=f"window {n}")
+
+
+@pytest.mark.parametrize("delay", [0.0, 2 * STEP, 0.014])
+def test_pd_recordings_are_a_plain_loop_of_mj_step(delay):
+    gains = {"kp": np.array([8.0]), "kd": np.array([0.3])}
+    r = record(pendulum(), smooth_torque(2.0), **gains)
+    t = take(pendulum(), r)
+    w = windows_of(t, 0.5)
+
+    def build(plant, values):
+        plant.delay[:], plant.kp_scale[:], plant.kd_scale[:] = delay, 1.5, 0.5
+
+    late = round(delay / STEP)
+    target = np.repeat(r.position_target[:, 0], t.substeps)
+    target = np.concatenate([np.full(late, target[0]), target])
+    for start, found in zip(w.start, simulate(w, build, NOTHING)[0], strict=True):
+        data = mujoco.MjData(t.model)
+        data.qpos[:], data.qvel[:] = t.position[start], t.velocity[start]
+        for i in range(w.length * t.substeps):
+            u = target[start * t.substeps + i]
+            data.qfrc_applied[:] = 1.5 * 8.0 * (u - data.qpos) - 0.5 * 0.3 * data.qvel
+            mujoco.mj_step(t.model, data)
+            if (i + 1) % t.substeps == 0:
+                np.testing.assert_allclose(found[i // t.substeps], data.qpos, rtol=0, atol=1e-12)
+
+
+def lagged_by_small_steps(command: np.ndarray, constant: float, step: float, fine: int = 400) -> np.ndarray:
+    """Mean of a first-order lag over each step, settled on the first command. Shape (N,)."""
+    state, out = command[0], np.empty(len(command))
+    for i, u in enumerate(command):
+        path = []
+        for _ in range(fine):
+            half = state + (u - state) * step / fine / 2 / constant
+            path.append(half)
+            state = state + (u - half) * step / fine / constant
+        out[i] = np.mean(path)
+    return out
+
+
+@pytest.mark.parametrize(("delay", "lag"), [(0.0, 0.0), (0.006, 0.0), (0.013, 0.0), (0.0, 0.03), (0.006, 0.008)])
+def test_delay_lag_scale_and_offset_are_those_of_a_plain_loop(delay, lag):
+    r = record(slider(), 5 * random_steps(150))
+    t = take(slider(), r)
+    w = windows_of(t, 0.3)
+
+    def build(plant, values):
+        plant.delay[:], plant.lag[:], plant.torque_scale[:], plant.torque_offset[:] = delay, lag, 0.8, 0.05
+
+    instants = (np.arange(150 * t.substeps * 10) + 0.5) * STEP / 10 - delay  # ten in each physics step
+    held = r.torque_command[np.clip(np.searchsorted(r.time, instants, side="right") - 1, 0, None), 0]
+    torque = held.reshape(-1, 10).mean(1)
+    if lag:
+        torque = lagged_by_small_steps(torque, lag, STEP)
+    torque = 0.8 * torque + 0.05
+    for start, found in zip(w.start, simulate(w, build, NOTHING)[0], strict=True):
+        part = torque[start * t.substeps :][: w.length * t.substeps, None]
+        expected = plain_loop(t.model, t.position[start], t.velocity[start], part, t.substeps)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+        assert np.ptp(expected) > 1e-3
+
+
+def test_the_lag_of_a_position_loop_carries_over_into_the_next_window():
+    gains = {"kp": np.array([3.0]), "kd": np.array([0.3])}
+    xml = pendulum(step=0.0005)
+    r = record(xml, 0.5 * np.sign(np.sin(2 * np.pi * np.arange(150) / 27))[:, None], **gains)
+    t = take(xml, r)
+
+    def build(plant, values):
+        plant.lag[:] = 0.06
+
+    path = np.vstack([t.position[:1], simulate(windows_of(t, None), build, NOTHING)[0, 0]])
+    lagged = Recording(r.time, r.joint_names, path, position_target=r.position_target, **gains)  # its own motion
+    w = windows_of(take(xml, lagged, noise=1e-9), 0.1)
+    assert np.abs(simulate(w, build, NOTHING)[0] - w.measured).max() < 0.01 * np.ptp(path)
+    assert np.abs(simulate(w, as_given, NOTHING)[0] - w.measured).max() > 0.1 * np.ptp(path)
+
+
+def test_the_motor_saturates_where_the_model_says():
+    limited = slider().replace('<motor joint="carriage"/>', '<motor joint="carriage" forcerange="-0.5 0.5"/>')
+    r = record(slider(), 3 * smooth_torque(2.0))
+    t = take(limited, r)
+    w = windows_of(t, None)
+    torque = np.repeat(np.clip(r.torque_command, -0.5, 0.5), t.substeps, axis=0)[: w.length * t.substeps]
+    expected = plain_loop(t.model, t.position[0], t.velocity[0], torque, t.substeps)
+    np.testing.assert_allclose(simulate(w, as_given, NOTHING)[0, 0], expected, atol=1e-12)
+
+
+def test_an_encoder_offset_shifts_the_reading_and_not_the_robot():
+    t = take(pendulum(), record(pendulum(), smooth_torque(2.0), start=0.4))
+    w = windows_of(t, 0.5)
+    start = (t.position[w.start], t.velocity[w.start])
+
+    def offset(plant, values):
+        plant.encoder_offset[:] = values
+
+    true = simulate(w, as_given, NOTHING, start=start)[0]
+    read = simulate(w, offset, np.array([[0.1]]), start=(start[0] + 0.1, start[1]))[0]
+    np.testing.assert_allclose(read, true + 0.1, rtol=0, atol=1e-12)
+
+
+@given(samples=st.integers(20, 300), seconds=st.floats(0.005, 4.0), rate=st.sampled_from([50.0, 100.0, 333.0]))
+def test_windows_cover_every_sample_once(samples, seconds, rate):
+    time = np.arange(samples) / rate
+    t = take(slider(), Recording(time, ("carriage",), np.sin(time)[:, None], torque_command=np.zeros((samples, 1))))
+    w = windows_of(t, seconds)
+    covered = w.index.ravel()
+    np.testing.assert_array_equal(covered, np.arange(1, len(covered) + 1))
+    assert 0 <= len(t.time) - 1 - len(covered) < w.length
+    np.testing.assert_array_equal(w.measured[:, 0], t.measured[w.start + 1])
+    assert windows_of(t, None).index.ravel().tolist() == list(range(1, len(t.time)))
+
+
+def simulation(xml: str, names=("carriage",)) -> Simulation:
+    return Simulation(mujoco.MjModel.from_xml_string(xml), names, Hypothesis(()), np.zeros(0))
+
+
+def test_a_rollout_is_positions_at_the_recordings_stamps():
+    heavier = slider().replace('mass="2"', 'mass="4"')
+    r = record(slider(), smooth_torque(3.07, 2.0), noise=1e-6)
+    same, other = simulation(slider()).rollout(r, window=0.5), simulation(heavier).rollout(r, window=0.5)
+    assert same.shape == other.shape == r.position.shape
+    assert np.abs(same - r.position).max() < 2e-3
+    away = np.abs(other - r.position)[:, 0]
+    assert away[0] < 1e-4
+    assert away[50] > 10 * away[51]  # the end of a window has drifted, the sample after it starts anew
+    assert away[-1] > 3 * away[301]  # so does the rest that fills no window
+
+
+def test_without_windows_a_rollout_is_one_open_loop():
+    r = record(slider(), smooth_torque(3.0), noise=0.0)
+    found = simulation(slider()).rollout(r, window=None)
+    model = mujoco.MjModel.from_xml_string(slider())
+    t = take_of(r, model, *sensor_noise(r))
+    torque = np.repeat(r.torque_command, t.substeps, axis=0)[: (len(r.time) - 1) * t.substeps]
+    expected = plain_loop(t.model, found[0], t.velocity[0], torque, t.substeps)
+    np.testing.assert_allclose(found[1:], expected, atol=1e-12)
+
+
+def test_two_joints_stay_in_the_recordings_order():
+    r = record(double_pendulum(), np.zeros((100, 2)), start=(0.3, -0.2))
+    swapped = Recording(r.time, ("lower", "upper"), r.position[:, ::-1], torque_command=np.zeros((100, 2)))
+    one = simulation(double_pendulum(), r.joint_names).rollout(r)
+    two = simulation(double_pendulum(), swapped.joint_names).rollout(swapped)
+    np.testing.assert_allclose(one, two[:, ::-1], atol=1e-12)
+    assert np.abs(one - r.position).max() < 0.01
+
+
+def test_a_simulation_that_diverges_stays_finite(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)  # MuJoCo logs there
+    r = record(slider(), smooth_torque(1.0), kp=np.array([10.0]), kd=np.array([1.0]))
+    w = windows_of(take(slider(), r), 0.5)
+
+    def explosive(plant, values):
+        plant.kp_scale[:] = -1e6
+
+    found = simulate(w, explosive, NOTHING)
+    assert np.isfinite(found).all()
+    assert np.abs(found).max() > 100  # it did diverge
+
+
+def test_samples_between_the_physics_steps_are_met_by_a_whole_number_of_them():
+    r = record(slider(), smooth_torque(2.0), rate=RATE)
+    for step in (0.0007, 0.003, 0.02):
+        t = take(slider(step), r)
+        assert t.period == pytest.approx(1 / RATE, rel=0.2)
+        assert t.substeps * t.model.opt.timestep == pytest.approx(t.period)
+        assert t.model.opt.timestep <= 1.001 / RATE
+        assert t.time[-1] <= r.time[-1] + 1e-9

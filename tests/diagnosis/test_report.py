@@ -1,0 +1,347 @@
+"""The page as a reader, a parser, a browser and somebody with bad intentions meet it."""
+
+import ast
+import json
+import re
+import shutil
+import subprocess
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosis.sample import SAMPLES, Sample, arm, partial, slider
+
+from torchrl_athletic.diagnosis.report import write_report
+from torchrl_athletic.diagnosis.report.page import MOST_MAPS, MOST_OVERLAYS, render
+from torchrl_athletic.diagnosis.result import Answer
+
+VOID = {"meta", "link", "input", "br", "img", "hr"}
+HEADINGS = {
+    "slider": "Partly explained",
+    "arm": "Explained",
+    "nothing_missing": "Nothing is missing",
+    "unexplained": "Unexplained",
+    "partial": "Partly explained",
+}
+
+
+class Page(HTMLParser):
+    """What a page is made of: its elements, its words outside style sheets, and whether its tags close in order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str]]] = []
+        self.words: list[str] = []
+        self.rows: list[list[str]] = []
+        self.code = ""
+        self._open: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self._open == []
+
+    def handle_startendtag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" in self._open:
+            return
+        self.words.append(data)
+        if "tr" in self._open and ("td" in self._open or "th" in self._open):
+            self.rows[-1][-1] += data.strip()
+        if "pre" in self._open:
+            self.code += data
+
+    @property
+    def text(self) -> str:
+        return " ".join("".join(self.words).split())
+
+
+@cache
+def text_of(name: str) -> str:
+    s = SAMPLES[name]()
+    return render(s.answer, s.maps, s.overlays)
+
+
+@pytest.fixture(params=SAMPLES)
+def name(request) -> str:
+    return request.param
+
+
+def renamed(sample: Sample, old: str, new: str) -> Sample:
+    """The sample with a joint (and all that is said of it) called otherwise."""
+    content = json.dumps(sample.answer.to_json(), ensure_ascii=False).replace(
+        old, json.dumps(new, ensure_ascii=False)[1:-1]
+    )
+    maps = tuple(replace(m, joint=m.joint.replace(old, new)) for m in sample.maps)
+    overlays = tuple(
+        replace(o, recording=new, joint_names=tuple(n.replace(old, new) for n in o.joint_names))
+        for o in sample.overlays
+    )
+    return Sample(Answer.from_json(json.loads(content)), maps, overlays)
+
+
+def test_tags_close_in_order_and_ids_are_unique_and_found(name):
+    page = Page(text_of(name))
+    ids = Counter(attrs["id"] for _, attrs in page.elements if "id" in attrs)
+    assert [i for i, n in ids.items() if n > 1] == []
+    targets = {a["href"].removeprefix("#") for _, a in page.elements if a.get("href", "").startswith("#")}
+    targets |= set(re.findall(r"url\(#([^)]+)\)", text_of(name)))
+    assert targets - set(ids) == set()
+
+
+def test_nothing_is_loaded_and_no_script_runs(name):
+    page = Page(text_of(name))
+    assert "://" not in text_of(name)
+    assert {tag for tag, _ in page.elements} & {"script", "iframe", "object", "embed", "img", "base"} == set()
+    for _, attrs in page.elements:
+        assert not any(key.startswith("on") or key in ("src", "action", "srcset") for key in attrs)
+        assert attrs.get("href", "#").startswith(("#", "data:,"))
+    assert "@import" not in text_of(name)
+    policy = next(a["content"] for _, a in page.elements if a.get("http-equiv") == "Content-Security-Policy")
+    assert policy.startswith("default-src 'none'")
+
+
+def test_everything_that_is_stated_is_on_the_page(name):
+    answer, text = SAMPLES[name]().answer, Page(text_of(name)).text
+    stated = [*answer.summary, *answer.remarks]
+    for f in answer.findings:
+        stated += [f.sentence, f.regime, f"{100 * f.probability:.0f} %", *(r.separating_experiment for r in f.rivals)]
+    for where in answer.locations:
+        stated += [where.regime, f"{100 * where.share_of_error:.0f} %"]
+    for r in answer.quality["recordings"]:
+        stated += [r["source"], *(f"{n} samples ({reason})" for reason, n in r["masked"].items() if n), *r["warnings"]]
+    assert [s for s in [*stated, *answer.quality["warnings"]] if s not in text] == []
+
+
+def test_the_heading_is_the_verdict(name):
+    [heading] = re.findall(r"<h1[^>]*>(?:<span[^>]*></span>)?([^<]*)</h1>", text_of(name))
+    assert heading == HEADINGS[name]
+
+
+def test_parameters_are_rounded_and_not_changed():
+    rows = {row[0]: row[1:] for row in Page(text_of("slider")).rows}
+    for key, p in slider().answer.findings[0].parameters.items():
+        value, interval, unit = rows[key.replace("_", " ").capitalize()]
+        low, high = interval.split(" to ")
+        assert unit == p.unit
+        assert [float(x) for x in (value, low, high)] == pytest.approx([p.value, *p.ci95], abs=0.051)
+
+
+def test_the_fit_table_holds_every_joint_of_both_splits_in_milliradians():
+    rows = [row for row in Page(text_of("arm")).rows if "mrad" in row]
+    assert [row[1] for row in rows] == ["all joints", "shoulder", "elbow"] * 2
+    assert [row[0] for row in rows] == ["kept aside", "", "", "fitted", "", ""]
+    for split, chunk in (("heldout", rows[:3]), ("train", rows[3:])):
+        score = arm().answer.fit[split]
+        for row in chunk[1:]:
+            truth = score.per_joint[row[1]]
+            assert [float(x) for x in row[2:5]] == pytest.approx([1e3 * truth[k] for k in ("before", "after", "floor")])
+            closed = (truth["before"] - truth["after"]) / (truth["before"] - truth["floor"])
+            assert row[-1] == f"{100 * closed:.0f} %"
+
+
+def test_probability_bars_are_as_long_as_they_are_probable():
+    meters = [a for tag, a in Page(text_of("arm")).elements if a.get("role") == "meter"]
+    sure = [float(a["aria-valuenow"]) for a in meters if a["aria-label"].startswith("probability")]
+    assert sure == [0.98, 0.84]
+    assert "width:98.0%" in text_of("arm")
+    assert "width:84.0%" in text_of("arm")
+
+
+def test_every_picture_says_what_it_shows(name):
+    pictures = [a for tag, a in Page(text_of(name)).elements if tag == "svg"]
+    assert len(pictures) >= 3
+    for a in pictures:
+        assert a["role"] == "img"
+        assert re.search(r"\d", a["aria-label"]), a["aria-label"]
+
+
+def test_a_picture_speaks_of_its_extremes():
+    s = slider()
+    speed = next(m for m in s.maps if m.feature == "speed")
+    at = speed.centre[np.argmax(speed.before)]
+    alts = [a["aria-label"] for tag, a in Page(text_of("slider")).elements if tag == "svg"]
+    alt = next(alt for alt in alts if "against speed" in alt)
+    assert f"to {speed.before.max():.1f} N at {at:.3f} m/s" in alt
+
+
+def test_a_partial_report_says_so_on_top_and_has_no_held_out_numbers():
+    text = Page(text_of("partial")).text
+    assert text.index("Stopped early") < text.index("Partly explained", text.index("Stopped early"))
+    assert "No recordings were kept aside" in text
+    assert "error, kept aside" not in text
+    assert "Stopped early" not in Page(text_of("arm")).text
+
+
+def test_no_effect_is_claimed_where_none_was_found():
+    for quiet in ("nothing_missing", "unexplained"):
+        assert "No effect is stated" in Page(text_of(quiet)).text
+        assert "sure" not in Page(text_of(quiet)).text.split()
+
+
+@pytest.mark.parametrize(
+    "hostile",
+    [
+        "<script>alert(1)</script>",
+        '"><img src=x onerror=alert(1)>',
+        "</style></svg>&amp;",
+        "$x$ {{ 7 * 7 }}",
+        "关节 " * 40,
+    ],
+)
+def test_hostile_names_are_only_text(hostile):
+    s = arm()
+    s = Sample(s.answer, s.maps[:1], s.overlays[3:4])
+    harmless, page = (Page(render(x.answer, x.maps, x.overlays)) for x in (s, renamed(s, "elbow", hostile)))
+    assert Counter(tag for tag, _ in page.elements) == Counter(tag for tag, _ in harmless.elements)
+    assert " ".join(hostile.split()) in page.text
+
+
+def test_the_example_is_python_whatever_the_folder_is_called():
+    s = slider()
+    for folder in ("out", 'it\'s "<b>" \\ here'):
+        code = ast.parse(Page(render(s.answer, (), (), folder=folder)).code)
+        strings = {node.value for node in ast.walk(code) if isinstance(node, ast.Constant)}
+        assert {folder, f"{folder}/corrected.xml"} <= strings
+
+
+def test_values_that_are_not_numbers_do_not_break_the_page():
+    s = arm()
+    nothing = np.full_like(s.maps[0].before, np.nan)
+    maps = (replace(s.maps[0], before=nothing, after=nothing), *s.maps[1:])
+    gone = s.overlays[3].after.copy()
+    gone[300:] = np.inf
+    nan = np.full_like(gone, np.nan)
+    overlays = (replace(s.overlays[3], after=gone), replace(s.overlays[4], before=nan, after=nan))
+    text = render(s.answer, maps, overlays)
+    page = Page(text)
+    assert not re.search(r'(width|left):nan|[ML] ?nan|"nan"', text)
+    assert "no bin holds enough samples" in text
+    assert page.text.count("in these seconds") == 4
+
+
+def test_an_answer_with_nothing_but_a_verdict_makes_a_page():
+    page = Page(render(Answer("unexplained", ()), (), ()))
+    assert "Simulation and robot differ" in page.text
+    assert not [a for tag, a in page.elements if tag == "svg"]
+
+
+def test_hinges_and_slides_are_not_pooled_into_one_number():
+    answer = replace(arm().answer, quality={"units": {"shoulder": "rad", "elbow": "m"}})
+    text = Page(render(answer, (), ())).text
+    assert "all joints" not in text
+    assert "217" not in text
+    assert "mm" in text.split()
+
+
+def test_what_there_is_no_room_for_is_said(monkeypatch):
+    s = arm()
+    joints = tuple(f"joint_{i:02d}" for i in range(9))
+    maps = tuple(replace(m, joint=j) for j in joints[:2] for m in s.maps[:4])
+    wide = {k: np.repeat(getattr(s.overlays[3], k)[:, :1], 9, axis=1) for k in ("measured", "before", "after")}
+    overlays = (replace(s.overlays[3], joint_names=joints, **wide), replace(s.overlays[0], recording="left_out.csv"))
+    monkeypatch.setattr("torchrl_athletic.diagnosis.report.page.MOST_MAPS", 6)
+    monkeypatch.setattr("torchrl_athletic.diagnosis.report.page.MOST_OVERLAYS", 2)
+    page = Page(render(replace(s.answer, fit={}), maps, overlays))
+    assert sum(tag == "svg" for tag, _ in page.elements) == 6 + 2 + 1  # and the map of the first screen
+    assert "7 more joints are not drawn" in page.text
+    assert "Not drawn: left_out.csv" in page.text
+    assert "2 more maps of this joint are not drawn" in page.text
+
+
+def test_a_page_with_all_the_pictures_that_there_is_room_for_stays_small():
+    one = len(text_of("arm").encode()) / text_of("arm").count("<svg")
+    assert one * (MOST_MAPS + MOST_OVERLAYS) < 2.5e6
+
+
+def test_the_file_is_written_in_one_step(tmp_path, monkeypatch):
+    s = partial()
+    path = write_report(s.answer, s.maps, s.overlays, tmp_path / "new" / "report.html")
+    before = path.read_text(encoding="utf-8")
+    assert "Stopped early" in before
+    assert "new/corrected.xml" in before
+    monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    with pytest.raises(OSError, match="disk full"):
+        write_report(slider().answer, (), (), path)
+    assert path.read_text(encoding="utf-8") == before
+    assert [p.name for p in path.parent.iterdir()] == ["report.html"]
+
+
+@pytest.fixture(scope="module")
+def browse(tmp_path_factory):
+    """Open a page in a headless browser: its console and its screenshot."""
+    browser = next(
+        (found for b in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(b))), None
+    )
+    if browser is None:
+        pytest.skip("no Chromium on the path: apt-get install chromium")
+
+    def open_page(path: Path, *flags: str) -> tuple[list[str], np.ndarray]:
+        from matplotlib.image import imread
+
+        folder = tmp_path_factory.mktemp("browser")
+        command = [
+            browser,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-quic",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--hide-scrollbars",
+            "--enable-logging=stderr",
+            "--window-size=1280,800",
+            f"--user-data-dir={folder}",
+            f"--screenshot={folder / 'shot.png'}",
+            *flags,
+            path.as_uri(),
+        ]
+        run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        console = [line for line in run.stderr.splitlines() if "CONSOLE" in line]
+        return console, imread(folder / "shot.png")[..., :3]
+
+    return open_page
+
+
+def test_the_console_check_would_see_an_error(browse, tmp_path):
+    bad = tmp_path / "bad.html"
+    bad.write_text(text_of("partial").replace("</body>", "<script>1</script></body>"), encoding="utf-8")
+    assert any("Content Security Policy" in line for line in browse(bad)[0])
+
+
+@pytest.mark.parametrize("name", ["slider"])
+def test_a_browser_shows_the_page_without_complaint(browse, tmp_path, name):
+    path = tmp_path / "report.html"
+    path.write_text(text_of(name), encoding="utf-8")
+    console, light = browse(path)
+    assert console == []
+    assert light.shape == (800, 1280, 3)
+    paper = light[5, 5]
+    assert 0.03 < (np.abs(light - paper).max(axis=-1) > 0.2).mean() < 0.5  # text and figures on calm ground
+    assert paper.mean() > 0.9
+
+
+def test_the_page_is_dark_for_those_who_like_it_dark(browse, tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text(text_of("partial"), encoding="utf-8")
+    _, dark = browse(path, "--blink-settings=preferredColorScheme=0")
+    assert dark[5, 5].mean() < 0.2
+    assert (dark.mean(axis=-1) > 0.6).mean() > 0.01  # light text on it

@@ -1,0 +1,241 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis.columns import NAMES, STEP, Given, Shifted, candidate, shifted, signals
+from scipy.optimize import lsq_linear
+from scipy.signal import lfilter
+
+from torchrl_athletic.diagnosis.screen import (
+    FIT_TRIMS,
+    TORQUE_FLOOR,
+    Bank,
+    bounded_least_squares,
+    candidates_for,
+    correlation_time,
+    row_noise,
+    trims_for,
+)
+from torchrl_athletic.effects import CATALOGUE, GainMismatch
+
+N = 450  # four and a half blocks
+NOISE = np.array([0.5, 2.0])
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+@pytest.fixture
+def take(rng):
+    return signals(rng.normal(0, 3, (N, 2)), rng.random((N, 2)) < 0.8)
+
+
+def stacked(take, columns, noise=NOISE):
+    """The same least squares with all rows of both joints one under the other."""
+    weight = (take.valid / noise).ravel()
+    return columns.reshape(2 * N, -1) * weight[:, None], take.missing.ravel() * weight
+
+
+def both(rng, count):
+    return rng.normal(size=(N, 2, count))
+
+
+def test_the_fit_is_least_squares_of_valid_rows_weighed_by_the_noise(rng, take):
+    columns = both(rng, 3)
+    bank = Bank([take], [candidate(Given("a", columns[..., :2])), candidate(Given("b", columns[..., 2:]))], noise=NOISE)
+    fit = bank.fit(bank.atoms)
+    matrix, target = stacked(take, columns)
+    np.testing.assert_allclose(fit.coefficients, np.linalg.lstsq(matrix, target)[0], rtol=1e-6)
+    assert fit.freedom == 3
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_fit_respects_bounds_as_scipy_does(seed):
+    rng = np.random.default_rng(seed)
+    take, columns = signals(rng.normal(0, 3, (N, 2))), both(rng, 4)
+    columns[..., 3] += columns[..., 0]
+    take = replace(take, missing=take.missing + columns @ [2.0, -1.5, 0.3, 1.0])
+    bank = Bank([take], [candidate(Given("a", columns, lower=-0.5, upper=1.0))], noise=NOISE)
+    matrix, target = stacked(take, columns)
+    exact = lsq_linear(matrix, target, (-0.5, 1.0)).x
+    assert ((exact < -0.49) | (exact > 0.99)).sum() >= 2
+    np.testing.assert_allclose(bank.fit(bank.atoms).coefficients, exact, atol=1e-4)
+
+
+def test_bounds_are_those_of_the_change_and_values_those_of_the_parameter(rng, take):
+    column = rng.normal(size=N)
+    take = replace(take, missing=3 * np.stack([column, 0 * column], -1))
+    bank = Bank([take], [candidate(Given("a", column, lower=4.0, upper=6.5, nominal=5.0))], noise=NOISE)
+    fit = bank.fit(bank.atoms)
+    np.testing.assert_allclose(fit.coefficients, [1.5])
+    np.testing.assert_allclose(fit.values(), [[6.5]])
+
+
+def test_blocks_of_a_second_can_decide_alone(rng, take):
+    columns = both(rng, 2)
+    bank = Bank([take], [candidate(Given("a", columns))], noise=NOISE)
+    assert bank.block.tolist() == [int(k * STEP + 1e-9) for k in range(N)]
+    rows = np.repeat(np.isin(bank.block, [1, 4]), 2)
+    matrix, target = stacked(take, columns)
+    expected = np.linalg.lstsq(matrix[rows], target[rows])[0]
+    np.testing.assert_allclose(bank.fit(bank.atoms, blocks=np.array([1, 4])).coefficients, expected, rtol=1e-6)
+    twice = bank.fit(bank.atoms, blocks=np.array([1, 1, 4, 4])).coefficients  # as a bootstrap draws
+    np.testing.assert_allclose(twice, expected, rtol=1e-6)
+
+
+def test_blocks_of_two_takes_are_not_mixed(rng):
+    takes = [signals(rng.normal(size=(n, 2))) for n in (150, 230)]
+    bank = Bank(takes, [], noise=NOISE)
+    assert bank.block[149] == 1
+    assert bank.block[150] == 2
+    np.testing.assert_allclose(bank.count, [[100, 50, 100, 100, 30]] * 2)
+
+
+def test_the_residual_is_what_is_left_in_each_block_of_each_joint(rng, take):
+    bank = Bank([take], [candidate(Given("a", both(rng, 2)))], noise=NOISE)
+    for fit in (bank.fit(bank.atoms), bank.fit(bank.atoms, coefficients=np.array([0.4, -2.0])), bank.fit(())):
+        square = (bank.rows(fit) * take.valid / NOISE) ** 2
+        exact = [[square[bank.block == b, j].sum() for b in range(5)] for j in range(2)]
+        np.testing.assert_allclose(fit.residual, exact, rtol=1e-9)
+
+
+def test_predictions_and_the_rest_are_the_missing_torque(rng, take):
+    bank = Bank([take], [candidate(Given(name, both(rng, 2))) for name in "ab"], noise=NOISE)
+    fit = bank.fit(bank.atoms)
+    parts = sum(bank.prediction(fit, atom) for atom in fit.atoms)
+    np.testing.assert_allclose(parts + bank.rows(fit), take.missing, atol=1e-12)
+    first = bank.atoms[0]
+    np.testing.assert_allclose(bank.prediction(fit, first), first.candidate.effect.columns @ fit.coefficients[:2])
+
+
+def test_a_nonlinear_parameter_is_no_coefficient(take):
+    late = shifted(take.time, 0.2)
+    take = replace(take, missing=np.stack([late, 0 * late], -1))
+    bank = Bank([take], [candidate(Shifted("late", np.empty((0, 1))))], noise=NOISE)
+    assert [atom.fixed["delay"] for atom in bank.atoms] == [0.1, 0.2, 0.4]
+    fits = [bank.fit([atom]) for atom in bank.atoms]
+    assert [f.coefficients.tolist() for f in fits] == [[1.0]] * 3  # all of it or none
+    assert [f.values()[0].tolist() for f in fits] == [[0.1], [0.2], [0.4]]
+    assert fits[1].residual.sum() == pytest.approx(0, abs=1e-6)
+    assert min(fits[0].residual.sum(), fits[2].residual.sum()) > 1000
+
+
+def test_what_would_hide_in_the_noise_even_at_its_bound_is_left_out(rng, take):
+    column = rng.uniform(0.5, 1, N)
+    loud, quiet = Given("loud", column, upper=0.6, lower=0), Given("quiet", column, upper=0.4, lower=0)
+    bank = Bank([take], [candidate(loud), candidate(quiet)], noise=NOISE)
+    assert [a.candidate.effect.name for a in bank.atoms] == ["loud"]  # 0.6 and 0.4 against a noise of 0.5
+    assert bank.add(candidate(quiet), {}) is None
+    part = bank.add(candidate(Given("half", np.stack([0 * column, column], -1))), {})
+    assert part.linear == (1,)  # of two parameters the data show the second
+    take_all = bank.fit([part])
+    assert take_all.values()[0][0] == 0.0
+
+
+def test_what_the_recording_cannot_show_is_no_candidate(take):
+    class Blind(Given):
+        def applies(self, s):
+            return False
+
+    assert Bank([take], [candidate(Blind("blind", np.ones(N)))], noise=NOISE).atoms == []
+
+
+def test_trims_are_fitted_beside_a_combination_that_allows_them(rng, take):
+    a, b = rng.normal(size=(2, N))
+    take = replace(take, missing=np.stack([2 * a + 5 * b, 0 * a], -1))
+    main, rival = Given("a", a), Given("c", rng.normal(size=N), excludes=("trim",))
+    trim = candidate(Given("trim", b, lower=-1, upper=1))
+    bank = Bank([take], [candidate(main), candidate(rival)], [trim], noise=NOISE)
+    fit = bank.fit(bank.atoms[:1])
+    np.testing.assert_allclose(fit.coefficients[1], 1.0)  # at its bound
+    assert [t.candidate.effect.name for t in fit.atoms] == ["a", "trim"]
+    assert [t.candidate.effect.name for t in fit.terms] == ["a"]
+    assert fit.freedom == 1
+    assert len(bank.fit(bank.atoms[1:]).atoms) == 1
+    assert len(bank.fit(()).atoms) == 1
+
+
+def test_trims_lie_within_a_share_of_the_given_numbers(take):
+    trims = trims_for([take], FIT_TRIMS)
+    assert {t.joint_name for t in trims} == set(NAMES)
+    for trim in trims:
+        (p,) = trim.parameters
+        assert p.upper - p.nominal == pytest.approx(FIT_TRIMS[trim.effect] * p.nominal)
+        assert p.nominal - p.lower == pytest.approx(FIT_TRIMS[trim.effect] * p.nominal)
+
+
+def test_every_effect_is_a_candidate_on_every_joint(take):
+    found = {c.key for c in candidates_for([take])}
+    assert found == {(e.name, name) for e in CATALOGUE for name in NAMES}
+    bank = Bank([take], [candidate(GainMismatch())], noise=NOISE)
+    assert bank.atoms == []  # torque control has no gains
+
+
+# --- bounded least squares ---
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_bounded_least_squares_is_scipys(seed):
+    rng = np.random.default_rng(seed)
+    matrix, target = rng.normal(size=(40, 5)) * [1, 1e3, 1e-3, 1, 1], rng.normal(size=40)
+    free = np.linalg.lstsq(matrix, target)[0]
+    low, high = free - np.abs(free) * [1, 1, -0.2, 1, 1], free + np.abs(free) * [1, -0.3, 1, 1, 1]
+    got = bounded_least_squares(matrix.T @ matrix, matrix.T @ target, low, high)
+    scale = np.abs(free)
+    exact = lsq_linear(matrix * scale, target, (low / scale, high / scale), tol=1e-14).x * scale
+    np.testing.assert_allclose(got / scale, exact / scale, atol=1e-5)
+    assert (got >= low - 1e-12).all()
+    assert (got <= high + 1e-12 * scale).all()
+
+
+def test_equal_bounds_fix_a_coefficient(rng):
+    matrix, target = rng.normal(size=(30, 3)), rng.normal(size=30)
+    wide = np.full(3, 100.0)
+    got = bounded_least_squares(
+        matrix.T @ matrix, matrix.T @ target, np.array([-100, 1.0, -100]), np.array([100, 1.0, 100])
+    )
+    rest = np.linalg.lstsq(matrix[:, [0, 2]], target - matrix[:, 1])[0]
+    np.testing.assert_allclose(got, [rest[0], 1.0, rest[1]], rtol=1e-7)
+    np.testing.assert_array_equal(bounded_least_squares(matrix.T @ matrix, matrix.T @ target, wide, wide), wide)
+
+
+def test_equal_columns_share_a_coefficient_and_stay_finite(rng):
+    column = rng.normal(size=(50, 1))
+    matrix = np.hstack([column, column])
+    got = bounded_least_squares(matrix.T @ matrix, matrix.T @ (3 * column[:, 0]), np.full(2, -10.0), np.full(2, 10.0))
+    np.testing.assert_allclose(got, [1.5, 1.5], rtol=1e-4)
+
+
+# --- independent samples ---
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_the_correlation_time_of_an_autoregression(rho, rng):
+    x = lfilter([1], [1, -rho], rng.normal(size=100_000))
+    assert correlation_time(x) == pytest.approx((1 + rho) / (1 - rho), rel=0.1)
+    assert correlation_time(1e-6 * x + 5.0) == pytest.approx(correlation_time(x), rel=1e-6)
+
+
+def test_a_constant_and_a_zigzag_are_not_correlated_beyond_a_sample():
+    assert correlation_time(np.full(100, 3.0)) == 1.0
+    assert correlation_time((-1.0) ** np.arange(100)) == 1.0
+
+
+def test_independent_samples_count_valid_rows_over_the_correlation_time_of_each_joint(rng):
+    white = rng.normal(size=(4000, 2))
+    left = np.stack([white[:, 0], lfilter([1], [1, -0.8], white[:, 1])], -1)
+    half = np.ones((4000, 2), dtype=bool)
+    half[2000:, 0] = False
+    bank = Bank([signals(left, half)], [], noise=np.ones(2))
+    np.testing.assert_allclose(bank.independent_samples(left), [2000, 4000 / 9], rtol=0.2)
+
+
+def test_the_row_noise_has_a_floor_below_which_nobody_asks(rng):
+    command = np.stack([np.full(N, 2.0), np.full(N, 0.1)], -1)
+    quiet = replace(signals(np.zeros((N, 2)), command=command), noise=np.array([1e-9, 0.5]))
+    quiet.__dict__["load"] = np.zeros((N, 2))
+    noise = row_noise([quiet])
+    assert 0.999 * TORQUE_FLOOR * 2.0 < noise[0] < 1.001 * TORQUE_FLOOR * 20.0
+    assert noise[1] == pytest.approx(0.5, rel=1e-3)

@@ -1,0 +1,308 @@
+import itertools
+
+import numpy as np
+import pytest
+from diagnosis.columns import STEP, Given, Shifted, candidate, judge, shifted, signals
+from scipy.signal import lfilter
+
+from torchrl_athletic.diagnosis.screen import Bank
+from torchrl_athletic.diagnosis.search import BEAM, Judge, alternatives, search
+
+N = 1000
+
+
+def smooth(rng, size, rho=0.9):
+    """Unit columns with a memory, as motion has."""
+    return lfilter([np.sqrt(1 - rho**2)], [1, -rho], rng.normal(size=size), axis=-1)
+
+
+def on_shoulder(torque, noise=None):
+    return signals(np.stack([torque, np.zeros(N)], -1) + (0 if noise is None else noise))
+
+
+def names(scored) -> set[tuple[str, str]]:
+    return {atom.candidate.key for atom in scored.fit.terms}
+
+
+def value_of(scored, name: str) -> np.ndarray:
+    return next(
+        v for a, v in zip(scored.fit.atoms, scored.fit.values(), strict=True) if a.candidate.effect.name == name
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_planted_pair_is_found_among_many_with_its_coefficients(seed):
+    rng = np.random.default_rng(seed)
+    columns = dict(zip("abcdefgh", smooth(rng, (8, N)), strict=True))
+    torque = 6 * columns["b"] - 4 * columns["e"]
+    found = search(
+        judge(on_shoulder(torque, rng.normal(size=(N, 2))), *(candidate(Given(*c)) for c in columns.items()))
+    )
+    assert names(found[0]) == {("b", "shoulder"), ("e", "shoulder")}
+    assert value_of(found[0], "b") == pytest.approx([6], abs=0.3)
+    assert value_of(found[0], "e") == pytest.approx([-4], abs=0.3)
+
+
+def test_one_effect_on_each_joint_is_found_on_its_joint():
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    take = signals(np.stack([5 * a, 5 * b], -1) + rng.normal(size=(N, 2)))
+    both = [candidate(Given(*c), joint) for c in (("a", a), ("b", b)) for joint in (0, 1)]
+    assert names(search(judge(take, *both))[0]) == {("a", "shoulder"), ("b", "elbow")}
+
+
+def test_an_effect_that_reaches_an_open_joint_through_coupling_is_found():
+    rng = np.random.default_rng(0)
+    column = smooth(rng, N)
+    elbow = np.zeros((N, 2, 1))
+    elbow[:, 0, 0] = column  # of the elbow, felt at the shoulder
+    found = search(judge(on_shoulder(5 * column, rng.normal(size=(N, 2))), candidate(Given("a", elbow), 1)))
+    assert names(found[0]) == {("a", "elbow")}
+
+
+def test_white_noise_opens_no_question():
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        take = signals(rng.normal(size=(N, 2)))
+        (found,) = search(judge(take, *(candidate(Given(str(k), c)) for k, c in enumerate(smooth(rng, (10, N))))))
+        assert names(found) == set()
+
+
+def test_an_unknown_disturbance_is_rarely_given_a_name():
+    """Twenty times, ten innocent effects are offered for an open residual with a memory."""
+    alarms = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        take = on_shoulder(5 * smooth(rng, N, 0.8), rng.normal(size=(N, 2)))
+        columns = smooth(rng, (10, N), 0.8)
+        found = search(judge(take, *(candidate(Given(str(k), c, lower=-50, upper=50)) for k, c in enumerate(columns))))
+        alarms += bool(names(found[0]))
+    assert alarms <= 1
+
+
+@pytest.mark.parametrize(("size", "expected"), [(0.9, set()), (1.3, {("a", "shoulder")})])
+def test_a_joint_is_asked_about_when_its_missing_torque_is_twice_the_noise(size, expected):
+    rng = np.random.default_rng(0)
+    column, noise = rng.normal(size=N), rng.normal(size=(N, 2))
+    column = column / column.std()
+    noise[:, 0] -= column * (noise[:, 0] @ column) / N
+    found = search(judge(on_shoulder(size * column, noise / noise.std(0)), candidate(Given("a", column))))
+    assert names(found[0]) == expected
+
+
+@pytest.mark.parametrize(("rows", "expected"), [(60, set()), (600, {("a", "shoulder")})])
+def test_a_fifth_of_the_missing_torque_is_named_once_there_is_enough_of_it(rows, expected):
+    a, b = np.tile([1.0, -1.0], rows // 2), np.tile([1.0, 1.0, -1.0, -1.0], rows // 4)
+    torque = 5 * (np.sqrt(0.2) * a + np.sqrt(0.8) * b)
+    take = signals(np.stack([torque, 0 * torque], -1))
+    assert names(search(judge(take, candidate(Given("a", a))))[0]) == expected
+
+
+def test_noise_alone_of_a_level_that_smoothing_explains_is_no_question():
+    rng = np.random.default_rng(0)
+    column = smooth(rng, N)
+    bent = 3 * np.stack([column, column], -1)
+    take = signals(bent + rng.normal(size=(N, 2)), bias=bent)
+    assert judge(take).floor == pytest.approx(1 + (bent**2).mean(0))
+    (found,) = search(judge(take, candidate(Given("a", column))))
+    assert names(found) == set()
+
+
+def test_a_simpler_effect_is_preferred_to_one_that_contains_it():
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    take = on_shoulder(6 * a + 0.8 * b, 4 * rng.normal(size=(N, 2)))  # the second number closes next to nothing
+    larger = Given("asymmetric", np.stack([a, b], -1), excludes=("symmetric",))
+    found = search(judge(take, candidate(larger), candidate(Given("symmetric", a))))
+    assert names(found[0]) == {("symmetric", "shoulder")}
+
+
+def test_the_larger_effect_is_named_when_its_second_number_matters():
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    take = on_shoulder(6 * a + 5 * b, rng.normal(size=(N, 2)))
+    larger = Given("asymmetric", np.stack([a, b], -1), excludes=("symmetric",))
+    found = search(judge(take, candidate(larger), candidate(Given("symmetric", a))))
+    assert names(found[0]) == {("asymmetric", "shoulder")}
+
+
+def test_a_stand_in_for_two_effects_is_given_up_for_the_two():
+    """Stand-ins fill the beam; each is better than either cause, and keeps the second out: only an exchange helps."""
+    rng = np.random.default_rng(1)
+    a, b, *others = rng.normal(size=(BEAM + 3, N))
+    stand_ins = {f"stand_in_{k}": a + b + e for k, e in enumerate(others)}
+    effects = [Given("a", a), Given("b", b), *(Given(n, c, excludes=["b", *stand_ins]) for n, c in stand_ins.items())]
+    take = on_shoulder(8 * (a + b), rng.normal(size=(N, 2)))
+    weigh = judge(take, *(candidate(e) for e in effects))
+    single = sorted(weigh.bank.atoms, key=lambda atom: weigh.score([atom]).evidence)
+    assert {atom.candidate.effect.name for atom in single[:BEAM]} <= set(stand_ins)
+    assert names(search(weigh)[0]) == {("a", "shoulder"), ("b", "shoulder")}
+
+
+def test_what_closes_no_material_share_is_not_kept():
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    take = on_shoulder(9 * a + 0.8 * b, 4 * rng.normal(size=(N, 2)))
+    found = search(judge(take, candidate(Given("a", a)), candidate(Given("b", b))))
+    assert names(found[0]) == {("a", "shoulder")}
+
+
+def test_the_first_answer_has_the_best_evidence_and_no_answer_comes_twice():
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    twin = a + 0.2 * rng.normal(size=N)
+    take = on_shoulder(5 * a + 5 * b, rng.normal(size=(N, 2)))
+    found = search(judge(take, *(candidate(Given(*c)) for c in (("a", a), ("b", b), ("twin", twin)))))
+    assert [s.evidence for s in found] == sorted(s.evidence for s in found)
+    assert len({frozenset(names(s)) for s in found}) == len(found)
+
+
+def test_progress_goes_up_to_the_depth_that_is_left():
+    told = []
+    rng = np.random.default_rng(0)
+    a = smooth(rng, N)
+    search(judge(on_shoulder(5 * a, rng.normal(size=(N, 2))), candidate(Given("a", a))), told.append)
+    assert told == sorted(told)
+    assert 0 < told[0] <= told[-1] <= 1
+
+
+def test_a_delay_between_two_grid_points_is_found():
+    rng = np.random.default_rng(0)
+    time = STEP * np.arange(N)
+    for true in (0.13, 0.17, 0.31):
+        take = on_shoulder(shifted(time, true), rng.normal(size=(N, 2)))
+        found = search(judge(take, candidate(Shifted("late", np.empty((0, 1))))))
+        assert names(found[0]) == {("late", "shoulder")}
+        assert value_of(found[0], "late")[0] == pytest.approx(true, abs=0.2 / 8)
+
+
+# --- weighing ---
+
+
+def test_a_term_that_predicts_nothing_costs_its_numbers():
+    rng = np.random.default_rng(0)
+    take = on_shoulder(5 * smooth(rng, N))
+    idle = np.full(N, 1.0)
+    idle[1::2] = -1.0  # of no correlation with anything slow
+    one, two = Given("one", idle), Given("two", np.stack([idle, np.roll(idle, 1) * np.linspace(0, 1, N)], -1))
+    weigh = judge(take, candidate(one), candidate(two))
+    nothing = weigh.score(())
+    price = np.log(2 * N)
+    assert weigh.score(weigh.bank.atoms[:1]).evidence - nothing.evidence == pytest.approx(price, abs=2)
+    assert weigh.score(weigh.bank.atoms[1:]).evidence - nothing.evidence == pytest.approx(2 * price, abs=4)
+
+
+def test_evidence_is_the_likelihood_of_independent_samples():
+    rng = np.random.default_rng(0)
+    take = signals(10 * rng.normal(size=(N, 2)))
+    halved = signals(5 * take.missing / 10)
+    gain = judge(take).score(()).evidence - judge(halved).score(()).evidence
+    assert gain == pytest.approx(2 * N * np.log(4))
+    few = np.array([10.0, 20.0])
+    gain = judge(take).score((), few).evidence - judge(halved).score((), few).evidence
+    assert gain == pytest.approx(30 * np.log(4))
+
+
+def test_below_the_floor_nothing_is_gained():
+    take, quieter = (signals(np.full((N, 2), level)) for level in (0.9, 0.1))
+    assert judge(take).score(()).evidence == judge(quieter).score(()).evidence
+
+
+def test_the_share_closed_is_that_of_what_was_open():
+    column = np.where(np.arange(N) % 2, 1.0, -1.0)
+    weigh = judge(on_shoulder(5 * column + 3.0), candidate(Given("a", column)))
+    before, after = weigh.bank.fit(()), weigh.bank.fit(weigh.bank.atoms)
+    assert weigh.closes(before, after) == pytest.approx(25 / (25 + 9 - 1))
+    assert weigh.closes(before, before) == 0
+
+
+def test_a_joint_that_was_never_valid_or_lies_below_the_floor_hides_no_other():
+    rng = np.random.default_rng(0)
+    column = smooth(rng, N)
+    both = np.stack([column, column], -1)[:, :, None]  # reaches the elbow, too
+    for elbow, valid in ((0.0, False), (0.5, True)):
+        usable = np.tile([True, valid], (N, 1))
+        take = signals(np.stack([5 * column, elbow * column], -1) + rng.normal(size=(N, 2)) * [1, 0], usable)
+        found = search(judge(take, candidate(Given("a", both * [[5.0], [elbow]]))))
+        assert names(found[0]) == {("a", "shoulder")}
+
+
+def test_a_number_that_somebody_wrote_is_doubted_later_than_one_that_nobody_wrote():
+    rng = np.random.default_rng(0)
+    column = smooth(rng, N)
+    take = on_shoulder(5 * column, rng.normal(size=(N, 2)))
+    weigh = judge(take, candidate(Given("link_mass", column)), candidate(Given("reflected_inertia", column)))
+    assert names(search(weigh)[0]) == {("reflected_inertia", "shoulder")}
+    mass, rotor = (weigh.score([atom]).evidence for atom in weigh.bank.atoms)
+    assert mass - rotor == pytest.approx(2 * np.log(3))
+
+
+def test_correlated_rows_count_for_less():
+    take = signals(np.zeros((N, 2)))
+    wide = signals(np.zeros((N, 2)))
+    object.__setattr__(wide, "kernel", 4 * take.kernel)
+    counts = [Judge(Bank([s], [], noise=np.ones(2))).independent for s in (take, wide)]
+    np.testing.assert_allclose(counts, [[N, N], [N / 4, N / 4]])
+
+
+# --- rivals ---
+
+
+def two_alike(similarity: float):
+    rng = np.random.default_rng(0)
+    a, other, b = smooth(rng, (3, N))
+    alike = similarity * a + np.sqrt(1 - similarity**2) * other
+    take = on_shoulder(5 * a + 5 * b, rng.normal(size=(N, 2)))
+    weigh = judge(take, *(candidate(Given(*c)) for c in (("a", a), ("alike", alike), ("b", b))))
+    best = weigh.score([weigh.bank.atoms[0], weigh.bank.atoms[2]])
+    return weigh, best, best.fit.terms[0]
+
+
+def probabilities(rivals) -> np.ndarray:
+    odds = np.exp(-0.5 * (np.array([s.evidence for s in rivals]) - rivals[0].evidence))
+    return odds / odds.sum()
+
+
+def test_identical_columns_tie():
+    rivals = alternatives(*two_alike(1.0))
+    assert [names(s) - {("b", "shoulder")} for s in rivals] == [{("a", "shoulder")}, {("alike", "shoulder")}]
+    np.testing.assert_allclose(probabilities(rivals), 0.5, atol=1e-6)
+
+
+def test_the_more_alike_a_rival_the_nearer_its_evidence():
+    gaps = [np.diff([s.evidence for s in alternatives(*two_alike(x))])[0] for x in (0.999, 0.99, 0.9)]
+    assert all(later > sooner for sooner, later in itertools.pairwise(gaps))
+    assert gaps[-1] > 100
+
+
+def test_the_term_itself_is_among_its_alternatives_and_the_others_stay():
+    weigh, best, term = two_alike(0.9)
+    rivals = alternatives(weigh, best, term)
+    assert names(rivals[0]) == names(best)
+    assert all(("b", "shoulder") in names(s) for s in rivals)
+    assert [s.evidence for s in rivals] == sorted(s.evidence for s in rivals)
+
+
+def test_the_same_statement_with_more_numbers_is_no_rival():
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    larger = Given("asymmetric", np.stack([a, b], -1), excludes=("symmetric",))
+    for second, expected in ((0.0, {"symmetric"}), (5.0, {"symmetric", "asymmetric"})):
+        take = on_shoulder(6 * a + second * b, rng.normal(size=(N, 2)))
+        weigh = judge(take, candidate(larger), candidate(Given("symmetric", a)))
+        best = weigh.score(weigh.bank.atoms[1:])
+        rivals = alternatives(weigh, best, best.fit.terms[0])
+        assert {key[0] for s in rivals for key in names(s)} == expected
+
+
+def test_a_correlated_residual_makes_rivals_nearer():
+    rng = np.random.default_rng(0)
+    a, other = smooth(rng, (2, N))
+    alike = 0.9 * a + 0.4 * other
+    gaps = []
+    for unknown in (3 * rng.normal(size=N), 3 * smooth(rng, N, 0.98)):
+        weigh = judge(on_shoulder(5 * a + unknown), candidate(Given("a", a)), candidate(Given("alike", alike)))
+        best = weigh.score(weigh.bank.atoms[:1])
+        first, second = alternatives(weigh, best, best.fit.terms[0])
+        gaps.append(second.evidence - first.evidence)
+    assert gaps[1] < 0.3 * gaps[0]

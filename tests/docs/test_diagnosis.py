@@ -1,0 +1,66 @@
+"""The page on the diagnosis states the numbers and the fields that the code has."""
+
+import importlib
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from torchrl_athletic.diagnosis import Answer, Finding, Location, Rival, Score
+from torchrl_athletic.diagnosis.corrected import NATIVE, SCHEMA
+from torchrl_athletic.diagnosis.result import SCHEMA as ANSWER_SCHEMA
+from torchrl_athletic.diagnosis.screen import FIT_TRIMS, SCREEN_TRIMS
+from torchrl_athletic.diagnosis.search import DECISIVE
+
+PAGE = (Path(__file__).parents[2] / "docs/diagnosis.md").read_text(encoding="utf-8")
+THRESHOLDS = re.findall(r"^\| `([\w.]+)\.([A-Z_]+)` \| ([\d., ]+) \|", PAGE, re.M)
+FILES = PAGE[PAGE.index("## What is written") : PAGE.index("## Stopping")]
+
+
+@pytest.mark.parametrize(("module", "name", "value"), THRESHOLDS, ids=lambda text: text)
+def test_a_threshold_is_the_codes(module, name, value):
+    constant = getattr(importlib.import_module(f"torchrl_athletic.{module}"), name)
+    np.testing.assert_allclose(np.atleast_1d(constant), [float(number) for number in value.split(",")])
+
+
+def test_every_threshold_of_the_gates_and_the_search_is_explained():
+    assert len(THRESHOLDS) > 20
+    stated = {f"{module}.{name}" for module, name, _ in THRESHOLDS}
+    for module in ("diagnosis.gates", "diagnosis.search"):
+        source = Path(importlib.import_module(f"torchrl_athletic.{module}").__file__).read_text(encoding="utf-8")
+        set_by_hand = re.findall(r"^([A-Z_]+) = [\d.]+$", source, re.M)
+        assert {f"{module}.{name}" for name in set_by_hand} - stated <= {"diagnosis.search.FOLDS"}
+
+
+def test_tolerances_of_the_trims():
+    assert [(e.name, share) for e, share in SCREEN_TRIMS.items()] == [("link_mass", 0.03)]
+    shares = {e.name: share for e, share in FIT_TRIMS.items()}
+    assert shares == {"link_mass": 0.05, "link_com": 0.05, "link_inertia": 0.15, "torque_scale": 0.05}
+    trims = " ".join(PAGE[PAGE.index("### Trims") : PAGE.index("## Fit")].split())
+    assert "masses may move by 3 %" in trims
+    assert "masses and centres of mass may move by 5 %, inertias of links by 15 % and torque scales by 5 %" in trims
+
+
+def test_decisive_evidence_is_odds_of_150_to_1():
+    assert round(np.exp(DECISIVE / 2) / 10) * 10 == 150
+
+
+@pytest.mark.parametrize("kind", [Answer, Finding, Location, Rival, Score], ids=lambda kind: kind.__name__)
+def test_every_field_of_diagnosis_json_is_listed(kind):
+    assert [f.name for f in fields(kind) if f"`{f.name}`" not in FILES] == []
+
+
+def test_schemas_and_what_mjcf_can_say():
+    assert f"`{ANSWER_SCHEMA}`" in FILES
+    assert f"`{SCHEMA}`" in FILES
+    words = {
+        "coulomb_friction": "friction loss",
+        "viscous_friction": "damping",
+        "reflected_inertia": "armature",
+        "link_mass": "mass",
+        "link_com": "centre of mass",
+    }
+    assert set(words) == NATIVE
+    assert all(word in FILES for word in words.values())

@@ -1,0 +1,70 @@
+"""The page of effects says what the catalogue holds, and its example is an effect that is found."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from effects.arm import JOINTS, address, arm, record
+
+from torchrl_athletic.diagnosis.screen import Bank, candidates_for
+from torchrl_athletic.diagnosis.search import Judge, search
+from torchrl_athletic.effects import CATALOGUE, Effect, project_recording
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "effects.md").read_text(encoding="utf-8")
+OWN = PAGE[PAGE.index("## Add your own effect") :]
+
+
+@pytest.fixture(scope="module")
+def writer():
+    spec = importlib.util.spec_from_file_location("catalogue", DOCS / "catalogue.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def example() -> tuple[Effect, ...]:
+    """The catalogue that the page's example makes."""
+    [code] = re.findall(r"^```python\n(.*?)^```", OWN, re.S | re.M)
+    scope: dict[str, object] = {}
+    exec(compile(code, "docs/effects.md", "exec"), scope)
+    return scope["catalogue"]
+
+
+def test_the_page_is_as_the_catalogue_writes_it(writer):
+    assert writer.page(PAGE) == PAGE, "run python docs/catalogue.py"
+
+
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.name)
+def test_each_effect_says_its_equation_parameters_fingerprint_simulation_rivals_and_source(effect):
+    _, _, part = PAGE.partition(f"### {effect.name}\n")
+    part = part.partition("\n### ")[0]
+    for name in ("Equation", "Parameters", "Fingerprint", "Simulation", "Source"):
+        assert len(re.search(rf"\*\*{name}:\*\* (.*)", part)[1]) > 2, name
+    assert "Changes `" in part
+    for p in effect.parameters(arm(), address(), 0):
+        assert f"`{p.name}`" in part
+    for rival in effect.experiments:
+        assert f"| `{rival}` |" in part
+
+
+def test_the_way_to_an_effect_of_ones_own_is_short():
+    assert OWN.count("\n") < 60
+
+
+def test_the_example_changes_nothing_at_its_given_value_and_is_found_when_it_is_there(example):
+    own = example[-1]
+    assert own not in CATALOGUE
+    (given,) = own.parameters(arm(), address(), 0)
+    np.testing.assert_array_equal(record(own, 0, [given.nominal]).position, record().position)
+    recording = record(own, 0, [0.3])
+    s = project_recording(recording, arm(), np.full(2, 1e-5), kernel=0.01)
+    columns = own.fingerprint(s, 0, {}).columns[:, :, 0]
+    assert np.vdot(columns, s.missing) / np.vdot(columns, columns) == pytest.approx(0.3, rel=0.05)
+    judge = Judge(Bank([s], candidates_for([s], example)))
+    best = search(judge)[0]
+    assert [a.candidate.key for a in best.fit.terms] == [("air_drag", JOINTS[0])]
+    assert "shoulder with 0.3 N·m·s²/rad²" in own.sentence("shoulder", {"drag": 0.3}, (given,))

@@ -1,0 +1,219 @@
+"""What holds for every effect: numbers, words, rivals, and that its fingerprint is what its simulation misses."""
+
+import inspect
+import re
+
+import mujoco
+import numpy as np
+import pytest
+from effects.arm import JOINTS, address, arm, record
+
+from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.effects import CATALOGUE, Effect, JointAddress, LinkInertia, Plant, project_recording
+
+EVERY = (*CATALOGUE, LinkInertia())
+OF_THE_DESIGN = {
+    *("coulomb_friction", "viscous_friction", "stribeck_friction", "load_dependent_friction", "asymmetric_friction"),
+    *("hysteresis", "backlash", "compliance", "reflected_inertia", "link_mass", "link_com", "payload", "gravity_tilt"),
+    *("actuation_delay", "actuation_lag", "torque_scale", "torque_offset", "torque_saturation", "speed_torque_limit"),
+    *("torque_ripple", "joint_spring", "joint_stop", "encoder_offset", "encoder_scale", "clock_offset"),
+    *("gain_mismatch", "thermal_drift", "disturbance"),
+}
+CHANGE = {  # true value less the given one: shoulder, elbow
+    "coulomb_friction": ([0.3], [0.1]),
+    "viscous_friction": ([0.15], [0.15]),
+    "asymmetric_friction": ([0.3, 0.1, 0.05, 0.2], [0.1, 0.03, 0.05, 0.2]),
+    "reflected_inertia": ([0.03], [0.02]),
+    "link_mass": ([0.3], [0.2]),
+    "link_com": ([0.02], [-0.02]),
+    "link_inertia": ([0.5], [-0.4]),
+    "actuation_delay": ([0.014], [0.02]),
+    "actuation_lag": ([0.014], [0.02]),
+    "torque_scale": ([0.1], [-0.1]),
+    "torque_offset": ([0.4], [-0.3]),
+    "encoder_offset": ([0.05], [-0.05]),
+    "gain_mismatch": ([-0.2, 0.3], [0.3, -0.2]),
+}
+SLIDER = """
+<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0"/><geom size="0.1" mass="4"/></body></worldbody>
+</mujoco>"""
+
+
+def slider() -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(SLIDER)
+
+
+def of_each(*effects: Effect):
+    return pytest.mark.parametrize("effect", effects or EVERY, ids=lambda e: e.name)
+
+
+def rail() -> JointAddress:
+    return JointAddress.of(slider(), ("rail",))
+
+
+def nominal_values(effect: Effect, joint: int) -> np.ndarray:
+    return np.array([p.nominal for p in effect.parameters(arm(), address(), joint)])
+
+
+def named(effect: Effect, joint: int, values: np.ndarray) -> dict[str, float]:
+    return {p.name: float(v) for p, v in zip(effect.parameters(arm(), address(), joint), values, strict=True)}
+
+
+def test_names_are_the_designs_and_occur_once():
+    names = [e.name for e in CATALOGUE]
+    assert len(set(names)) == len(names)
+    assert set(names) <= OF_THE_DESIGN
+    assert "link_inertia" not in names  # a trim, no finding
+
+
+@of_each()
+@pytest.mark.parametrize("joint", [0, 1], ids=JOINTS)
+def test_the_given_value_lies_within_the_bounds_and_the_scale_is_a_small_step(effect, joint):
+    parameters = effect.parameters(arm(), address(), joint)
+    assert len({p.name for p in parameters}) == len(parameters) > 0
+    for p in parameters:
+        assert p.lower <= p.nominal <= p.upper
+        assert 0 < p.scale <= 0.2 * (p.upper - p.lower)
+
+
+@of_each()
+def test_the_docstring_names_every_parameter_with_its_unit(effect):
+    text = inspect.getdoc(type(effect))
+    units = " ".join(re.findall(r"\[([^]]*)\]", text)).replace(",", "").split()
+    for model, at in ((arm(), address()), (slider(), rail())):
+        for p in effect.parameters(model, at, 0):
+            assert f"``{p.name}``" in text
+            assert p.unit in units
+
+
+@of_each()
+def test_units_are_forces_for_a_slide_and_torques_for_a_hinge(effect):
+    hinge = {p.name: p.unit for p in effect.parameters(arm(), address(), 0)}
+    slide = {p.name: p.unit for p in effect.parameters(slider(), rail(), 0)}
+    in_newton = {"N·m": "N", "N·m·s/rad": "N·s/m", "kg·m²": "kg", "rad": "m"}
+    assert slide == {name: in_newton.get(hinge[name], hinge[name]) for name in slide}
+    assert bool(slide) == (effect.name not in ("link_com", "link_inertia"))  # a slide has no lever, and turns nothing
+
+
+@of_each()
+@pytest.mark.parametrize("joint", [0, 1], ids=JOINTS)
+def test_the_given_values_change_nothing(effect, joint):
+    plant = Plant(arm(), address(), 3)
+    effect.apply(plant, joint, np.tile(nominal_values(effect, joint), (3, 1)))
+    for name, value in plant.fields.items():
+        if name not in ("dof_solref", "dof_solimp"):  # of a friction that is not there
+            np.testing.assert_allclose(value, np.tile(getattr(arm(), name), (3, *[1] * (value.ndim - 1))), atol=1e-15)
+    for name in ("delay", "lag", "torque_offset", "encoder_offset"):
+        assert not getattr(plant, name).any()
+    for name in ("torque_scale", "kp_scale", "kd_scale"):
+        np.testing.assert_array_equal(getattr(plant, name), 1.0)
+    for law in plant.laws:
+        np.testing.assert_allclose(law(np.ones((3, 2)), np.ones((3, 2))), 0, atol=1e-15)
+
+
+@of_each()
+def test_every_row_gets_its_own_value_and_other_joints_none(effect):
+    given = nominal_values(effect, 1)
+    rows = given + np.array([[0.0], [0.5], [1.0]]) * CHANGE[effect.name][1]
+    plant = Plant(arm(), address(), 3)
+    effect.apply(plant, 1, rows)
+
+    def state(row: int) -> list[np.ndarray]:
+        chain = [plant.delay, plant.lag, plant.torque_scale, plant.torque_offset, plant.kp_scale, plant.kd_scale]
+        chain += [plant.encoder_offset, *(law(np.ones((3, 2)), np.ones((3, 2))) for law in plant.laws)]
+        assert all((value[:, 0] == value[0, 0]).all() for value in chain)  # the shoulder's
+        return [value[row] for value in (*chain, *plant.fields.values())]
+
+    for before, half, full in zip(state(0), state(1), state(2), strict=True):
+        np.testing.assert_allclose(half - before, 0.5 * (full - before), atol=1e-12)
+    assert any((a != b).any() for a, b in zip(state(0), state(2), strict=True))
+
+
+@of_each()
+@pytest.mark.parametrize("joint", [0, 1], ids=JOINTS)
+def test_the_fingerprint_of_the_true_change_is_what_the_simulation_misses(effect, joint):
+    change = np.array(CHANGE[effect.name][joint])
+    values = nominal_values(effect, joint) + change
+    recording = record(effect, joint, values, position_control=effect.name == "gain_mismatch", seconds=5.0)
+    s = project_recording(recording, arm(), np.zeros(2), kernel=0.01)
+    assert s.valid.mean() > 0.9
+    nonlinear = effect.grid(s, joint)[0]
+    given = named(effect, joint, values)
+    fingerprint = effect.fingerprint(s, joint, {name: given[name] for name in nonlinear})
+    linear = [
+        c for p, c in zip(effect.parameters(arm(), address(), joint), change, strict=True) if p.name not in nonlinear
+    ]
+    predicted = fingerprint.columns @ np.array(linear)
+    if fingerprint.constant is not None:
+        predicted = predicted + fingerprint.constant
+    assert predicted.shape == s.missing.shape
+    left = ((s.missing - predicted) ** 2).sum() / (s.missing**2).sum()
+    assert left < (0.08 if "coulomb" in effect.name else 0.06)
+    assert np.vdot(s.missing, predicted) / np.vdot(predicted, predicted) == pytest.approx(1, abs=0.12)
+
+
+@of_each()
+@pytest.mark.parametrize("joint", [0, 1], ids=JOINTS)
+def test_the_sentence_says_the_joint_the_numbers_and_the_units(effect, joint):
+    parameters = effect.parameters(arm(), address(), joint)
+    values = nominal_values(effect, joint) + np.array(CHANGE[effect.name][joint])
+    text = effect.sentence(JOINTS[joint], named(effect, joint, values), parameters)
+    assert JOINTS[joint] in text
+    assert text.endswith(".")
+    numbers = [abs(float(x)) for x in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?", text)]
+    for p, value in zip(parameters, values, strict=True):
+        shown = [
+            abs(value),
+            1e3 * abs(value),
+            100 * abs(value - 1),
+        ]  # in the unit, in thousandths, in percent of change
+        assert any(n == pytest.approx(x, rel=6e-3) for n in numbers for x in shown), (p.name, value, text)
+        units = {"s": ("ms",), "m": ("mm",), "rad": ("mrad",), "1": ("times", "%")}.get(p.unit, (p.unit,))
+        assert any(unit in text for unit in units)
+
+
+@of_each()
+def test_the_given_models_number_stands_beside_the_true_one(effect):
+    parameters = effect.parameters(arm(), address(), 0)
+    text = effect.sentence("shoulder", named(effect, 0, nominal_values(effect, 0) + CHANGE[effect.name][0]), parameters)
+    for p in parameters:
+        if p.nominal not in (0.0, 1.0):
+            assert f"{p.nominal:.3g} {p.unit}" in text or f"{1e3 * p.nominal:.3g} m{p.unit}" in text
+    if all(p.nominal == 0 for p in parameters) and effect.name != "encoder_offset":
+        assert re.search("the model (has none|acts at once)|the model's follows at once", text)
+
+
+@of_each()
+def test_experiments_are_against_known_rivals_and_name_the_joint(effect):
+    for rival, text in effect.experiments.items():
+        assert rival in OF_THE_DESIGN - {effect.name}
+        assert set(re.findall(r"{(\w*)}", text)) == {"joint"}
+        assert "elbow" in effect.experiment(rival, "elbow")
+    unheard_of = effect.experiment("backlash", "elbow")
+    assert "record elbow alone" in unheard_of
+    assert "{" not in unheard_of
+
+
+@of_each()
+def test_what_it_excludes_is_known_and_not_itself(effect):
+    assert effect.excludes <= OF_THE_DESIGN - {effect.name}
+    assert effect.shows_in in ("speed", "acceleration", "position", "load")
+    assert effect.equation
+    assert re.search(r"\d{4}|Isaac|MuJoCo", effect.source)
+
+
+def test_exclusion_holds_both_ways_on_a_joint_and_not_across_joints():
+    def candidates(joint: int) -> list[Candidate]:
+        return [Candidate(e, joint, JOINTS[joint], e.parameters(arm(), address(), joint)) for e in EVERY]
+
+    shoulder, elbow = candidates(0), candidates(1)
+    for a in shoulder:
+        assert not a.allows(a)
+        assert all(a.allows(b) for b in elbow)
+        for b in shoulder:
+            assert a.allows(b) == b.allows(a)
+            if b.effect.name in a.effect.excludes:
+                assert not a.allows(b)
+    by_name = {c.effect.name: c for c in shoulder}
+    assert not by_name["coulomb_friction"].allows(by_name["asymmetric_friction"])
+    assert by_name["coulomb_friction"].allows(by_name["viscous_friction"])

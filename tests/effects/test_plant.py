@@ -1,0 +1,45 @@
+import numpy as np
+import pytest
+from effects.arm import address, arm
+
+from torchrl_athletic.effects import JointAddress, Plant
+
+
+def test_a_new_plant_is_the_given_model():
+    plant = Plant(arm(), address(), 4)
+    assert plant.open_loop
+    assert not plant.fields
+    for name in ("delay", "lag", "torque_offset", "encoder_offset"):
+        np.testing.assert_array_equal(getattr(plant, name), np.zeros((4, 2)))
+    for name in ("torque_scale", "kp_scale", "kd_scale"):
+        np.testing.assert_array_equal(getattr(plant, name), np.ones((4, 2)))
+
+
+def test_a_field_is_one_array_whose_rows_are_the_models_until_written():
+    model = arm()
+    plant = Plant(model, address(), 3)
+    plant.of("dof_damping")[1, 0] = 7.0
+    assert plant.of("dof_damping") is plant.fields["dof_damping"]
+    np.testing.assert_allclose(plant.of("dof_damping"), [[0.4, 0.08], [7.0, 0.08], [0.4, 0.08]])
+    assert model.dof_damping[0] == 0.4
+    assert plant.of("body_inertia").shape == (3, model.nbody, 3)
+
+
+def test_an_unknown_field_is_refused():
+    with pytest.raises(AttributeError, match="dof_dampling"):
+        Plant(arm(), address(), 1).of("dof_dampling")
+
+
+def test_dry_friction_is_written_where_the_joint_is_in_the_model():
+    swapped = JointAddress.of(arm(), ("elbow", "shoulder"))
+    plant = Plant(arm(), swapped, 2)
+    plant.set_dry_friction(0, np.array([0.1, 0.2]))
+    np.testing.assert_allclose(plant.fields["dof_frictionloss"], [[0, 0.1], [0, 0.2]])
+    np.testing.assert_array_equal(plant.fields["dof_solref"][:, 0], np.tile(arm().dof_solref[0], (2, 1)))
+    assert (plant.fields["dof_solref"][:, 1, 0] == 2 * arm().opt.timestep).all()  # the stiffest that is stable
+
+
+def test_a_law_closes_the_loop():
+    plant = Plant(arm(), address(), 1)
+    plant.laws.append(lambda q, v: -q)
+    assert not plant.open_loop

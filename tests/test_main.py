@@ -1,0 +1,52 @@
+"""The console script picks the subcommand and hands its flags over."""
+
+import sys
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from types import ModuleType
+
+import pytest
+
+
+@dataclass(frozen=True)
+class Config:
+    """Say what the model leaves out."""
+
+    model: str = "demo"
+    """Path of the MJCF."""
+
+
+@pytest.fixture
+def received(monkeypatch):
+    """Configs that reached a stand-in for the diagnosis."""
+    configs = []
+    command = ModuleType("torchrl_athletic.diagnosis.command")
+    command.Config, command.main = Config, configs.append
+    monkeypatch.setitem(sys.modules, command.__name__, command)
+    monkeypatch.setattr("torchrl_athletic.diagnosis.command", command, raising=False)
+    return configs
+
+
+def run(*args):
+    [script] = entry_points(group="console_scripts", name="torchrl-athletic")
+    script.load()(args)
+
+
+def test_flags_reach_the_diagnosis(received):
+    run("diagnose", "--model", "arm.xml")
+    assert received == [Config(model="arm.xml")]
+
+
+def test_help_lists_the_subcommand_with_what_it_does(received, capsys):
+    with pytest.raises(SystemExit, match="0"):
+        run("--help")
+    assert "diagnose" in (shown := capsys.readouterr().out)
+    assert "Say what the model leaves out" in shown
+    assert received == []
+
+
+def test_an_unknown_subcommand_is_refused_by_naming_those_that_exist(received, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        run("diagnoze")
+    assert "diagnose" in capsys.readouterr().err
+    assert received == []

@@ -1,0 +1,26 @@
+"""The command line: ``torchrl-athletic diagnose --help``, or ``python -m torchrl_athletic diagnose --help``."""
+
+from collections.abc import Sequence
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run the subcommand that the arguments name.
+
+    Args:
+        args: What stands after the program's name; by default that of this process.
+    """
+    import tyro
+
+    from torchrl_athletic.diagnosis import command  # brings MuJoCo, which the import of this module must not
+
+    config = tyro.extras.subcommand_cli_from_dict(
+        {"diagnose": command.Config},
+        prog="torchrl-athletic",
+        description="Find out why a MuJoCo simulation and a real robot disagree.",
+        args=args,
+    )
+    command.main(config)
+
+
+if __name__ == "__main__":
+    main()

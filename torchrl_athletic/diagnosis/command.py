@@ -1,0 +1,91 @@
+"""The command line of a diagnosis: ``torchrl-athletic diagnose`` and ``recipes/diagnose.py``."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from torchrl_athletic.diagnosis.diagnose import Diagnosis, ModelError, diagnose
+from torchrl_athletic.diagnosis.progress import Progress
+from torchrl_athletic.diagnosis.report import terminal_summary
+from torchrl_athletic.recordings import ColumnMap, FetchError, Recording, RecordingError, read_recordings
+
+
+@dataclass(frozen=True)
+class Config:
+    """Say what physics a MuJoCo model leaves out, from recordings of the robot."""
+
+    model: Path | None = None
+    """MJCF of the robot."""
+    recordings: tuple[Path, ...] = ()
+    """Files or folders to fit: npz, CSV, Parquet, LeRobot, HDF5, MAT, ROS 1/2 bags, MCAP."""
+    heldout: tuple[Path, ...] = ()
+    """Files or folders kept aside, best of another kind of motion: the fit is scored on them."""
+    output: Path = Path("out/diagnosis")
+    """Folder for diagnosis.json, report.html, corrected.xml and corrected.json; a stopped run resumes from it."""
+    columns: Path | None = None
+    """JSON column map for foreign names and units."""
+    drive: Literal["command", "measured"] = "command"
+    """Torque that drives the simulation: what was commanded, or what was measured."""
+    dataset: Literal["emps", "two_link_arm", "pendulum", "xl330", "unbalanced_disk"] | None = None
+    """Diagnose a public recording of a real robot instead."""
+    demo: int = 0
+    """Seed of the concealed demo, which runs when nothing else is asked for."""
+    time_budget: float | None = None
+    """Time after which no further combination of effects is fitted [s]."""
+    seed: int = 0
+    """Of the bootstrap and of the choice of windows."""
+
+
+def main(config: Config) -> Diagnosis:
+    """Run a diagnosis, print its summary, and leave the report in ``config.output``."""
+    try:
+        if config.output.is_file():  # said now, not after the fit
+            raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
+        model, recordings, heldout = inputs(config)
+        with Progress() as progress:
+            diagnosis = diagnose(
+                model,
+                recordings,
+                heldout,
+                drive=config.drive,
+                seed=config.seed,
+                time_budget=config.time_budget,
+                output=config.output,
+                progress=progress,
+            )
+    except (RecordingError, FetchError, ModelError, OSError, ImportError) as error:
+        sys.exit(f"error: {' '.join(str(error).split())}")
+    except KeyboardInterrupt:
+        sys.exit("Stopped before there was anything to report.")
+    print(terminal_summary(diagnosis.answer))
+    print(f"\nReport: {config.output / 'report.html'}")
+    if not diagnosis.answer.complete:
+        print("Stopped early. The same command goes on from here.")
+    return diagnosis
+
+
+def inputs(config: Config) -> tuple[Path | str, list[Recording], list[Recording]]:
+    """Model, recordings to fit and recordings kept aside: the user's, a public dataset's, or the demo's.
+
+    Raises:
+        RecordingError: If recordings are named without a model, or a model without recordings.
+    """
+    if config.dataset is not None:
+        from torchrl_athletic.recordings.datasets import load_dataset
+
+        dataset = load_dataset(config.dataset)
+        return dataset.model, list(dataset.recordings), list(dataset.heldout)
+    if config.model is None and not config.recordings:
+        from torchrl_athletic.recordings.demo import concealed_demo
+
+        demo = concealed_demo(config.demo)
+        return demo.model_xml, list(demo.recordings), list(demo.heldout)
+    if config.model is None or not config.recordings:
+        missing = "--model" if config.model is None else "--recordings"
+        raise RecordingError(f"{missing} is missing. Give both, or --dataset NAME, or nothing at all for the demo.")
+    columns = None if config.columns is None else ColumnMap.load(config.columns)
+    heldout = read_recordings(config.heldout, columns) if config.heldout else []
+    return config.model, read_recordings(config.recordings, columns), heldout

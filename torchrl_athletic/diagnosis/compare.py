@@ -1,0 +1,128 @@
+"""How well a model follows recordings, against the least that the sensors' noise allows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis, draw_windows
+from torchrl_athletic.diagnosis.replay import Take, Windows, simulate, window_rmse
+from torchrl_athletic.diagnosis.result import Score
+from torchrl_athletic.effects.signals import kernel_for
+
+Array = NDArray[np.float64]
+
+MOST_WINDOWS = 400
+"""Windows that a score is stated over; more are thinned at random."""
+
+
+def score(
+    takes: Sequence[Take],
+    hypothesis: Hypothesis,
+    values: Array,
+    position_noise: Array,
+    rng: np.random.Generator,
+    repeatability: Array | None = None,
+) -> tuple[Score, Array, Array]:
+    """Error of the given and of the corrected model over windows started from the measured state.
+
+    The floor is what the corrected simulation scores against itself, started from states with the measured noise and
+    read with the measured noise; where repeats of a take scatter more than that, their scatter is the floor.
+
+    Returns:
+        The score; and the error of each window before and after [rad, m], shapes (W, J).
+    """
+    windows = [well_started(w) for w in draw_windows(takes, WINDOW, MOST_WINDOWS, rng)]
+    sets = np.stack([hypothesis.nominal, values]) if len(values) else np.zeros((2, 0))
+    both = [simulate(w, hypothesis.build, sets) for w in windows]
+    before, each_before = window_rmse(windows, [b[0] for b in both])
+    after, each_after = window_rmse(windows, [b[1] for b in both])
+    floor = noise_floor(windows, hypothesis, values, [b[1] for b in both], position_noise, rng)
+    if repeatability is not None:
+        floor = np.maximum(floor, repeatability)
+    names = takes[0].recording.joint_names
+    per_joint = {
+        name: {"before": float(b), "after": float(a), "floor": float(f)}
+        for name, b, a, f in zip(names, before, after, floor, strict=True)
+    }
+    was, left, least = (float(np.sqrt(np.mean(x**2))) for x in (before, after, floor))
+    gap = was - least
+    closed = float(np.clip((was - left) / gap, -1.0, 1.0)) if gap > 0 else 0.0
+    return Score(was, left, least, closed, per_joint), each_before, each_after
+
+
+def well_started(windows: Windows) -> Windows:
+    """The same windows, each moved by up to a quarter of its length to where its start is known best.
+
+    That is where the local fit that it starts from is wide, and where the command is quiet: a step of the command bends
+    the velocity, and the fit rounds the bend. An error of the start would be charged to the model.
+    """
+    take, reach = windows.take, windows.length // 4
+    command = take.commands(0.0).reshape(len(take.time), take.substeps, -1).mean(1)
+    change = np.abs(np.diff(command, axis=0, prepend=command[:1])) / np.maximum(command.std(0), 1e-12)
+    loud = gaussian_filter1d(change.max(1), max(kernel_for([take.recording]) / take.period, 1.0))
+    typical = np.maximum(np.median(take.start_noise, axis=1, keepdims=True), 1e-12)
+    noise = (take.start_noise / typical).max((0, 2))
+    start = []
+    for first in windows.start:
+        low = max(0, first - reach)
+        high = min(len(take.time) - 1 - windows.length, first + reach) + 1
+        near = noise[low:high]
+        start.append(low + int(np.argmin(np.where(near <= np.median(near), loud[low:high], np.inf))))
+    return Windows(take, np.unique(np.array(start, dtype=np.intp)), windows.length)
+
+
+def noise_floor(
+    windows: Sequence[Windows],
+    hypothesis: Hypothesis,
+    values: Array,
+    truth: Sequence[Array],
+    position_noise: Array,
+    rng: np.random.Generator,
+) -> Array:
+    """Error of a perfect model.
+
+    Noise of the starting states carried through the window, of the readings, and of the time step.
+
+    The time step's part is twice the change that halving it makes, since MuJoCo's integrators are of first order.
+    Shape (J,).
+    """
+    square, weight = np.zeros(len(position_noise)), 0.0
+    for w, ideal in zip(windows, truth, strict=True):
+        take = w.take
+        q = take.position[w.start] + take.start_noise[0][w.start] * rng.standard_normal(
+            (len(w.start), len(position_noise))
+        )
+        v = take.velocity[w.start] + take.start_noise[1][w.start] * rng.standard_normal(
+            (len(w.start), len(position_noise))
+        )
+        noisy = simulate(w, hypothesis.build, values[None], start=(q, v))[0]
+        finer = simulate(_halved(w), hypothesis.build, values[None])[0]
+        wrong = (noisy - ideal) ** 2 + 4 * (finer - ideal) ** 2
+        square += np.minimum(wrong.mean(1), np.quantile(wrong.mean(1), 0.95, axis=0)).mean(0) * len(w.start) * w.length
+        weight += len(w.start) * w.length
+    return np.sqrt(square / max(weight, 1.0) + position_noise**2)
+
+
+def _halved(w: Windows) -> Windows:
+    """The same windows at half the physics step."""
+    model = w.take.model.__copy__()
+    model.opt.timestep /= 2
+    return replace(w, take=replace(w.take, model=model, substeps=2 * w.take.substeps))
+
+
+def open_share(score: Score) -> float:
+    """Share of the error energy above the floor that is left, each joint in units of its floor, 0..1.
+
+    A joint that the correction makes worse counts with what it was made worse by.
+    """
+    was = left = 0.0
+    for joint in score.per_joint.values():
+        unit = max(joint["floor"], 1e-12) ** 2
+        was += max(joint["before"] ** 2 / unit - 1.0, 0.0)
+        left += max(joint["after"] ** 2 / unit - 1.0, 0.0)
+    return float(np.clip(left / was, 0.0, 1.0)) if was > 0 else float(left > 1.0)

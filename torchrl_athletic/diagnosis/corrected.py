@@ -1,0 +1,163 @@
+"""The given and the corrected simulation: to replay recordings with, and to save."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
+from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate
+from torchrl_athletic.effects import CATALOGUE, Effect, JointAddress
+from torchrl_athletic.recordings import Recording, sensor_noise
+
+Array = NDArray[np.float64]
+
+SCHEMA = "torchrl_athletic/corrected/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A model with the effects that a diagnosis added to it; with none, the model as given."""
+
+    model: mujoco.MjModel
+    joint_names: tuple[str, ...]
+    hypothesis: Hypothesis
+    values: Array
+    """Shape (P,)."""
+
+    def rollout(self, recording: Recording, window: float | None = 0.5) -> Array:
+        """Positions that the encoders would read if the simulated robot got the recorded command.
+
+        Args:
+            recording: Of the same joints.
+            window: Restart from the measured state every so often [s]; None is one open-loop rollout.
+
+        Returns:
+            At the recording's stamps; each start repeats the measured position [rad, m]. Shape (T, J).
+        """
+        given_order = recording.joint_names
+        recording = recording.ordered(self.joint_names)
+        take = take_of(recording, self.model, *sensor_noise(recording))
+        windows = windows_of(take, window)
+        predicted = simulate(windows, self.hypothesis.build, self.values[None])[0]
+        path = take.position.copy()
+        path[windows.index.ravel()] = predicted.reshape(-1, path.shape[1])
+        last = int(windows.index.max()) if windows.index.size else 0
+        if last + 1 < len(take.time):  # what does not fill a window
+            rest = type(windows)(take, np.array([last]), len(take.time) - 1 - last)
+            path[last + 1 :] = simulate(rest, self.hypothesis.build, self.values[None])[0, 0]
+        at_stamps = np.stack([np.interp(recording.time, take.time, column) for column in path.T], axis=-1)
+        return at_stamps[:, [self.joint_names.index(name) for name in given_order]]
+
+    def to_json(self) -> dict[str, Any]:
+        """All effects and trims with their values, as ``corrected.json`` holds them."""
+        return {
+            "schema": SCHEMA,
+            "joint_names": list(self.joint_names),
+            "effects": [self._entry(c) for c in self.hypothesis.terms],
+            "trims": [self._entry(c) for c in self.hypothesis.trims],
+        }
+
+    def _entry(self, candidate: Candidate) -> dict[str, Any]:
+        values = self.hypothesis.values_of(candidate, self.values)
+        return {
+            "effect": candidate.effect.name,
+            "joint": candidate.joint_name,
+            "parameters": {
+                p.name: {"value": float(v), "nominal": p.nominal, "unit": p.unit}
+                for p, v in zip(candidate.parameters, values, strict=True)
+            },
+        }
+
+    @classmethod
+    def from_json(
+        cls, content: dict[str, Any], model: mujoco.MjModel, catalogue: Sequence[Effect] = CATALOGUE
+    ) -> Simulation:
+        """Read :meth:`to_json` back, for the model that was diagnosed.
+
+        Raises:
+            ValueError: If the content is of another schema, or names an effect that the catalogue lacks.
+        """
+        if content.get("schema") != SCHEMA:
+            raise ValueError(
+                f"schema is {content.get('schema')!r}, this version reads {SCHEMA!r}. Run the diagnosis again."
+            )
+        names = tuple(content["joint_names"])
+        address = JointAddress.of(model, names, "corrected.json")
+        known = {effect.name: effect for effect in (*FIT_TRIMS, *catalogue)}
+        groups: list[tuple[Candidate, ...]] = []
+        values: list[float] = []
+        for group in ("effects", "trims"):
+            candidates = []
+            for entry in content[group]:
+                if entry["effect"] not in known:
+                    raise ValueError(
+                        f"effect {entry['effect']!r} is not in the catalogue, which has {sorted(known)}. Pass yours."
+                    )
+                effect, joint = known[entry["effect"]], names.index(entry["joint"])
+                parameters = effect.parameters(model, address, joint)
+                candidates.append(Candidate(effect, joint, entry["joint"], parameters))
+                values.extend(entry["parameters"][p.name]["value"] for p in parameters)
+            groups.append(tuple(candidates))
+        return cls(model, names, Hypothesis(*groups), np.array(values, dtype=np.float64))
+
+
+def corrected_xml(xml: str, simulation: Simulation) -> str:
+    """The model with what MJCF can say of the correction.
+
+    Damping, friction loss, armature, mass, centre of mass, inertia.
+
+    What it cannot say (delay, lag, torque scale and offset, encoder offset, friction by direction, gains) is listed in
+    a comment and stands in ``corrected.json``.
+    """
+    from torchrl_athletic.effects import Plant
+
+    spec = mujoco.MjSpec.from_string(xml)
+    address = JointAddress.of(simulation.model, simulation.joint_names)
+    plant = Plant(simulation.model, address, 1)
+    simulation.hypothesis.build(plant, simulation.values[None])
+    beyond = [c for c in simulation.hypothesis.terms if c.effect.name not in NATIVE]
+    for j, name in enumerate(simulation.joint_names):
+        joint, dof, body = spec.joint(name), address.dof[j], address.body[j]
+        if "dof_frictionloss" in plant.fields:
+            joint.frictionloss = float(plant.fields["dof_frictionloss"][0, dof])
+            joint.solref_friction = plant.fields["dof_solref"][0, dof]
+            joint.solimp_friction = plant.fields["dof_solimp"][0, dof]
+        if "dof_damping" in plant.fields:
+            joint.damping[0] = float(plant.fields["dof_damping"][0, dof])
+        if "dof_armature" in plant.fields:
+            joint.armature = float(plant.fields["dof_armature"][0, dof])
+        if {"body_mass", "body_ipos", "body_inertia"} & plant.fields.keys():
+            link = spec.bodies[body]
+            link.mass, link.inertia = float(plant.of("body_mass")[0, body]), plant.of("body_inertia")[0, body]
+            link.ipos, link.iquat = plant.of("body_ipos")[0, body], simulation.model.body_iquat[body]
+            link.explicitinertial = True
+    spec.compile()
+    note = "".join(f"\n  not expressed here, see corrected.json: {c.effect.name} of {c.joint_name}" for c in beyond)
+    return f"<!-- corrected by torchrl_athletic{note.replace('--', '- -')} -->\n{spec.to_xml()}"
+
+
+NATIVE = frozenset({"coulomb_friction", "viscous_friction", "reflected_inertia", "link_mass", "link_com"})
+"""Effects that MJCF can say."""
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a whole file or none of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    beside.write_text(text, encoding="utf-8")
+    os.replace(beside, path)
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write JSON that any reader takes: no NaN, no infinity."""
+    write_atomically(path, json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n")

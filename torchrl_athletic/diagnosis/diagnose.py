@@ -1,0 +1,485 @@
+"""From a model and recordings to a statement of what physics the model leaves out, and a simulation that has it."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.diagnosis.checkpoint import Checkpoint, inputs_digest
+from torchrl_athletic.diagnosis.compare import score
+from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml, write_atomically, write_json
+from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, fit, idle_terms, without
+from torchrl_athletic.diagnosis.gates import Evidence, judge_findings, summarise, verdict_of
+from torchrl_athletic.diagnosis.locate import locate, regime_maps
+from torchrl_athletic.diagnosis.prepare import Drive, Prepared, drive_signals, prepare
+from torchrl_athletic.diagnosis.progress import Progress
+from torchrl_athletic.diagnosis.remainder import remarks_on
+from torchrl_athletic.diagnosis.report import write_report
+from torchrl_athletic.diagnosis.result import Answer, Location, Overlay, RegimeMap, Score
+from torchrl_athletic.diagnosis.screen import FIT_TRIMS, SCREEN_TRIMS, Bank, Candidate, candidates_for, trims_for
+from torchrl_athletic.diagnosis.search import OPEN, Judge, keys, predictable_share, search
+from torchrl_athletic.effects import CATALOGUE, Effect
+from torchrl_athletic.effects.effect import is_slide
+from torchrl_athletic.recordings import Recording
+
+Array = NDArray[np.float64]
+Model: TypeAlias = str | Path | mujoco.MjSpec
+
+CHECKPOINT = "progress.json"
+CLOSE = 10.0
+"""Evidence within which combinations are left to the simulation to decide."""
+MOST_FITS = 3
+DRIVE_EFFECTS = ("actuation_delay", "actuation_lag", "torque_scale", "torque_offset")
+"""What can happen between a command and a measured torque."""
+EXERCISED = 0.02
+"""Share of usable instants below which a joint counts as not exercised."""
+PREDICTABLE = 0.1
+"""Share of the missing torque that must be predictable for it to count as something missing rather than noise."""
+OVERLAYS = 4
+"""Recordings drawn at most, of each kind."""
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What a diagnosis says, and the two simulations that it compares."""
+
+    answer: Answer
+    nominal: Simulation
+    """The given model."""
+    corrected: Simulation
+    """The given model with the physics that was found."""
+    xml: str
+    """The given model."""
+    maps: tuple[RegimeMap, ...] = field(default=(), repr=False)
+    overlays: tuple[Overlay, ...] = field(default=(), repr=False)
+
+    def save(self, output: str | Path) -> None:
+        """Write ``diagnosis.json``, ``corrected.json``, ``corrected.xml`` and ``report.html``.
+
+        Each whole or not at all.
+        """
+        output = Path(output)
+        write_json(output / "diagnosis.json", self.answer.to_json())
+        write_json(output / "corrected.json", {**self.corrected.to_json(), "model_xml": self.xml})
+        write_atomically(output / "corrected.xml", corrected_xml(self.xml, self.corrected))
+        write_report(self.answer, self.maps, self.overlays, output / "report.html")
+
+    @classmethod
+    def load(cls, output: str | Path, catalogue: Sequence[Effect] = CATALOGUE) -> Diagnosis:
+        """Read back what :meth:`save` wrote; the pictures stay in ``report.html``.
+
+        Raises:
+            FileNotFoundError: If the folder holds no diagnosis.
+        """
+        output = Path(output)
+        if not (output / "diagnosis.json").exists():
+            raise FileNotFoundError(f"{output} holds no diagnosis.json. Name the folder given as --output.")
+        answer = Answer.from_json(json.loads((output / "diagnosis.json").read_text(encoding="utf-8")))
+        content = json.loads((output / "corrected.json").read_text(encoding="utf-8"))
+        xml = content["model_xml"]
+        model = mujoco.MjModel.from_xml_string(xml)
+        corrected = Simulation.from_json(content, model, catalogue)
+        return cls(answer, _as_given(model, corrected.joint_names), corrected, xml)
+
+
+def diagnose(
+    model: Model,
+    recordings: Sequence[Recording],
+    heldout: Sequence[Recording] = (),
+    *,
+    catalogue: Sequence[Effect] = CATALOGUE,
+    drive: Drive = "command",
+    seed: int = 0,
+    time_budget: float | None = None,
+    output: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Locate where a model and recordings differ, say what physics was left out, model it, and measure the gain.
+
+    Args:
+        model: MJCF as a path, as text or as an ``MjSpec``; every joint of it must be recorded.
+        recordings: Takes to fit.
+        heldout: Takes of another kind, used only to compare and to score.
+        catalogue: Effects to consider.
+        drive: Whether the commanded or the measured torque drives the simulation.
+        seed: Of the bootstrap and of the choice of windows.
+        time_budget: Wall-clock time after which no further combination is fitted [s].
+        output: Folder for the report. Without it nothing is written, and nothing can be resumed.
+        progress: Bar to move.
+
+    Returns:
+        The diagnosis; ``answer.complete`` is False if a KeyboardInterrupt stopped it, and what was found by then
+        stands in it.
+
+    Raises:
+        RecordingError: If the recordings cannot be used, or do not fit the model.
+        ModelError: If MuJoCo cannot compile the model.
+        KeyboardInterrupt: If it came before anything was found.
+
+    Example:
+        >>> from torchrl_athletic.recordings.demo import concealed_demo
+        >>> demo = concealed_demo(seed=3)
+        >>> diagnosis = diagnose(demo.model_xml, demo.recordings, demo.heldout)  # doctest: +SKIP
+        >>> diagnosis.answer.findings[0].effect == demo.secret.name  # doctest: +SKIP
+        True
+    """
+    compiled, xml, name = load_model(model)
+    order = recordings[0].joint_names if recordings else ()
+    fitted, aside = (tuple(r.ordered(order) for r in group) for group in (recordings, heldout))
+    work = _Work(
+        compiled, xml, name, fitted, aside, tuple(catalogue), drive, seed, time_budget,
+        None if output is None else Path(output), progress or Progress(),
+    )  # fmt: skip
+    try:
+        work.run()
+        result = work.conclude()
+    except KeyboardInterrupt:
+        if work.signals_bank is None:
+            raise
+        work.interrupted = True
+        result = work.conclude()
+    if work.output is not None:
+        result.save(work.output)
+        if result.answer.complete:
+            work.checkpoint.remove()
+    if result.answer.complete:
+        work.progress.update(1.0)
+    return result
+
+
+def load_model(model: Model) -> tuple[mujoco.MjModel, str, str]:
+    """Compile MJCF given as a path, as text or as a spec.
+
+    Returns:
+        The model, its MJCF and its name.
+
+    Raises:
+        FileNotFoundError: If the path does not exist.
+        ModelError: If MuJoCo cannot compile it.
+    """
+    source = "the model"
+    try:
+        if isinstance(model, mujoco.MjSpec):
+            spec = model.copy()
+        elif isinstance(model, str) and model.lstrip().startswith("<"):
+            spec = mujoco.MjSpec.from_string(model)
+        else:
+            source = str(model)
+            if not Path(model).is_file():
+                raise FileNotFoundError(f"{source}: there is no such model. Name an MJCF file, or pass its text.")
+            spec = mujoco.MjSpec.from_file(str(Path(model).resolve()))  # absolute, or it forgets its folder
+        if spec.modelfiledir and (spec.meshes or spec.textures or spec.hfields):  # its MJCF is written elsewhere
+            spec.meshdir = str(Path(spec.modelfiledir, spec.meshdir).resolve())
+            spec.texturedir = str(Path(spec.modelfiledir, spec.texturedir).resolve())
+        return spec.compile(), spec.to_xml(), spec.modelname or "model"
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise ModelError(
+            f"{source}: MuJoCo cannot compile it ({reason}). Mend it until MuJoCo's viewer opens it."
+        ) from error
+
+
+class ModelError(ValueError):
+    """A model that MuJoCo cannot compile; the message names it and says why."""
+
+
+@dataclass(eq=False)
+class _Work:
+    """A diagnosis in the making: each stage adds its result, and :meth:`conclude` states what there is at any time."""
+
+    model: mujoco.MjModel
+    xml: str
+    name: str
+    recordings: tuple[Recording, ...]
+    heldout: tuple[Recording, ...]
+    catalogue: tuple[Effect, ...]
+    drive: Drive
+    seed: int
+    time_budget: float | None
+    output: Path | None
+    progress: Progress
+    started: float = field(default_factory=time.monotonic)
+    interrupted: bool = False
+    stage: str = "quality"
+    train: Prepared | None = None
+    held: Prepared | None = None
+    signals_bank: Bank | None = None
+    locations: tuple[Location, ...] = ()
+    drive_evidence: Evidence | None = None
+    options: tuple[Evidence, ...] = ()
+    """Combinations for the mechanics, best first."""
+    fits: list[Fitted] = field(default_factory=list)
+    """One for each option that was fitted."""
+    scores: list[dict[str, Score]] = field(default_factory=list)
+    chosen: int = 0
+
+    def run(self) -> None:
+        """All stages, in order."""
+        settings = {
+            "drive": self.drive,
+            "seed": self.seed,
+            "catalogue": [e.name for e in self.catalogue],
+            "fitted": len(self.recordings),
+        }
+        digest = inputs_digest(self.xml, (*self.recordings, *self.heldout), settings)
+        self.checkpoint = Checkpoint(None if self.output is None else self.output / CHECKPOINT, digest)
+        self._begin("quality")
+        self.train = prepare(self.recordings, self.model, self.drive)
+        self.progress.update(0.6)
+        kernel = self.train.signals[0].kernel
+        self.held = prepare(self.heldout, self.model, self.drive, kernel) if self.heldout else None
+        self._begin("floor")
+        self._begin("locate")
+        self.signals_bank = Bank(self.train.signals, ())
+        self.locations = locate(self.signals_bank, self._rng("locate"))
+        self._begin("screen")
+        self._screen()
+        self._begin("fit")
+        self._fit()
+        self._begin("compare")
+        self._compare()
+        self._begin("gates")
+        self._begin("report")
+
+    def _begin(self, stage: str) -> None:
+        self.stage = stage
+        self.progress.stage(stage)
+
+    def _rng(self, purpose: str) -> np.random.Generator:
+        return np.random.default_rng([self.seed, *purpose.encode()])
+
+    def _late(self) -> bool:
+        return self.time_budget is not None and time.monotonic() - self.started > 0.6 * self.time_budget
+
+    def _screen(self) -> None:
+        assert self.train is not None
+        signals = self.train.signals
+        catalogue = self.catalogue
+        cut = self.drive == "command" and all(
+            s.recording.torque_semantics == "current_derived" and s.recording.torque_command is not None
+            for s in signals
+        )
+        if cut:  # the measured torque cuts the chain in two: the drive before it, the mechanics behind it
+            of_drive = [e for e in catalogue if e.name in DRIVE_EFFECTS]
+            self.drive_evidence = _search(drive_signals(self.train), of_drive, ())[0]
+            signals = prepare(self.recordings, self.model, "measured", signals[0].kernel).signals
+            catalogue = tuple(e for e in catalogue if e.name not in ("actuation_delay", "actuation_lag"))
+        taken = {a.candidate.key for a in self.drive_evidence.best.fit.terms} if self.drive_evidence else set()
+        self.options = tuple(_search(signals, catalogue, trims_for(signals, SCREEN_TRIMS), taken, self.progress))
+
+    def _fit(self) -> None:
+        assert self.train is not None
+        takes = self.train.takes
+        for k, option in enumerate(self.options[:MOST_FITS]):
+            if k and (self._late() or option.best.evidence - self.options[0].best.evidence > CLOSE):
+                break
+            hypothesis, start = _hypothesis(option, self.drive_evidence)
+            key = "fit " + " ".join("/".join(c.key) for c in (*hypothesis.terms, *hypothesis.trims))
+
+            def compute(hypothesis: Hypothesis = hypothesis, start: Array = start) -> Fitted:
+                return fit(hypothesis, takes, start, self._rng("fit"), progress=self.progress.update)
+
+            def decode(content: dict[str, Any], hypothesis: Hypothesis = hypothesis) -> Fitted:
+                samples = np.array(content["samples"]).reshape(-1, len(content["values"]))
+                return Fitted(hypothesis, np.array(content["values"]), samples, content["cost"])
+
+            fitted = self.checkpoint.result(key, compute, _encode, decode)
+            direct = self.drive_evidence.best.fit.terms if self.drive_evidence else ()  # two channels show it
+            seen = {a.candidate.key for a in direct}
+            idle = [c for c in idle_terms(fitted, takes, self._rng("idle")) if c.key not in seen]
+            self._keep(k, fitted, idle)
+
+    def _keep(self, k: int, fitted: Fitted, idle: Sequence[Candidate]) -> None:
+        """Take a fit over, without the terms that it does not need."""
+        self.fits.append(without(fitted, idle))
+        dropped = {c.key for c in idle}
+        options = list(self.options)
+        options[k] = options[k].without(dropped)
+        self.options = tuple(options)
+
+    def _compare(self) -> None:
+        assert self.train is not None
+        errors = []
+        for k, fitted in enumerate(self.fits):
+            scores: dict[str, Score] = {}
+            for split, prepared in (("train", self.train), ("heldout", self.held)):
+                if prepared is not None:
+                    scores[split], _, after = score(
+                        prepared.takes, fitted.hypothesis, fitted.values, prepared.position_noise, self._rng(split),
+                        prepared.repeatability,
+                    )  # fmt: skip
+                    if split == "train":  # what was kept aside scores the answer, it does not choose it
+                        errors.append(np.log(np.maximum(after, 1e-12)).sum(1))
+            self.scores.append(scores)
+            self.progress.update((k + 1) / len(self.fits))
+        if not errors:
+            return
+        best = min(errors, key=lambda e: float(e.mean()))
+        against = np.array([_against(e - best) for e in errors])
+        self.chosen = int(np.argmin(against + [o.best.evidence for o in self.options[: len(errors)]]))
+        simulated = {keys(o.best.fit.terms): float(a) for o, a in zip(self.options, against, strict=False)}
+        self.options = tuple(replace(o, simulated=simulated) for o in self.options)
+
+    def conclude(self) -> Diagnosis:
+        """State what there is."""
+        assert self.train is not None
+        assert self.signals_bank is not None
+        names = self.recordings[0].joint_names
+        nominal = _as_given(self.model, names)
+        fitted = self.fits[self.chosen] if self.fits else None
+        corrected = nominal if fitted is None else Simulation(self.model, names, fitted.hypothesis, fitted.values)
+        scores = self.scores[self.chosen] if self.scores else {}
+        evidence = [
+            e for e in (self.drive_evidence, self.options[self.chosen] if self.options else None) if e is not None
+        ]
+        findings = judge_findings(evidence, fitted) if fitted is not None else ()
+        is_open = self._is_open()
+        verdict, share = verdict_of(evidence, findings, scores.get("train"), scores.get("heldout"), is_open)
+        if verdict == "nothing_missing":
+            corrected = nominal
+        last = scores.get("heldout", scores.get("train"))
+        summary = summarise(verdict, findings, self.locations, last, "heldout" in scores, share)
+        if self.interrupted and not self.fits:
+            summary = ("Stopped before anything was named; where the error is stands below.",)
+        summary += tuple(
+            f"{joint} hardly moves, so that nothing is known of it."
+            for joint, used in self.train.used_share().items()
+            if used < EXERCISED
+        )
+        complete = not self.interrupted and self.stage == "report"
+        answer = Answer(
+            verdict=verdict,
+            summary=summary,
+            findings=findings,
+            locations=self.locations,
+            fit=scores,
+            unexplained_share=share,
+            quality=self._quality(),
+            model=self.name,
+            complete=complete,
+            stage=self.stage,
+            seed=self.seed,
+            remarks=self._remarks(evidence, corrected) if complete else (),
+        )
+        maps, overlays = (
+            (self._maps(evidence), self._overlays(nominal, corrected)) if complete else (self._maps(evidence), ())
+        )
+        return Diagnosis(answer, nominal, corrected, self.xml, tuple(maps), tuple(overlays))
+
+    def _is_open(self) -> bool:
+        """Whether some joint misses torque that noise does not explain and that motion and command predict."""
+        if not self.options:
+            return False
+        bank, judge = self.options[0].judge.bank, self.options[0].judge
+        above = judge.mean_square(bank.fit(())) > OPEN * judge.floor
+        return any(predictable_share(bank, int(j)) > PREDICTABLE for j in np.flatnonzero(above))
+
+    def _quality(self) -> dict[str, Any]:
+        assert self.train is not None
+        s = self.train.signals[0]
+        units = {n: "m" if is_slide(s.nominal, s.address, j) else "rad" for j, n in enumerate(s.recording.joint_names)}
+        report = self.train.report()
+        if self.held is not None:
+            report["recordings"] += self.held.report()["recordings"]
+        return {**report, "units": units, "drive": self.drive, "warnings": []}
+
+    def _remarks(self, evidence: Sequence[Evidence], corrected: Simulation) -> tuple[str, ...]:
+        assert self.train is not None
+        signals = self.train.signals
+        left: tuple[str, ...] = ()
+        if evidence and self.drive_evidence is None:
+            heldout = self.held.signals if self.held else ()
+            left = remarks_on(signals, heldout, evidence[-1].best, 0.133 / signals[0].kernel)
+        return left + _trimmed(corrected)
+
+    def _maps(self, evidence: Sequence[Evidence]) -> list[RegimeMap]:
+        if not evidence:
+            assert self.signals_bank is not None
+            return regime_maps(self.signals_bank, self.signals_bank.target, self._rng("maps"))
+        part = evidence[-1]
+        return regime_maps(part.judge.bank, part.judge.bank.rows(part.best.fit), self._rng("maps"))
+
+    def _overlays(self, nominal: Simulation, corrected: Simulation) -> list[Overlay]:
+        out = []
+        for heldout, recordings in ((True, self.heldout), (False, self.recordings)):
+            for r in recordings[:OVERLAYS]:
+                driven = r.driven_by_measured_torque() if self.drive == "measured" else r
+                before, after = nominal.rollout(driven), corrected.rollout(driven)
+                out.append(Overlay(r.source, heldout, r.time, r.joint_names, r.position, before, after))
+        return out
+
+
+def _search(
+    signals: Sequence[Any],
+    catalogue: Sequence[Effect],
+    trims: Sequence[Candidate],
+    taken: set[tuple[str, str]] = frozenset(),  # type: ignore[assignment]
+    progress: Progress | None = None,
+) -> list[Evidence]:
+    candidates = [c for c in candidates_for(signals, catalogue) if c.key not in taken]
+    bank = Bank(signals, candidates, [t for t in trims if t.key not in taken])
+    judge = Judge(bank)
+    return [Evidence(judge, s) for s in search(judge, progress.update if progress else lambda fraction: None)]
+
+
+def _hypothesis(option: Evidence, drive: Evidence | None) -> tuple[Hypothesis, Array]:
+    """Terms of the mechanics and of the drive, with the values that the torque domain gave them.
+
+    What the two torque channels say of the drive is direct; the simulation may move it by a tenth only.
+    """
+    terms, start = [], []
+    if drive is not None:
+        for atom, values in zip(drive.best.fit.terms, drive.best.fit.values(), strict=False):
+            narrow = tuple(
+                replace(p, lower=max(p.lower, v - 0.1 * abs(v)), upper=min(p.upper, v + 0.1 * abs(v) + 1e-9))
+                for p, v in zip(atom.candidate.parameters, values, strict=True)
+            )
+            terms.append(replace(atom.candidate, parameters=narrow))
+            start.append(values)
+    fitted = option.best.fit
+    found = fitted.values()
+    terms += [a.candidate for a in fitted.terms]
+    start += found[: fitted.size]
+    known = {a.candidate.key: v for a, v in zip(fitted.atoms, found, strict=True)}
+    trims = [t for t in trims_for(option.judge.bank.takes, FIT_TRIMS) if all(t.allows(c) for c in terms)]
+    start += [known.get(t.key, np.array([p.nominal for p in t.parameters])) for t in trims]
+    return Hypothesis(tuple(terms), tuple(trims)), np.concatenate(start) if start else np.zeros(0)
+
+
+def _trimmed(corrected: Simulation) -> tuple[str, ...]:
+    """Which of the given numbers were adjusted within their tolerance beside the findings."""
+    h = corrected.hypothesis
+    changes = []
+    for trim in h.trims:
+        for p, value in zip(trim.parameters, h.values_of(trim, corrected.values), strict=True):
+            percent = 100 * (value / p.nominal - 1)
+            if abs(percent) >= 1:
+                changes.append(f"{trim.effect.name.replace('_', ' ')} of {trim.joint_name} {percent:+.0f} %")
+    if not changes:
+        return ()
+    return (f"Beside the findings the corrected model was adjusted within its tolerances: {', '.join(changes)}.",)
+
+
+def _against(worse: Array) -> float:
+    """Twice the log odds against a combination whose windows have larger log errors.
+
+    The square of their paired z-score.
+    """
+    error = float(worse.std() / np.sqrt(max(len(worse), 1)))
+    return float(np.clip((worse.mean() / error) ** 2, 0.0, CLOSE)) if error > 0 else 0.0
+
+
+def _encode(fitted: Fitted) -> dict[str, Any]:
+    return {"values": fitted.values.tolist(), "samples": fitted.samples.tolist(), "cost": fitted.cost}
+
+
+def _as_given(model: mujoco.MjModel, names: tuple[str, ...]) -> Simulation:
+    return Simulation(model, names, Hypothesis(()), np.zeros(0))

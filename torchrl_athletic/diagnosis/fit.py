@@ -1,0 +1,295 @@
+"""A combination of effects, fitted in the simulation over multiple-shooting windows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mujoco import minimize
+from numpy.typing import NDArray
+
+from torchrl_athletic.diagnosis.replay import Take, Windows, simulate, window_rmse, windows_of
+from torchrl_athletic.diagnosis.screen import Candidate, bounded_least_squares
+from torchrl_athletic.effects import Parameter, Plant
+
+Array = NDArray[np.float64]
+
+WINDOW = 0.5
+"""Length of the windows that scores are stated for [s]."""
+DRIFT = 5.0
+"""End-to-end error over a window's error up to which a take is fitted end to end."""
+IDLE = 0.01
+"""Share of the gained error energy below which a term is given up after the fit."""
+SHOOTING = (0.2, WINDOW)
+"""Window lengths of the successive fits [s]: short ones are nearly linear and forgive a poor start."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Which physics a model is said to lack, and which of its numbers may move within their tolerance beside it."""
+
+    terms: tuple[Candidate, ...]
+    trims: tuple[Candidate, ...] = ()
+    """What every model is a little wrong in (see :func:`~torchrl_athletic.diagnosis.screen.trims_for`); no findings."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Of the terms, then of the trims, in the order of the value vector. Length P."""
+        return tuple(p for c in (*self.terms, *self.trims) for p in c.parameters)
+
+    @property
+    def nominal(self) -> Array:
+        """The given model. Shape (P,)."""
+        return np.array([p.nominal for p in self.parameters])
+
+    @property
+    def scale(self) -> Array:
+        """Units of the optimiser. Shape (P,)."""
+        return np.array([p.scale for p in self.parameters])
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Physical bounds of the terms, tolerances of the trims. Shapes (P,)."""
+        return np.array([p.lower for p in self.parameters]), np.array([p.upper for p in self.parameters])
+
+    def build(self, plant: Plant, values: Array) -> None:
+        """Put values (rows, P) into a plant."""
+        at = 0
+        for candidate in (*self.terms, *self.trims):
+            count = len(candidate.parameters)
+            candidate.effect.apply(plant, candidate.joint, values[:, at : at + count])
+            at += count
+
+    def values_of(self, candidate: Candidate, values: Array) -> Array:
+        """The part of a value vector that belongs to one candidate. Shape (..., its P)."""
+        at = 0
+        for other in (*self.terms, *self.trims):
+            count = len(other.parameters)
+            if other is candidate:
+                return values[..., at : at + count]
+            at += count
+        raise ValueError(f"{candidate.key} is not part of the hypothesis")
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A hypothesis with its values, and what is needed to say how sure they are."""
+
+    hypothesis: Hypothesis
+    values: Array
+    """Shape (P,)."""
+    samples: Array
+    """Values of block-bootstrap replicates. Shape (R, P)."""
+    cost: float
+    """Robust mean square of the windows' normalised error."""
+
+    def interval(self) -> Array:
+        """95 % interval of each parameter. Shape (P, 2)."""
+        return np.quantile(self.samples, [0.025, 0.975], axis=0).T
+
+
+def fit(
+    hypothesis: Hypothesis,
+    takes: Sequence[Take],
+    start: Array,
+    rng: np.random.Generator,
+    max_windows: int = 60,
+    max_iter: int = 8,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Fitted:
+    """Least squares of the window errors within physical bounds, by MuJoCo's box-constrained Gauss-Newton.
+
+    Windows that the model cannot follow count less (Cauchy weights), so that a fall or a push does not steer the
+    parameters. A take that the fitted model follows from end to end is fitted end to end as well: slow drift shows
+    only there.
+
+    Args:
+        hypothesis: What may change.
+        takes: Recordings to fit.
+        start: First guess. Shape (P,).
+        rng: Draws the windows when there are more than ``max_windows``, and the bootstrap.
+        max_windows: Windows used in a fit.
+        max_iter: Gauss-Newton iterations a round.
+        progress: Told the finished fraction.
+    """
+    low, high = hypothesis.bounds
+    unit = np.minimum(hypothesis.scale, np.maximum((high - low) / 4, 1e-12))
+    x = np.clip(start, low, high) / unit
+    if not len(x):
+        return Fitted(hypothesis, start, np.zeros((200, 0)), 0.0)
+    rounds = [draw_windows(takes, seconds, max_windows, rng) for seconds in SHOOTING]
+    for done, windows in enumerate(rounds):
+        x = _solve(_Problem(hypothesis, windows, unit, x), x, low / unit, high / unit, max_iter)
+        progress((done + 1) / (len(rounds) + 1))
+    ends = [simulate(w, hypothesis.build, (x * unit)[None])[0] for w in rounds[-1]]
+    typical = window_rmse(rounds[-1], ends)[0]
+    whole = [w for w in (windows_of(take, None) for take in takes) if _follows(hypothesis, w, x * unit, typical)]
+    final = _Problem(hypothesis, rounds[-1] + whole, unit, x)
+    x = _solve(final, x, low / unit, high / unit, max_iter // 2)
+    samples, cost = _bootstrap(final, x, rng, low / unit, high / unit)
+    progress(1.0)
+    return Fitted(hypothesis, np.clip(x * unit, low, high), samples * unit, cost)
+
+
+def _solve(problem: _Problem, x: Array, low: Array, high: Array, max_iter: int) -> Array:
+    x, _ = minimize.least_squares(
+        x,
+        problem.residual,
+        bounds=[low, high],
+        eps=1e-4,
+        max_iter=max_iter,
+        xtol=1e-3,
+        verbose=minimize.Verbosity.SILENT,
+    )
+    return np.ravel(x)
+
+
+def _follows(hypothesis: Hypothesis, whole: Windows, values: Array, typical: Array) -> bool:
+    """Whether one open-loop rollout stays near the take: within a tenth of the travel and a few times a window's error.
+
+    A chaotic or falling robot does not, nor does a drive without a spring or gravity, which drifts with hundredths of
+    its friction: its end-to-end error measures the drift and not the physics.
+    """
+    if not len(whole.start):
+        return False
+    error, _ = window_rmse([whole], [simulate(whole, hypothesis.build, values[None])[0]])
+    near = np.minimum(0.1 * np.ptp(whole.measured[0], axis=0), DRIFT * typical)
+    return bool((error < near).all())
+
+
+def idle_terms(
+    fitted: Fitted, takes: Sequence[Take], rng: np.random.Generator, most: int = 60
+) -> tuple[Candidate, ...]:
+    """Terms that the simulation does without: set back to the given model's numbers, the error hardly grows.
+
+    They were named for what another term, still coarse in the torque domain, left over.
+    """
+    h, values = fitted.hypothesis, fitted.values
+    sets = [h.nominal, values]
+    for term in h.terms:
+        reset = values.copy()
+        h.values_of(term, reset)[:] = [p.nominal for p in term.parameters]
+        sets.append(reset)
+    windows = draw_windows(takes, WINDOW, most, rng)
+    both = [simulate(w, h.build, np.stack(sets)) for w in windows]
+    energy = []
+    for k in range(len(sets)):
+        _, each = window_rmse(windows, [b[k] for b in both])
+        energy.append(np.minimum(each**2, np.quantile(each**2, 0.95, axis=0)).mean(0))
+    gain = energy[0] - energy[1]
+    closed = gain > 0.01 * energy[0]
+    if not closed.any():
+        return ()
+    losses = [(e - energy[1])[closed] for e in energy[2:]]
+    return tuple(t for t, loss in zip(h.terms, losses, strict=True) if (loss < IDLE * gain[closed]).all())
+
+
+def without(fitted: Fitted, dropped: Sequence[Candidate]) -> Fitted:
+    """The same fit with some terms left out."""
+    h = fitted.hypothesis
+    kept = [c for c in (*h.terms, *h.trims) if c not in dropped]
+    smaller = Hypothesis(tuple(t for t in h.terms if t not in dropped), h.trims)
+    values = np.concatenate([h.values_of(c, fitted.values) for c in kept]) if kept else np.zeros(0)
+    samples = np.concatenate([h.values_of(c, fitted.samples) for c in kept], axis=1) if kept else fitted.samples[:, :0]
+    return Fitted(smaller, values, samples, fitted.cost)
+
+
+def draw_windows(takes: Sequence[Take], seconds: float, most: int, rng: np.random.Generator) -> list[Windows]:
+    """Windows of all takes, thinned at random to about ``most``, evenly over the takes' lengths."""
+    full = [windows_of(take, seconds) for take in takes]
+    total = sum(len(w.start) for w in full)
+    if total <= most:
+        return [w for w in full if len(w.start)]
+    out = []
+    for w in full:
+        count = max(1, round(most * len(w.start) / total))
+        chosen = np.sort(rng.choice(len(w.start), min(count, len(w.start)), replace=False))
+        out.append(Windows(w.take, w.start[chosen], w.length))
+    return [w for w in out if len(w.start)]
+
+
+class _Problem:
+    """Weighted residuals of a fixed set of windows, as ``mujoco.minimize`` wants them."""
+
+    def __init__(self, hypothesis: Hypothesis, windows: Sequence[Windows], unit: Array, x: Array) -> None:
+        self.hypothesis, self.windows, self.unit = hypothesis, windows, unit
+        nominal, (_low, high) = hypothesis.nominal, hypothesis.bounds
+        free = sum(len(c.parameters) for c in hypothesis.terms)
+        self.prior = np.where(np.arange(len(nominal)) >= free, 0.3 / np.maximum(high - nominal, 1e-12), 0.0)
+        now = [p[0] for p in self.predict(x[:, None])]
+        short = [k for k, w in enumerate(windows) if not _is_long(w)]
+        _, each = window_rmse([windows[k] for k in short], [now[k] for k in short])
+        typical = np.maximum(np.median(each, axis=0), 1e-9)
+        self.weight = [_weights(w, p, typical) for w, p in zip(windows, now, strict=True)]
+
+    def predict(self, x: Array) -> list[Array]:
+        values = (x * self.unit[:, None]).T
+        return [simulate(w, self.hypothesis.build, values) for w in self.windows]
+
+    def residual(self, x: Array) -> Array:
+        parts = [
+            ((p - w.measured) * weight[:, None]).reshape(p.shape[0], -1)
+            for w, p, weight in zip(self.windows, self.predict(x), self.weight, strict=True)
+        ]
+        trims = (x * self.unit[:, None] - self.hypothesis.nominal[:, None]) * self.prior[:, None]
+        return np.concatenate([np.concatenate(parts, axis=1).T, trims])
+
+    def groups(self) -> NDArray[np.intp]:
+        """Block of each residual row.
+
+        A window, or a quarter of a take that is followed end to end, where errors last long.
+        """
+        joints, sizes = self.weight[0].shape[1], []
+        for w in self.windows:
+            most = -(-w.length // 4) if _is_long(w) else w.length
+            blocks = [min(most, w.length - first) for first in range(0, w.length, most)]
+            sizes += [joints * size for _ in w.start for size in blocks]
+        return np.repeat(np.arange(len(sizes)), sizes)
+
+
+def _is_long(w: Windows) -> bool:
+    return w.length * w.take.period > 2 * WINDOW
+
+
+def _weights(w: Windows, predicted: Array, typical: Array) -> Array:
+    """Of each window's residuals: over the typical error, less where the model cannot follow. Shape (W, J).
+
+    A take that is followed end to end drifts by more than a window does; it counts as its length in windows, against
+    its own error.
+    """
+    each = np.sqrt(((predicted - w.measured) ** 2).mean(1))
+    share = w.length * w.take.period / WINDOW
+    if _is_long(w):
+        weight = np.sqrt(share) / np.maximum(each, typical)
+    else:
+        ratio = np.sqrt(((each / typical) ** 2).mean(1, keepdims=True))
+        weight = np.sqrt(share / (1.0 + (ratio / 3.0) ** 2)) / typical
+    return np.asarray(weight / np.sqrt(w.length * each.shape[1]), dtype=np.float64)
+
+
+def _bootstrap(
+    problem: _Problem, x: Array, rng: np.random.Generator, low: Array, high: Array, replicates: int = 200
+) -> tuple[Array, float]:
+    """One bounded Gauss-Newton step from the optimum for each resampled set of windows (a window is a block)."""
+    step = 1e-3
+    sets = np.concatenate([x[:, None], x[:, None] + step * np.eye(len(x))], axis=1)
+    r = problem.residual(sets)
+    jacobian, residual, group = (r[:, 1:] - r[:, :1]) / step, r[:, 0], problem.groups()
+    prior = jacobian[len(group) :]
+    jacobian, residual = jacobian[: len(group)], residual[: len(group)]
+    count = int(group[-1]) + 1
+    order = np.flatnonzero(np.diff(group, prepend=-1))
+    normal = np.stack([part.T @ part for part in np.split(jacobian, order[1:])])
+    right = np.add.reduceat(jacobian * residual[:, None], order, axis=0)
+    # at the optimum the gradient is zero up to the solver's tolerance: the resampled one is centred on that
+    centre = right.sum(0)
+    out = np.empty((replicates, len(x)))
+    for k in range(replicates):
+        drawn = np.bincount(rng.integers(0, count, count), minlength=count).astype(float)
+        n = np.tensordot(drawn, normal, 1) + prior.T @ prior
+        n += 1e-9 * np.trace(n) / len(x) * np.eye(len(x))
+        out[k] = x + bounded_least_squares(n, centre - drawn @ right, low - x, high - x)
+    blind = np.linalg.norm(jacobian, axis=0) < 1e-9 * max(float(np.linalg.norm(jacobian)), 1e-300)
+    out[:, blind] = rng.uniform(low[blind], high[blind], (replicates, int(blind.sum())))  # nothing is known of these
+    return out, float(residual @ residual / count)

@@ -1,0 +1,192 @@
+"""What may be stated: findings with their rivals and probabilities, and the verdict.
+
+A lower error proves no name. A finding is stated with the share of the evidence that it has among the effects that
+could stand in its place, discounted by what stays unexplained on its joint; and every verdict, "nothing missing"
+included, must pass the sensors' floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.diagnosis.compare import open_share
+from torchrl_athletic.diagnosis.fit import Fitted
+from torchrl_athletic.diagnosis.locate import regime_of
+from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score, Verdict
+from torchrl_athletic.diagnosis.screen import Atom
+from torchrl_athletic.diagnosis.search import INVARIANT, Judge, Scored, alternatives, keys, scatter
+from torchrl_athletic.effects import Effect
+
+Array = NDArray[np.float64]
+
+EXPLAINED = 0.15
+"""Share of the error energy above the floor that may be left by an explanation."""
+LIKELY = 0.5
+"""An explanation may not rest on a finding that is less probable than this and has no rivals to share with."""
+PARTLY = 0.80
+"""Above this share nothing worth the name is explained."""
+NEAR_FLOOR = 3.0
+"""Window error over the floor up to which a model without predictable missing torque is called complete."""
+LEAST_PROBABILITY = 0.03
+"""Rivals below are not printed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """One part of the search, kept for the gates: the mechanics, or the drive alone."""
+
+    judge: Judge
+    best: Scored
+    simulated: Mapping[frozenset[tuple[str, str]], float] = field(default_factory=dict)
+    """Combination -> twice the log odds that the simulation gives against it, for those that were fitted."""
+
+    def without(self, dropped: Collection[tuple[str, str]]) -> Evidence:
+        """The same without some terms."""
+        kept = [a for a in self.best.fit.terms if a.candidate.key not in dropped]
+        return self if len(kept) == self.best.fit.size else replace(self, best=self.judge.score(kept))
+
+    def left(self) -> Array:
+        """Share of each joint's excess missing torque that is left. Shape (J,)."""
+        before, after = (
+            np.maximum(self.judge.mean_square(f) - self.judge.floor, 0.0)
+            for f in (self.judge.bank.fit(()), self.best.fit)
+        )
+        return np.where(before > self.judge.floor, np.clip(after / np.maximum(before, 1e-12), 0.0, 1.0), 0.0)
+
+
+def judge_findings(evidence: Sequence[Evidence], fitted: Fitted) -> tuple[Finding, ...]:
+    """State every term of the fitted hypothesis, most probable first."""
+    interval = fitted.interval()
+    out = []
+    for part in evidence:
+        for term in part.best.fit.terms:
+            chosen = next((c for c in fitted.hypothesis.terms if c.key == term.candidate.key), None)
+            if chosen is not None:
+                values = fitted.hypothesis.values_of(chosen, fitted.values)
+                band = fitted.hypothesis.values_of(chosen, interval.T).T
+                out.append(_finding(part, term, values, band))
+    return tuple(sorted(out, key=lambda f: (-round(f.probability, 2), -f.energy_share)))
+
+
+def verdict_of(
+    evidence: Sequence[Evidence], findings: Sequence[Finding], train: Score | None, heldout: Score | None, is_open: bool
+) -> tuple[Verdict, float]:
+    """The verdict, and the share of the error energy above the floor that no finding explains."""
+    deciding = [s for s in (heldout, train) if s is not None]
+    if not deciding:
+        return ("partly_explained" if findings else "unexplained"), float(bool(is_open))
+    share = max(open_share(s) for s in deciding)
+    if not findings:
+        nothing = not is_open and all(_near_floor(s) for s in deciding)
+        return ("nothing_missing", 0.0) if nothing else ("unexplained", share)
+    torque_left = max((float(part.left().max(initial=0.0)) for part in evidence), default=0.0)
+    likely = all(f.probability >= LIKELY or f.rivals for f in findings)
+    if share <= EXPLAINED and torque_left <= 2 * EXPLAINED and likely:
+        return "explained", share
+    return ("partly_explained" if share <= PARTLY else "unexplained"), share
+
+
+def summarise(
+    verdict: Verdict,
+    findings: Sequence[Finding],
+    locations: Sequence[Location],
+    score: Score | None,
+    heldout: bool,
+    share: float,
+) -> tuple[str, ...]:
+    """The answer in a few sentences, most important first."""
+    out = []
+    if verdict == "nothing_missing":
+        out.append("Nothing is missing: the model follows the recordings as closely as the sensors' noise allows.")
+    elif not findings:
+        out.append("The model and the robot differ, and no effect of the catalogue explains how.")
+    out += [f.sentence for f in findings]
+    if findings and all(f.probability < 0.5 for f in findings):
+        out.append("None of this is likely: look for physics that the catalogue does not have yet.")
+    where = [x for x in locations if x.regime != "everywhere"][:1]
+    if verdict != "nothing_missing" and locations:
+        text = f"{100 * locations[0].share_of_error:.0f} % of the error arises at {locations[0].joint}"
+        if where:
+            moving = where[0].regime.startswith(("moving", "accelerating", "slower", "faster"))
+            text += f"; it is densest {'when ' if moving else ''}{where[0].regime} ({where[0].joint})"
+        out.append(text + ".")
+    if score is not None and findings:
+        kind = "recordings kept aside" if heldout else "the fitted recordings (none were kept aside)"
+        out.append(
+            f"Over 0.5 s windows of {kind} the error falls to {100 * score.after / max(score.before, 1e-12):.0f} % "
+            "of what it was; "
+            f"{100 * share:.0f} % of its energy above the sensors' floor stays unexplained."
+        )
+    return tuple(out)
+
+
+def _finding(part: Evidence, term: Atom, values: Array, band: Array) -> Finding:
+    bank, candidate = part.judge.bank, term.candidate
+    rated = list(zip(*_probabilities(part, term), strict=True))
+    varies = scatter(bank, part.best.fit, term)
+    holds = 1.0 / (1.0 + (varies / INVARIANT) ** 4)
+    doubt = 1.0 - holds * (0.98 - 0.3 * float(part.left()[candidate.joint]))
+    own = next(p for a, p in rated if a.candidate.key == candidate.key)
+    effect, joint = candidate.effect, candidate.joint_name
+    named = {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)}
+    rivals = [
+        Rival(
+            a.candidate.effect.name,
+            a.candidate.joint_name,
+            float(p * (1 - doubt)),
+            effect.experiment(a.candidate.effect.name, joint),
+        )
+        for a, p in rated
+        if a.candidate.key != candidate.key and p > LEAST_PROBABILITY
+    ]
+    explained = bank.prediction(part.best.fit, term)
+    return Finding(
+        effect=effect.name,
+        joint=joint,
+        probability=float(own * (1 - doubt)),
+        sentence=effect.sentence(joint, named, candidate.parameters)
+        if varies <= INVARIANT
+        else _stand_in(effect, joint),
+        parameters={
+            p.name: Estimate(float(v), (float(min(low, v)), float(max(high, v))), p.unit)
+            for p, v, (low, high) in zip(candidate.parameters, values, band, strict=True)
+        },
+        regime=regime_of(bank, explained, candidate.joint, effect.shows_in),
+        rivals=tuple(rivals),
+        energy_share=_energy_share(part, term),
+    )
+
+
+def _stand_in(effect: Effect, joint: str) -> str:
+    words = effect.name.replace("_", " ")
+    return (
+        f"No effect of the catalogue holds on all recordings of {joint}; {words} fits best, with another strength "
+        "on each, so it stands in for something else."
+    )
+
+
+def _probabilities(part: Evidence, term: Atom) -> tuple[list[Atom], list[float]]:
+    """Who could stand in a term's place, and the share of the evidence that each has."""
+    options = alternatives(part.judge, part.best, term)
+    kept = {a.candidate.key for a in part.best.fit.terms if a is not term}
+    atoms = [next(a for a in s.fit.terms if a.candidate.key not in kept) for s in options]
+    against = np.array([s.evidence + part.simulated.get(keys(s.fit.terms), 0.0) for s in options])
+    weights = np.exp(-0.5 * (against - against.min()))
+    return atoms, [float(w) for w in weights / weights.sum()]
+
+
+def _energy_share(part: Evidence, term: Atom) -> float:
+    """Share of the joint's missing torque that comes back when the term is taken away."""
+    joint = term.candidate.joint
+    without = part.judge.bank.fit([a for a in part.best.fit.terms if a is not term])
+    before = part.judge.mean_square(part.judge.bank.fit(()))[joint]
+    gained = part.judge.mean_square(without)[joint] - part.judge.mean_square(part.best.fit)[joint]
+    return float(np.clip(gained / max(before, 1e-12), 0.0, 1.0))
+
+
+def _near_floor(score: Score) -> bool:
+    return all(joint["before"] <= NEAR_FLOOR * max(joint["floor"], 1e-12) for joint in score.per_joint.values())

@@ -1,0 +1,156 @@
+"""From recordings to what the other stages work on.
+
+Checked, split at gaps, projected, and put on the simulation's grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.diagnosis.replay import Take, take_of
+from torchrl_athletic.effects import JointAddress, Signals, project_recording
+from torchrl_athletic.effects.signals import kernel_for, torque_range
+from torchrl_athletic.recordings import (
+    Quality,
+    Recording,
+    RecordingError,
+    check_quality,
+    repeat_noise,
+    split_at_gaps,
+)
+
+Array = NDArray[np.float64]
+Drive = Literal["command", "measured"]
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """One set of recordings, ready to be compared with a model."""
+
+    quality: tuple[Quality, ...]
+    """One a recording."""
+    signals: tuple[Signals, ...]
+    """In the torque domain, one a gap-free piece that is long enough."""
+    takes: tuple[Take, ...]
+    """On the simulation's grid, one a gap-free piece."""
+    position_noise: Array
+    """Standard deviation of one reading, the median over the recordings [rad, m]. Shape (J,)."""
+    repeatability: Array | None
+    """Scatter between repeats of the same take [rad, m], shape (J,), when there are any."""
+    left_out: tuple[str, ...] = ()
+    """Why pieces were left out: too short to see a motion in."""
+
+    def used_share(self) -> dict[str, float]:
+        """Share of the instants that say something of a joint.
+
+        It moves, clear of its stops, and no reading is masked.
+        """
+        valid = np.concatenate([s.valid for s in self.signals])
+        return dict(zip(self.signals[0].recording.joint_names, valid.mean(0).tolist(), strict=True))
+
+    def report(self) -> dict[str, Any]:
+        """The part of ``diagnosis.json`` on quality."""
+        reports = [q.report() for q in self.quality]
+        for report in reports:
+            report["warnings"] = [w.removeprefix(f"{report['source']}: ") for w in report["warnings"]]
+        return {"recordings": reports, "used_share": self.used_share(), "left_out": list(self.left_out)}
+
+
+def prepare(
+    recordings: Sequence[Recording], model: mujoco.MjModel, drive: Drive = "command", kernel: float | None = None
+) -> Prepared:
+    """Check, split and project recordings.
+
+    Args:
+        recordings: Takes of the same joints.
+        model: The model to compare them with.
+        drive: Whether the commanded or the measured torque drives the simulation.
+        kernel: Width of the test function [s]; chosen for the recordings if None.
+
+    Raises:
+        RecordingError: If there is no recording, if the joints differ between them or from the model's, or if nothing
+        usable is left.
+    """
+    if not recordings:
+        raise RecordingError("no recordings: name a file or a folder that holds at least one.")
+    first = recordings[0]
+    recordings = [r.ordered(first.joint_names) for r in recordings]
+    if drive == "measured":
+        recordings = [r.driven_by_measured_torque() for r in recordings]
+    limit = _limit(model, JointAddress.of(model, first.joint_names, first.source))
+    quality = tuple(check_quality(r, limit) for r in recordings)
+    kernel = kernel_for(recordings) if kernel is None else kernel
+    signals: list[Signals] = []
+    takes: list[Take] = []
+    left_out: list[str] = []
+    for r, q in zip(recordings, quality, strict=True):
+        for piece in _pieces(r):
+            start = int(np.searchsorted(r.time, piece.time[0]))
+            mask = _unfit(q)[start : start + piece.num_samples]
+            velocity_noise = q.velocity_noise if _velocity_fits(q) else None
+            try:
+                s = project_recording(piece, model, q.position_noise, velocity_noise, mask, kernel)
+            except RecordingError as error:
+                left_out.append(str(error))
+                continue
+            signals.append(s)
+            takes.append(take_of(piece, model, q.position_noise, velocity_noise))
+    if not signals:
+        raise RecordingError(left_out[0])
+    if not any(s.valid.any() for s in signals):
+        raise RecordingError(
+            f"{first.source}: no joint moves, or all is masked. "
+            "Excite the joints, clear of their stops, and record again."
+        )
+    noise = np.median([q.position_noise for q in quality], axis=0)
+    return Prepared(quality, tuple(signals), tuple(takes), noise, repeat_noise(recordings), tuple(left_out))
+
+
+def _velocity_fits(q: Quality) -> bool:
+    """Whether the velocity channel is the derivative of the position, in the same unit."""
+    return all(scale is None or 0.8 < scale < 1.25 for scale in q.velocity_scale)
+
+
+def drive_signals(prepared: Prepared) -> tuple[Signals, ...]:
+    """The way from the command to the measured torque alone, in the same form: what the drive leaves out or adds."""
+    out = []
+    for s in prepared.signals:
+        measured = s.recording.torque_measured
+        assert measured is not None
+        fine = np.stack([np.interp(s.fine_time, s.recording.time, column) for column in measured.T], -1)
+        received = s.project_command(fine)
+        noise = _torque_noise(measured) * np.sqrt(1 / s.recording.rate / (2 * np.sqrt(np.pi) * s.kernel))
+        missing = received - s.command
+        out.append(replace(s, required=received, missing=missing, bias=np.zeros_like(missing), noise=noise))
+    return tuple(out)
+
+
+def _unfit(quality: Quality) -> NDArray[np.bool_]:
+    """What not to judge the missing torque by.
+
+    A wrong reading of one joint asks for torque at all that it is coupled to. Shape (T, J).
+    """
+    misread = (quality.masks["frozen"] | quality.masks["dropout"]).any(1, keepdims=True)
+    return np.asarray(~quality.usable() | misread, dtype=np.bool_)
+
+
+def _torque_noise(measured: Array) -> Array:
+    spread = 1.4826 * np.median(np.abs(np.diff(measured, 4, axis=0)), axis=0) / np.sqrt(70)
+    return np.maximum(spread, 1e-4 * np.abs(measured).max(0) + 1e-12)
+
+
+def _limit(model: mujoco.MjModel, address: JointAddress) -> Array | None:
+    low, high = torque_range(model, address)
+    limit = np.minimum(-low, high)
+    return limit if np.isfinite(limit).all() and (limit > 0).all() else None
+
+
+def _pieces(recording: Recording) -> list[Recording]:
+    pieces = split_at_gaps(recording)
+    return [recording] if len(pieces) == 1 else [replace(p, source=recording.source) for p in pieces]

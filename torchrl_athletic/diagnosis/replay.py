@@ -1,0 +1,332 @@
+"""Recordings replayed in simulation: many windows and many parameter sets at once.
+
+Every window restarts from the measured state (multiple shooting), so that an error shows where it arises instead of
+drifting through the rest of the take.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter, savgol_coeffs, savgol_filter
+
+from torchrl_athletic.effects.plant import Plant
+from torchrl_athletic.effects.signals import (
+    JointAddress,
+    held_command,
+    inertia_matrix,
+    kernel_for,
+    torque_range,
+)
+from torchrl_athletic.effects.timing import low_pass
+from torchrl_athletic.physics import BatchPhysics
+from torchrl_athletic.recordings.recording import Recording
+
+Array = NDArray[np.float64]
+Build = Callable[[Plant, Array], None]
+"""Writes parameter values (rows, P) into a plant."""
+
+CHUNK = 3_000_000
+"""Rows times physics steps times joints simulated in one go: bounds the memory to some 100 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """A recording on the grid of the simulation. S samples, each ``substeps`` physics steps apart."""
+
+    recording: Recording
+    model: mujoco.MjModel
+    """The model, at the physics step of the replay, with its actuators off: the recorded command drives the joints."""
+    address: JointAddress
+    substeps: int
+    time: Array
+    """Shape (S,)."""
+    measured: Array
+    """Measured position, interpolated and otherwise untouched. Shape (S, J)."""
+    position: Array
+    """Local cubic fit, as wide as the motion is smooth, to start from. Shape (S, J)."""
+    velocity: Array
+    """Shape (S, J)."""
+    start_noise: Array
+    """Standard deviation of ``position`` and ``velocity``. Shape (2, S, J)."""
+
+    @property
+    def period(self) -> float:
+        """Between samples [s]."""
+        return self.substeps * float(self.model.opt.timestep)
+
+    @property
+    def commands(self) -> Callable[[float], Array]:
+        """``commands(delay)``: mean command over each physics step, ``delay`` late. Shape (S * substeps, J)."""
+        edges = self.time[0] + float(self.model.opt.timestep) * np.arange(len(self.time) * self.substeps + 1)
+        return lambda delay: held_command(self.recording.time, self.recording.command, edges - delay)
+
+
+def take_of(
+    recording: Recording, model: mujoco.MjModel, position_noise: Array, velocity_noise: Array | None = None
+) -> Take:
+    """Put a recording on the grid of the simulation.
+
+    A sampling period is a whole number of physics steps: of the model's time step, or of a slightly shorter one, or of
+    a much shorter one where the derivative gain would make it unstable.
+    """
+    address = JointAddress.of(model, recording.joint_names, recording.source)
+    period = 1.0 / recording.rate
+    step = float(model.opt.timestep)
+    if recording.kd is not None:
+        inertia = np.diag(inertia_matrix(model, address, recording.position[:1])[0])
+        step = min(step, float(np.min(0.3 * inertia / np.maximum(recording.kd, 1e-12))))
+    substeps = int(np.ceil(period / step - 1e-3))
+    step = period / substeps
+    driven = model.__copy__()
+    driven.opt.timestep = step
+    driven.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+
+    period = substeps * step
+    time = recording.time[0] + period * np.arange(int((recording.duration + 1e-9) / period) + 1)
+    measured = _interpolate(time, recording.time, recording.position)
+    longest = kernel_for([recording])
+    late = _stamp_jitter(recording.time)  # a reading is off by what the joint moved meanwhile
+    rough = np.gradient(gaussian_filter1d(measured, max(longest / period, 1.0), axis=0), period, axis=0)
+    position_noise = np.hypot(position_noise, late * np.abs(rough))
+    position, position_sigma = _local_fit(_cubics(measured, 0, period, longest, position_noise))
+    slopes = _cubics(measured, 1, period, longest, position_noise)
+    if recording.velocity is not None and velocity_noise is not None:
+        velocity_noise = np.hypot(velocity_noise, late * np.abs(np.gradient(rough, period, axis=0)))
+        slopes += _cubics(_interpolate(time, recording.time, recording.velocity), 0, period, longest, velocity_noise)
+    velocity, velocity_sigma = _local_fit(slopes)
+    noise = np.stack([position_sigma, velocity_sigma])
+    return Take(recording, driven, address, substeps, time, measured, position, velocity, noise)
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Where the windows of one take start. W windows of ``length`` samples."""
+
+    take: Take
+    start: NDArray[np.intp]
+    """Shape (W,)."""
+    length: int
+
+    @property
+    def index(self) -> NDArray[np.intp]:
+        """Samples that each window predicts, its start left out. Shape (W, length)."""
+        return self.start[:, None] + np.arange(1, self.length + 1)
+
+    @property
+    def measured(self) -> Array:
+        """Shape (W, length, J)."""
+        return self.take.measured[self.index]
+
+
+def windows_of(take: Take, seconds: float | None) -> Windows:
+    """Cut a take into windows, back to back; ``None`` is one window over the whole take."""
+    length = len(take.time) - 1 if seconds is None else max(1, round(seconds / take.period))
+    length = min(length, len(take.time) - 1)
+    return Windows(take, np.arange(0, len(take.time) - length, length), length)
+
+
+def simulate(windows: Windows, build: Build, values: Array, start: tuple[Array, Array] | None = None) -> Array:
+    """Predict the measured position in every window, for every parameter set.
+
+    Args:
+        windows: Of one take.
+        build: Puts parameters into a plant.
+        values: Parameter sets. Shape (K, P).
+        start: Positions and velocities to start from instead of the measured ones. Shapes (W, J).
+
+    Returns:
+        What the encoders would read. Shape (K, W, length, J). A simulation that diverges keeps its last finite values.
+    """
+    take, sets = windows.take, len(values)
+    cost = max(1, len(windows.start) * windows.length * take.substeps * len(take.address.dof))
+    per_chunk = max(1, CHUNK // cost)
+    parts = [_simulate(windows, build, values[k : k + per_chunk], start) for k in range(0, sets, per_chunk)]
+    return np.concatenate(parts) if parts else np.zeros((0, *windows.index.shape, len(take.address.dof)))
+
+
+def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array, Array] | None) -> Array:
+    take, sets, count = windows.take, len(values), len(windows.start)
+    rows, joints = sets * count, len(take.address.dof)
+    plant = Plant(take.model, take.address, rows)
+    build(plant, np.repeat(values, count, axis=0))
+    position, velocity = (take.position[windows.start], take.velocity[windows.start]) if start is None else start
+    physics = BatchPhysics(
+        take.model, rows, fields=tuple(plant.fields), joint_names=[str(n) for n in take.recording.joint_names]
+    )
+    for name, value in plant.fields.items():
+        physics.set_field(name, torch.from_numpy(value))
+    qpos = np.repeat(take.model.qpos0[None], rows, axis=0)
+    qpos[:, take.address.qpos] = np.tile(position, (sets, 1)) - plant.encoder_offset
+    qvel = np.zeros((rows, take.model.nv))
+    qvel[:, take.address.dof] = np.tile(velocity, (sets, 1))
+    physics.reset(qpos=qpos, qvel=qvel)
+
+    steps = windows.length * take.substeps
+    command = _delayed_commands(windows, plant, sets)  # (rows, steps, J)
+    if take.recording.position_target is None and plant.open_loop:
+        torque = _drive(command, plant, take)
+        out = physics.rollout(steps, torch.from_numpy(torque), into="torque", record=("qpos",))["qpos"].numpy()
+        out = out[:, take.substeps - 1 :: take.substeps][:, :, take.address.qpos]
+    else:
+        out = _closed_loop(physics, command, plant, windows, sets)
+    out = _hold_finite(out) + plant.encoder_offset[:, None]
+    return out.reshape(sets, count, windows.length, joints)
+
+
+def _closed_loop(physics: BatchPhysics, command: Array, plant: Plant, windows: Windows, sets: int) -> Array:
+    """Step by step, for torques that depend on the state."""
+    take = windows.take
+    r = take.recording
+    qpos, qvel = physics.qpos.numpy(), physics.qvel.numpy()
+    applied = physics.qfrc_applied.numpy()
+    at, dof = take.address.qpos, take.address.dof
+    keep = np.where(plant.lag > 1e-6, np.exp(-take.model.opt.timestep / np.maximum(plant.lag, 1e-6)), 0.0)
+    open_loop = command if r.position_target is None else None
+    state = _lag_state(windows, plant, sets) if open_loop is None and keep.any() else None
+    out = np.empty((len(qpos), windows.length, len(dof)))
+    for i in range(windows.length * take.substeps):
+        q, v = qpos[:, at], qvel[:, dof]
+        if open_loop is not None:
+            torque = open_loop[:, i]
+        else:
+            assert r.kp is not None
+            assert r.kd is not None
+            error = command[:, i] - (q + plant.encoder_offset)
+            torque = r.kp * plant.kp_scale * error - r.kd * plant.kd_scale * v
+            if state is not None:
+                state = torque + (state - torque) * keep
+                torque = state
+        torque = _drive(torque[:, None], plant, take)[:, 0]
+        for law in plant.laws:
+            torque = torque + law(q, v)
+        applied[:, dof] = torque
+        physics.step()
+        if (i + 1) % take.substeps == 0:
+            out[:, i // take.substeps] = qpos[:, at]
+    return out
+
+
+def _delayed_commands(windows: Windows, plant: Plant, sets: int) -> Array:
+    """Each row's command over each physics step of its window; torques have passed the lag. Shape (rows, steps, J)."""
+    take, count = windows.take, len(windows.start)
+    first = windows.start[:, None] * take.substeps + np.arange(windows.length * take.substeps)
+    delay, lag = plant.delay[::count], plant.lag[::count]  # one a set
+    torques = take.recording.position_target is None
+    out = np.empty((sets, count, first.shape[1], delay.shape[1]))
+    for value in np.unique(delay):
+        late = take.commands(float(value))
+        for k, joint in np.argwhere(delay == value):
+            command = late[:, joint]
+            if torques:  # along the whole take: a window starts with what the commands before it left in the lag
+                command = low_pass(command[:, None], float(lag[k, joint]), float(take.model.opt.timestep))[:, 0]
+            out[k][:, :, joint] = command[first]
+    return out.reshape(sets * count, first.shape[1], -1)
+
+
+def _lag_state(windows: Windows, plant: Plant, sets: int) -> Array:
+    """Torque behind the lag at each window's start, of the PD law along the measured motion before it.
+
+    Shape (rows, J).
+    """
+    take, count = windows.take, len(windows.start)
+    r = take.recording
+    assert r.kp is not None
+    assert r.kd is not None
+    q, v = ((x + np.vstack([x[1:], x[-1:]])) / 2 for x in (take.position, take.velocity))  # mean until the next sample
+    out = np.empty((sets, count, len(r.kp)))
+    for k in range(sets):
+        row = k * count
+        for j in range(len(r.kp)):
+            target = take.commands(float(plant.delay[row, j]))[:, j].reshape(len(q), -1).mean(1)
+            torque = r.kp[j] * plant.kp_scale[row, j] * (target - q[:, j]) - r.kd[j] * plant.kd_scale[row, j] * v[:, j]
+            keep = np.exp(-take.period / max(plant.lag[row, j], 1e-6))
+            state = lfilter([1 - keep], [1, -keep], torque, zi=[keep * torque[0]])[0]
+            out[k, :, j] = np.append(torque[0], state)[windows.start]
+    return out.reshape(sets * count, -1)
+
+
+def _drive(torque: Array, plant: Plant, take: Take) -> Array:
+    """Scale and offset of the torque, within the motor's range. Shape (rows, steps, J) in and out."""
+    low, high = torque_range(take.model, take.address)
+    return np.clip(torque * plant.torque_scale[:, None] + plant.torque_offset[:, None], low, high)
+
+
+def _hold_finite(out: Array) -> Array:
+    bad = ~np.isfinite(out) | (np.abs(out) > 1e4)
+    if bad.any():
+        for row in np.flatnonzero(bad.any((1, 2))):
+            first = int(np.argmax(bad[row].any(1)))
+            out[row, first:] = out[row, first - 1] if first else 0.0
+    return out
+
+
+def _cubics(values: Array, order: int, period: float, longest: float, noise: Array) -> list[tuple[Array, Array]]:
+    """Local cubic fits of growing width, and the standard deviation of each. A list of (S, J), (S, J).
+
+    ``noise`` has shape (J,) or (S, J).
+    """
+    flat = np.broadcast_to(noise, values.shape)
+    out = [(values, flat)] if order == 0 else []
+    half = 2
+    while half <= max(2.0, longest / period) and 2 * half + 1 <= len(values):
+        window = 2 * half + 1
+        gain = [
+            np.linalg.norm(savgol_coeffs(window, 3, deriv=order, delta=period, pos=at, use="dot"))
+            for at in range(half + 1)
+        ]
+        along = np.full(len(values), gain[-1])
+        along[: half + 1], along[-half - 1 :] = gain, gain[::-1]  # at the ends of the take the fit extrapolates
+        out.append((savgol_filter(values, window, 3, deriv=order, delta=period, axis=0), along[:, None] * noise))
+        half = int(np.ceil(1.4 * half))
+    return out
+
+
+def _local_fit(estimates: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """At each sample the quietest estimate that agrees with all noisier ones (Lepski 1991).
+
+    Wide in smooth motion, narrow at a kink.
+
+    Returns:
+        The estimate and its standard deviation. Shapes (S, J).
+    """
+    estimates = sorted(estimates, key=lambda e: -float(np.median(e[1])))
+    best, sigma = estimates[0]
+    agrees = np.ones(best.shape, dtype=bool)
+    for k, (value, deviation) in enumerate(estimates[1:], start=1):
+        for noisier, its_deviation in estimates[:k]:
+            agrees &= np.abs(value - noisier) <= 3.0 * its_deviation
+        better = agrees & (deviation < sigma)
+        best, sigma = np.where(better, value, best), np.where(better, deviation, sigma)
+    return best, sigma
+
+
+def _stamp_jitter(time: Array) -> float:
+    """Standard deviation of the stamps about an even clock [s], from the median, which gaps do not move."""
+    step = np.diff(time)
+    return float(1.4826 * np.median(np.abs(step - np.median(step))) / np.sqrt(2))
+
+
+def _interpolate(at: Array, time: Array, values: Array) -> Array:
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=-1)
+
+
+def window_rmse(windows: Sequence[Windows], predicted: Sequence[Array]) -> tuple[Array, Array]:
+    """Root mean square error of the position.
+
+    Args:
+        windows: One a take.
+        predicted: Shape (W, length, J) each.
+
+    Returns:
+        Over all windows [rad, m], shape (J,), and of each window, shape (sum of W, J).
+    """
+    square = np.concatenate([((p - w.measured) ** 2).mean(1) for w, p in zip(windows, predicted, strict=True)])
+    weight = np.concatenate([np.full(len(w.start), w.length, dtype=float) for w in windows])
+    return np.sqrt((square * weight[:, None]).sum(0) / weight.sum()), np.sqrt(square)

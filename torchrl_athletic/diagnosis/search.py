@@ -1,0 +1,301 @@
+"""Search over combinations of effects in the torque domain.
+
+A beam, then exchange and pruning, then the rivals of every term.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.diagnosis.screen import Atom, Bank, Fit
+
+Array = NDArray[np.float64]
+
+OPEN = 2.0
+"""Mean square of the normalised missing torque above which a joint misses something.
+
+Sensor noise alone gives about 1.
+"""
+BEAM = 4
+MOST_PER_JOINT = 4
+DECISIVE = 10.0
+"""Evidence (twice the log odds) that a term must bring: odds of 150 to 1."""
+MATERIAL = 0.10
+"""Share of what is still open on its joints that a term must close."""
+RICHER = 0.25
+"""Share of what is open that an effect must close beyond a simpler one that it contains."""
+INVARIANT = 0.4
+"""Relative scatter between stretches of the recordings up to which a term is the same physics everywhere."""
+FOLDS = 5
+STRETCHES = 6
+"""Parts that fewer than three takes are cut into to see whether a term holds everywhere."""
+KERNEL_CORRELATION = 2 * np.sqrt(np.pi)
+"""Correlation time of white noise behind the Gaussian test function, in widths."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A fitted combination with its evidence; lower is better."""
+
+    fit: Fit
+    evidence: float
+
+
+class Judge:
+    """Scores combinations of a bank: twice the negative log evidence, by the count of independent samples."""
+
+    def __init__(self, bank: Bank) -> None:
+        self.bank, self.floor = bank, noise_level(bank)
+        self.total = np.maximum(bank.count.sum(1), 1.0)
+        take = bank.takes[0]
+        rows = take.kernel / (take.fine_step * float(np.diff(take.keep[:2])[0]))
+        self.independent = np.maximum(self.total / (KERNEL_CORRELATION * rows), 2.0)
+
+    def mean_square(self, fit: Fit) -> Array:
+        """Of the normalised residual, per joint. Shape (J,)."""
+        return fit.residual.sum(1) / self.total
+
+    def score(self, atoms: Sequence[Atom], independent: Array | None = None) -> Scored:
+        """Fit a combination and weigh it."""
+        fit = self.bank.fit(atoms)
+        count = self.independent if independent is None else independent
+        level = np.maximum(self.mean_square(fit), self.floor)
+        penalty = np.log(max(count.sum(), 3.0)) * fit.freedom
+        return Scored(fit, float(count @ np.log(level)) + float(penalty) + sum(_doubt(a) for a in fit.terms))
+
+    def closes(self, before: Fit, after: Fit) -> float:
+        """Share of what was open that the step closes, on the joint where it does most."""
+        level = [np.maximum(self.mean_square(f), self.floor) for f in (before, after)]
+        was, left = (x - self.floor for x in level)
+        joint = int(np.argmax(level[0] / level[1]))
+        return float(1.0 - left[joint] / was[joint]) if was[joint] > 0 else 0.0
+
+
+def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: None) -> list[Scored]:
+    """The best combinations, best first. The empty one is among them only if nothing material was found."""
+    bank = judge.bank
+    beam, finished = [judge.score(())], []
+    most = MOST_PER_JOINT * bank.joints
+    for depth in range(most):
+        grown: dict[frozenset[tuple[str, str]], Scored] = {}
+        for parent in beam:
+            children = _extensions(judge, parent)
+            if not children:
+                finished.append(parent)
+            for child in children[: 2 * BEAM]:
+                key = keys(child.fit.terms)
+                if key not in grown or child.evidence < grown[key].evidence:
+                    grown[key] = child
+        progress((depth + 1) / most)
+        if not grown:
+            break
+        beam = [_refine(judge, s) for s in sorted(grown.values(), key=lambda s: s.evidence)[:BEAM]]
+    else:
+        finished.extend(beam)
+    polished = [_invariant(judge, _prune(judge, _simplify(judge, _exchange(judge, s)))) for s in finished]
+    unique = {keys(s.fit.terms): s for s in sorted(polished, key=lambda s: -s.evidence)}
+    return sorted(unique.values(), key=lambda s: s.evidence)
+
+
+def noise_level(bank: Bank) -> Array:
+    """Mean square of the normalised missing torque where nothing is missing: sensor noise, and what smoothing bends.
+
+    Shape (J,).
+    """
+    bias = np.concatenate([s.bias for s in bank.takes]) * bank.weight
+    return np.asarray(1.0 + (bias**2).sum(0) / np.maximum(bank.count.sum(1), 1.0), dtype=np.float64)
+
+
+def predictable_share(bank: Bank, joint: int) -> float:
+    """Share of the missing torque that motion and command predict on blocks that were not fitted, 0..1.
+
+    All columns of the catalogue together are a rich basis. Where even that predicts nothing, what looks open is noise
+    with a memory.
+    """
+    gram = bank.gram(joint)
+    count = len(gram)
+    if count < 2 * FOLDS:
+        return 1.0
+    left = total = 0.0
+    for fold in range(FOLDS):
+        aside = np.arange(count) % FOLDS == fold
+        g, h = gram[~aside].sum(0), gram[aside].sum(0)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(g)[:-1], 1e-300))
+        normal = g[:-1, :-1] * scale * scale[:, None] + 1e-4 * np.eye(len(scale))
+        x = np.append(-np.linalg.solve(normal, g[:-1, -1] * scale) * scale, 1.0)
+        left += float(x @ h @ x)
+        total += float(h[-1, -1])
+    return float(np.clip(1.0 - left / max(total, 1e-300), 0.0, 1.0))
+
+
+def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
+    """The combination with one term replaced by each other candidate, at its best grid point; best first.
+
+    Scored with the number of independent samples that the best combination's residual has.
+    """
+    independent = np.minimum(judge.bank.independent_samples(judge.bank.rows(best.fit)), judge.independent)
+    rest = [a for a in best.fit.terms if a is not term]
+    own = judge.score(best.fit.terms, independent)
+    out = {term.candidate.key: own}
+    for atom in _compatible(judge.bank, rest):
+        scored = judge.score([*rest, atom], independent)
+        key = atom.candidate.key
+        if _contains(atom, term) and judge.closes(best.fit, scored.fit) < RICHER:
+            continue  # the same statement with more numbers
+        if key != term.candidate.key and (key not in out or scored.evidence < out[key].evidence):
+            out[key] = scored
+    return sorted(out.values(), key=lambda s: s.evidence)
+
+
+def _extensions(judge: Judge, parent: Scored) -> list[Scored]:
+    is_open = judge.mean_square(parent.fit) > OPEN * judge.floor
+    if not is_open.any():
+        return []
+    best: dict[tuple[str, str], Scored] = {}
+    for atom in _compatible(judge.bank, parent.fit.terms):
+        if not is_open[atom.candidate.joint] and not _coupled(judge.bank, atom, is_open):
+            continue
+        scored = judge.score([*parent.fit.terms, atom])
+        key = atom.candidate.key
+        if key not in best or scored.evidence < best[key].evidence:
+            best[key] = scored
+    good = [
+        s
+        for s in best.values()
+        if parent.evidence - s.evidence > DECISIVE and judge.closes(parent.fit, s.fit) > MATERIAL
+    ]
+    return sorted(good, key=lambda s: s.evidence)
+
+
+def _refine(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
+    """Halve the grid around every nonlinear parameter.
+
+    What a coarse delay leaves would otherwise be given other names.
+    """
+    for place, term in enumerate(scored.fit.terms):
+        for name in term.fixed:
+            for _ in range(rounds):
+                here = scored.fit.terms[place]
+                grid = sorted({a.fixed[name] for a in judge.bank.atoms if a.candidate is here.candidate})
+                at = grid.index(here.fixed[name])
+                near = [grid[k] for k in (at - 1, at + 1) if 0 <= k < len(grid)]
+                for value in near:
+                    atom = judge.bank.add(here.candidate, {**here.fixed, name: (value + here.fixed[name]) / 2})
+                    if atom is not None:
+                        terms = [atom if k == place else t for k, t in enumerate(scored.fit.terms)]
+                        scored = min(scored, judge.score(terms), key=lambda s: s.evidence)
+    return scored
+
+
+def _exchange(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
+    """Replace single terms while the evidence gains.
+
+    The first term of a greedy search is often a stand-in for two others.
+    """
+    for _ in range(rounds):
+        better = scored
+        for term in scored.fit.terms:
+            rest = [a for a in scored.fit.terms if a is not term]
+            for atom in _compatible(judge.bank, rest):
+                trial = judge.score([*rest, atom])
+                if trial.evidence < better.evidence - 1.0:
+                    better = trial
+        if better is scored:
+            break
+        scored = better
+    return scored
+
+
+def _simplify(judge: Judge, scored: Scored) -> Scored:
+    """Give up an effect for a simpler one, unless it closes a material share more.
+
+    A superset always wins by a little.
+    """
+    for term in scored.fit.terms:
+        rest = [a for a in scored.fit.terms if a is not term]
+        simpler = [
+            judge.score([*rest, atom])
+            for atom in _compatible(judge.bank, rest)
+            if atom.candidate.joint == term.candidate.joint
+            and len(atom.candidate.parameters) < len(term.candidate.parameters)
+        ]
+        if simpler:
+            best = min(simpler, key=lambda s: s.evidence)
+            if judge.closes(best.fit, scored.fit) < RICHER:
+                scored = best
+    return scored
+
+
+def scatter(bank: Bank, fit: Fit, term: Atom) -> float:
+    """How much a term's strength differs between takes, relative to its mean, weighted by what it predicts there.
+
+    Physics has one value on all recordings; a stand-in for other physics needs another one on each (Peters, Bühlmann,
+    Meinshausen 2016, invariant prediction). The other terms keep their values.
+    """
+    predicted, left = bank.prediction(fit, term) * bank.weight, bank.rows(fit) * bank.weight
+    rows = len(predicted)
+    if len(bank.takes) >= 3:
+        part = np.repeat(np.arange(len(bank.takes)), [len(s.time) for s in bank.takes])
+    else:
+        part = np.arange(rows) * STRETCHES // rows
+    energy = np.bincount(part, (predicted**2).sum(1))
+    strength = np.bincount(part, (predicted * (left + predicted)).sum(1)) / np.maximum(energy, 1e-300)
+    mean = float(energy @ strength / max(energy.sum(), 1e-300))
+    spread = float(np.sqrt(energy @ (strength - mean) ** 2 / max(energy.sum(), 1e-300)))
+    return spread / max(abs(mean), 1e-12)
+
+
+def _invariant(judge: Judge, scored: Scored) -> Scored:
+    """Drop terms that do not hold everywhere, the worst first; the last one stays, as a stand-in of low probability."""
+    while len(scored.fit.terms) > 1:
+        scatters = [scatter(judge.bank, scored.fit, term) for term in scored.fit.terms]
+        worst = int(np.argmax(scatters))
+        if scatters[worst] <= INVARIANT:
+            break
+        scored = judge.score([t for k, t in enumerate(scored.fit.terms) if k != worst])
+    return scored
+
+
+def _prune(judge: Judge, scored: Scored) -> Scored:
+    """Drop terms that others have made superfluous."""
+    while scored.fit.terms:
+        trials = [judge.score([a for a in scored.fit.terms if a is not term]) for term in scored.fit.terms]
+        weakest = min(trials, key=lambda s: s.evidence)
+        if weakest.evidence - scored.evidence > DECISIVE and judge.closes(weakest.fit, scored.fit) > MATERIAL:
+            break
+        scored = weakest
+    return scored
+
+
+def _compatible(bank: Bank, terms: Iterable[Atom]) -> list[Atom]:
+    chosen = list(terms)
+    return [
+        a
+        for a in bank.atoms
+        if all(a.candidate.allows(b.candidate) for b in chosen)
+        and sum(b.candidate.joint == a.candidate.joint for b in chosen) < MOST_PER_JOINT
+    ]
+
+
+def _coupled(bank: Bank, atom: Atom, is_open: NDArray[np.bool_]) -> bool:
+    return any(bank.reaches(atom, int(j)) for j in np.flatnonzero(is_open))
+
+
+def _doubt(atom: Atom) -> float:
+    """Prior: a number that somebody wrote into the model is less likely wrong than one that nobody wrote is missing."""
+    return 2 * np.log(3.0) if atom.candidate.effect.name in ("link_mass", "link_com", "torque_scale") else 0.0
+
+
+def _contains(larger: Atom, smaller: Atom) -> bool:
+    """Whether one effect is the other with more parameters."""
+    a, b = larger.candidate, smaller.candidate
+    return a.joint == b.joint and b.effect.name in a.effect.excludes and len(a.parameters) > len(b.parameters)
+
+
+def keys(atoms: Iterable[Atom]) -> frozenset[tuple[str, str]]:
+    """Effects and joints of a combination."""
+    return frozenset(a.candidate.key for a in atoms)

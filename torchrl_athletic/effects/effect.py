@@ -1,0 +1,173 @@
+"""What the catalogue must know of an effect: its parameters, fingerprint, simulation, sentence and rivals."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.effects.plant import Plant
+from torchrl_athletic.effects.signals import JointAddress, Signals
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect, as it stands in the corrected model (not as a change to the given one)."""
+
+    name: str
+    unit: str
+    nominal: float
+    """Value at which the effect is absent, that is, the given model's."""
+    lower: float
+    """Physical bound."""
+    upper: float
+    """Physical bound."""
+    scale: float
+    """A change worth mentioning; the unit of the optimiser."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fingerprint:
+    """A prediction of the missing torque, linear in the changes of some parameters: y = sum of columns x changes.
+
+    ``fixed`` holds the values of the parameters that enter nonlinearly; the columns are for the others, in their order.
+    """
+
+    columns: Array
+    """Shape (N, J, K) for K linear parameters. With K = 0, ``constant`` is the whole prediction."""
+    fixed: Mapping[str, float]
+    constant: Array | None = None
+    """Part of the prediction that no coefficient scales. Shape (N, J)."""
+
+
+class Effect(ABC):
+    """One piece of physics that a model may lack. Subclass it to add your own; see ``docs/effects.md``.
+
+    ``joint`` is an index into the recording's joints.
+    """
+
+    name: ClassVar[str]
+    """Fixed: findings and files carry it."""
+    equation: ClassVar[str]
+    """In symbols, for the report."""
+    source: ClassVar[str]
+    """Citation."""
+    excludes: ClassVar[frozenset[str]] = frozenset()
+    """Effects that make no sense beside it on the same joint, since one contains the other."""
+    shows_in: ClassVar[str] = "speed"
+    """Feature along which it shows: 'speed', 'acceleration', 'position' or 'load'."""
+    experiments: ClassVar[Mapping[str, str]] = {}
+    """Rival -> the experiment that separates the two; ``{joint}`` is filled in."""
+
+    @abstractmethod
+    def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
+        """Parameters with units, bounds and the given model's values."""
+
+    @abstractmethod
+    def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
+        """Values to try for the parameters that enter nonlinearly.
+
+        ``[{}]`` if none does, ``[]`` if the joint cannot have the effect.
+        """
+
+    @abstractmethod
+    def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
+        """Prediction of the missing torque y = ID - command, with the nonlinear parameters ``fixed``.
+
+        The sign: y is the joint torque that the effect adds to the commanded one; friction predicts -Fc sign(v).
+        """
+
+    def change(self, parameter: Parameter, value: float) -> float:
+        """Coefficient of the fingerprint's column at a value of the parameter; zero at the nominal one."""
+        return value - parameter.nominal
+
+    def value(self, parameter: Parameter, change: float) -> float:
+        """Value of the parameter that a coefficient stands for: the inverse of :meth:`change`."""
+        return parameter.nominal + change
+
+    @abstractmethod
+    def apply(self, plant: Plant, joint: int, values: Array) -> None:
+        """Put the effect into a batch of simulations. ``values`` has shape (rows, P), in the parameters' order."""
+
+    @abstractmethod
+    def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
+        """The statement in words, with numbers and units."""
+
+    def applies(self, s: Signals) -> bool:
+        """Whether the recording could show the effect at all."""
+        return True
+
+    def experiment(self, rival: str, joint: str) -> str:
+        """The recording that would tell this effect from ``rival``."""
+        text = self.experiments.get(
+            rival,
+            "record {joint} alone with slow constant speeds both ways, a fast chirp, and a second payload, "
+            "and run the diagnosis on all three",
+        )
+        return text.format(joint=joint)
+
+
+def local(column: Array, s: Signals, joint: int) -> Array:
+    """Columns that touch one joint only: (N,) or (N, K) to (N, J, K)."""
+    column = column.reshape(len(column), -1)
+    out = np.zeros((len(column), s.num_joints, column.shape[1]))
+    out[:, joint] = column
+    return out
+
+
+def torque_unit(model: mujoco.MjModel, address: JointAddress, joint: int) -> str:
+    """``N·m`` for a hinge, ``N`` for a slide."""
+    return "N" if is_slide(model, address, joint) else "N·m"
+
+
+def is_slide(model: mujoco.MjModel, address: JointAddress, joint: int) -> bool:
+    """Whether the joint is a slide."""
+    return bool(model.jnt_type[address.joint[joint]] == mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def per_speed_unit(model: mujoco.MjModel, address: JointAddress, joint: int) -> str:
+    """Unit of a damping coefficient."""
+    return "N·s/m" if is_slide(model, address, joint) else "N·m·s/rad"
+
+
+def damping(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
+    """Linear damping of the given model [N·m·s/rad]."""
+    return float(np.ravel(model.dof_damping[address.dof[joint]])[0])
+
+
+def torque_bound(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
+    """A torque that no part of the joint exceeds [N·m].
+
+    The motor's limit, else a hundred times :func:`torque_scale`.
+    """
+    from torchrl_athletic.effects.signals import torque_range
+
+    limit = torque_range(model, address)[1][joint]
+    return float(limit) if np.isfinite(limit) and limit > 0 else 100.0 * torque_scale(model, address, joint)
+
+
+def torque_scale(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
+    """A torque typical of the joint, to scale the optimiser [N·m].
+
+    The motor's limit; else the torque of gravity, or of 1 rad/s² if that is more.
+    """
+    from torchrl_athletic.effects.signals import torque_range
+
+    limit = torque_range(model, address)[1][joint]
+    if np.isfinite(limit) and limit > 0:
+        return float(limit)
+    data, dof, gravity = mujoco.MjData(model), address.dof[joint], []
+    for _ in range(2):  # a quarter turn apart, since a link that hangs down feels no gravity
+        mujoco.mj_forward(model, data)
+        gravity.append(abs(data.qfrc_bias[dof]))
+        data.qpos[address.qpos[joint]] += np.pi / 2
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    return float(max(*gravity, full[dof, dof], 1e-6))

@@ -1,0 +1,5 @@
+"""Environments whose step is one step of the physics: torque in, state out, and the tasks built on that.
+
+The actuation chain between the policy and the motor is not here: it is made of ``transforms``, applied at the physics
+rate.
+"""

@@ -1,0 +1,48 @@
+"""What real robots logged: ``Recording``, readers and writers, quality control, excitation signals, public datasets.
+
+Everything that a file can get wrong is found here, with the file, the field, the row and the mend in the message.
+"""
+
+from torchrl_athletic.recordings.excitation import (
+    Excitation,
+    ExcitationError,
+    Safety,
+    amplitude_frequency_pairs,
+    chirp,
+    gaussian,
+    multisine,
+    sine,
+    square,
+)
+from torchrl_athletic.recordings.fetch import FetchError, fetch
+from torchrl_athletic.recordings.formats import Column, ColumnMap, read_recordings, write_recording
+from torchrl_athletic.recordings.noise import repeat_noise, sensor_noise
+from torchrl_athletic.recordings.quality import Quality, check_quality
+from torchrl_athletic.recordings.recording import Recording, RecordingError
+from torchrl_athletic.recordings.resampling import resample, split_at_gaps
+
+__all__ = [
+    "Column",
+    "ColumnMap",
+    "Excitation",
+    "ExcitationError",
+    "FetchError",
+    "Quality",
+    "Recording",
+    "RecordingError",
+    "Safety",
+    "amplitude_frequency_pairs",
+    "check_quality",
+    "chirp",
+    "fetch",
+    "gaussian",
+    "multisine",
+    "read_recordings",
+    "repeat_noise",
+    "resample",
+    "sensor_noise",
+    "sine",
+    "split_at_gaps",
+    "square",
+    "write_recording",
+]

@@ -1,0 +1,64 @@
+"""CSV, plain or gzipped: one row a sample, named columns."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.recordings.formats.foreign_library import decoding
+from torchrl_athletic.recordings.formats.take import Take, is_number
+from torchrl_athletic.recordings.recording import RecordingError
+
+
+def read_csv(path: Path) -> list[Take]:
+    """The one take of a CSV file with a header, separated by comma, semicolon or tab."""
+    with decoding(str(path), "a CSV text in UTF-8"):
+        raw = gzip.decompress(path.read_bytes()) if path.suffix.lower() == ".gz" else path.read_bytes()
+        text = raw.decode("utf-8-sig")
+    if not text.strip():
+        raise RecordingError(
+            f"{path}: is empty. Needed are a header with the names of the columns, and one line a sample."
+        )
+    if not text.endswith(("\n", "\r")):
+        raise RecordingError(
+            f"{path}: the last line has no end, so its last number may be cut off. Add a line end if the file is "
+            "complete."
+        )
+    lines = text.lstrip().splitlines()
+    header = lines[0].removeprefix("#")  # as numpy.savetxt writes it
+    separator = max(",;\t", key=header.count)
+    with decoding(str(path), "a CSV text"):
+        rows = [
+            (number, row) for number, row in enumerate(csv.reader([header, *lines[1:]], delimiter=separator), 1) if row
+        ]
+    names = [name.strip() for name in rows.pop(0)[1]]
+    if len(set(names)) < len(names) or "" in names:
+        raise RecordingError(f"{path}: the header is {', '.join(names)}; every column needs a name of its own.")
+    if all(is_number(name) for name in names):
+        raise RecordingError(
+            f"{path}: the first line holds numbers. Put a header with the names of the columns above it."
+        )
+    for number, row in rows:
+        if len(row) != len(names):
+            raise RecordingError(
+                f"{path}: line {number} has {len(row)} cells, but the header names {len(names)} columns. Complete the "
+                "line, or leave it out."
+            )
+    cells = np.array([row for _, row in rows], dtype=np.str_).reshape(len(rows), len(names))
+    return [Take(str(path), {name: _parsed(cells[:, i]) for i, name in enumerate(names)})]
+
+
+def _parsed(cells: NDArray[np.str_]) -> NDArray[Any]:
+    """Numbers where every cell is one; text stays text, which only hurts where numbers are needed."""
+    text = "".join(cells.tolist())
+    if "_" in text or not text.isascii():  # Python reads 1_0 and other alphabets' digits as numbers
+        return cells
+    try:
+        return cells.astype(np.float64)
+    except ValueError:
+        return cells

@@ -1,0 +1,42 @@
+"""Files that hold arrays in a tree (HDF5, MAT): one take at the root, or one in every group."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import NDArray
+
+from torchrl_athletic.recordings.formats.column_map import SIGNALS, ColumnMap
+from torchrl_athletic.recordings.formats.take import Take
+from torchrl_athletic.recordings.recording import RecordingError
+
+
+def takes_by_group(source: str, arrays: Mapping[str, NDArray[Any]], columns: ColumnMap) -> list[Take]:
+    """Split arrays named by their path (``run_1/time``) into one take for each group that holds the stamps.
+
+    In a file without stamps (``columns.rate``) the position marks a take. Arrays at the root, such as ``joint_names``,
+    belong to every take.
+
+    Raises:
+        RecordingError: If a group holds a signal but no stamps.
+    """
+    mark = columns.column("position" if columns.rate is not None else "time")
+    name = mark.name if mark is not None else ("position" if columns.rate is not None else "time")
+    groups = [path.removesuffix(f"/{name}") for path in arrays if path.endswith(f"/{name}")]
+    if name in arrays or not groups:
+        return [Take(source, arrays)]
+    shared = {path: array for path, array in arrays.items() if "/" not in path}
+    inside = {path for path in arrays if any(path.startswith(f"{group}/") for group in groups)}
+    for path in arrays:
+        if path not in inside and any(part in SIGNALS for part in path.split("/")[1:]):
+            raise RecordingError(
+                f"{source}: {path} is there, but its group has no {name}. Add the stamps, or remove the group."
+            )
+    return [
+        Take(
+            f"{source}: {group}",
+            shared | {path.removeprefix(f"{group}/"): arrays[path] for path in arrays if path.startswith(f"{group}/")},
+        )
+        for group in groups
+    ]

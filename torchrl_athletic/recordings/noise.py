@@ -1,0 +1,184 @@
+"""How much the sensors scatter: from one take, or better from repeats of the same take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.recordings.recording import Recording, RecordingError
+from torchrl_athletic.recordings.resampling import GAP_FACTOR
+
+_ORDER = 4
+_CONDITIONS = ("robot", "payload", "fixture", "excitation")
+_REPEAT_KEYS = ("repeat_id", "repeat")
+
+
+def sensor_noise(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    r"""Standard deviation of one reading of position and velocity, from one take.
+
+    Fourth differences remove any motion that is smooth over five samples and leave white noise,
+
+    .. math:: \sigma = 1.4826\,\mathrm{median}\,|\Delta^4 x| / \sqrt{70},
+
+    where the divided differences use the actual stamps, so that jitter of the clock does not pass for noise. The
+    estimate is never below the rounding error step / sqrt(12) of a quantised channel. Noise that is correlated over
+    several samples, as behind a filter in the drive, is underestimated: repeats tell (:func:`repeat_noise`).
+
+    Returns:
+        Noise of the position [rad, m for slides], shape (J,), and of the velocity [rad/s, m/s], shape (J,), or None
+        when the recording has no velocity.
+
+    Raises:
+        RecordingError: If there are fewer than 10 gap-free windows of five samples.
+
+    Example:
+        >>> import numpy as np
+        >>> time, noise = np.arange(2000) / 200, np.random.default_rng(0).normal(0, 1e-3, 2000)
+        >>> take = Recording(time, ("hinge",), (np.sin(time) + noise)[:, None], torque_command=np.zeros((2000, 1)))
+        >>> position_noise, velocity_noise = sensor_noise(take)
+        >>> bool(abs(position_noise[0] - 1e-3) < 1e-4), velocity_noise
+        (True, None)
+    """
+    weights, rows = _difference_weights(recording)
+
+    def channels(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.array([_channel_noise(weights, channel[rows], encoder_step(channel)) for channel in values.T])
+
+    return channels(recording.position), None if recording.velocity is None else channels(recording.velocity)
+
+
+def repeat_noise(recordings: Sequence[Recording]) -> NDArray[np.float64] | None:
+    """Scatter of the position between repeats of one take: sensors, friction that varies, everything not repeatable.
+
+    Repeats are takes that carry ``repeat_id`` (or ``repeat``) in their metadata, got the same command up to two samples
+    of jitter, and agree in joints, gains, robot, payload, fixture and excitation. Two takes give RMS difference /
+    sqrt(2), more takes the scatter about their mean.
+
+    Returns:
+        Standard deviation of one take [rad, m for slides]. Shape (J,). None when nothing was repeated.
+
+    Raises:
+        RecordingError: If repeats of different joints are mixed, since one number a joint could not be returned.
+    """
+    groups: list[list[Recording]] = []
+    for recording in recordings:
+        if any(key in recording.metadata for key in _REPEAT_KEYS):
+            home = next((group for group in groups if _is_repeat(group[0], recording)), None)
+            groups.append([recording]) if home is None else home.append(recording)
+    groups = [group for group in groups if len(group) > 1]
+    if not groups:
+        return None
+    if len({group[0].joint_names for group in groups}) > 1:
+        raise RecordingError(
+            f"{groups[0][0].source}: repeats of takes with different joints were given "
+            f"({sorted({group[0].joint_names for group in groups})}). Call repeat_noise once for each set of joints."
+        )
+    squares = np.zeros(groups[0][0].num_joints)
+    freedom = 0
+    for group in groups:
+        takes = _positions_on_common_stamps(group)
+        squares += ((takes - takes.mean(axis=0)) ** 2).sum(axis=(0, 1))
+        freedom += (len(takes) - 1) * takes.shape[1]
+    scatter: NDArray[np.float64] = np.sqrt(squares / freedom)
+    return scatter
+
+
+def encoder_step(values: NDArray[np.float64]) -> float | None:
+    """Resolution of a quantised channel: the greatest common spacing of its values [unit of the values].
+
+    Where a logger has interpolated between readings, the values that stay the same over three samples or more decide.
+
+    Args:
+        values: One channel. Shape (T,).
+
+    Returns:
+        The step, or None when the values are continuous, or constant.
+    """
+    step = _common_spacing(values, len(values) // 10)
+    if step is not None:
+        return step
+    same = np.diff(values) == 0
+    held = values[1:-1][same[1:] & same[:-1]]
+    return _common_spacing(held, len(held) // 3) if len(held) else None
+
+
+def _common_spacing(values: NDArray[np.float64], most_of_few: int) -> float | None:
+    distinct = np.unique(values)
+    spacing = np.diff(distinct)
+    # A handful of values is evidence of a coarse encoder only if each of them comes many times.
+    if len(spacing) == 0 or (len(spacing) < 20 and len(distinct) > most_of_few):
+        return None
+    for divisor in range(1, 13):  # the smallest spacing may be several steps of an encoder that jumps
+        step = spacing.min() / divisor
+        multiple = np.round(spacing / step)
+        if (np.abs(spacing / step - multiple) < 0.02).mean() > 0.98:
+            common = float(spacing.sum() / multiple.sum())
+            return common if common > np.abs(distinct).max() * 2.0**-23 else None  # float32 rounds that finely
+    return None
+
+
+def _difference_weights(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Weights of unit norm that cancel every cubic on the stamps of a window, and the windows' rows, (W, 5) both."""
+    step = np.diff(recording.time)
+    windows = max(len(step) - _ORDER + 1, 0)
+    rows = np.arange(windows)[:, None] + np.arange(_ORDER + 1)
+    gap = step > GAP_FACTOR * np.median(step)
+    rows = rows[~gap[rows[:, :-1]].any(axis=1)]
+    if len(rows) < 10:
+        raise RecordingError(
+            f"{recording.source}: {recording.num_samples} samples hold {len(rows)} windows of {_ORDER + 1} samples "
+            "without a gap; at least 10 are needed to tell noise from motion. Record for longer."
+        )
+    stamps = recording.time[rows]
+    stamps = (stamps - stamps.mean(axis=1, keepdims=True)) / np.median(step)
+    distance = stamps[:, :, None] - stamps[:, None, :] + np.eye(_ORDER + 1)
+    weights = 1.0 / distance.prod(axis=2)
+    return weights / np.linalg.norm(weights, axis=1, keepdims=True), rows
+
+
+def _channel_noise(weights: NDArray[np.float64], windows: NDArray[np.float64], step: float | None) -> float:
+    left = np.abs((weights * windows).sum(axis=1))
+    left[left < 1e-12 * np.abs(windows).max(initial=0.0)] = 0.0
+    sigma = 1.4826 * float(np.median(left))
+    if sigma == 0.0:  # mostly at rest behind a coarse encoder: the median sees none of the readings that do change
+        sigma = float(np.sqrt(np.mean(np.minimum(left, np.quantile(left, 0.99)) ** 2)))
+    return max(sigma, (step or 0.0) / np.sqrt(12.0))
+
+
+def _is_repeat(a: Recording, b: Recording) -> bool:
+    return (
+        a.joint_names == b.joint_names
+        and (a.position_target is None) == (b.position_target is None)
+        and abs(a.duration - b.duration) < 0.02 * a.duration
+        and all(_same(a, b, gain) for gain in ("kp", "kd"))
+        and all(a.metadata.get(key) == b.metadata.get(key) for key in _CONDITIONS)
+        and _same_command(a, b)
+    )
+
+
+def _same(a: Recording, b: Recording, name: str) -> bool:
+    left, right = getattr(a, name), getattr(b, name)
+    return (left is None and right is None) or (left is not None and right is not None and np.allclose(left, right))
+
+
+def _same_command(a: Recording, b: Recording) -> bool:
+    """Whether the commands agree up to two samples of jitter, since two takes are never stamped alike."""
+    held = np.searchsorted(b.time - b.time[0], a.time - a.time[0], side="right") - 1
+    near = b.command[np.clip(held[:, None] + np.arange(-2, 3), 0, b.num_samples - 1)]  # (T, 5, J)
+    slack = 1e-3 * np.ptp(a.command, axis=0)
+    inside = (a.command >= near.min(axis=1) - slack) & (a.command <= near.max(axis=1) + slack)
+    return bool((inside.mean(axis=0) > 0.99).all())
+
+
+def _positions_on_common_stamps(group: Sequence[Recording]) -> NDArray[np.float64]:
+    """Positions of all takes on the stamps of the first, as far as all of them last. Shape (R, T, J)."""
+    stamps = group[0].time - group[0].time[0]
+    stamps = stamps[stamps <= min(take.duration for take in group)]
+    return np.stack(
+        [
+            np.column_stack([np.interp(stamps, take.time - take.time[0], joint) for joint in take.position.T])
+            for take in group
+        ]
+    )

@@ -1,0 +1,1 @@
+"""Training in a corrected simulation: collection, advantages, updates, evaluation, checkpoints, logging."""
