@@ -66,7 +66,17 @@ def test_a_cut_off_file(kind, foreign_bytes, tmp_path_factory, fraction):
     path.write_bytes(raw[: int(fraction * len(raw))])
     if (recording := read_or_refuse(path)) is not None:
         assert_part_of_the_take(recording)
-        assert kind == "csv"  # at the end of a line; all others know how long they are
+        assert kind in ("csv", "mat")  # at the end of a line, of a variable; all others know how long they are
+
+
+def test_a_mat_file_cut_off_within_a_variable_is_refused(foreign_bytes, tmp_path):
+    """Even within its last bytes, which hold padding and metadata that scipy does without."""
+    raw, name = foreign_bytes["mat"]
+    path = tmp_path / name
+    for cut in range(len(raw) - 8, len(raw)):
+        path.write_bytes(raw[:cut])
+        with pytest.raises(RecordingError, match="cut off"):
+            read_recordings(path, COLUMNS)
 
 
 @pytest.mark.parametrize("kind", [".npz", ".parquet", ".mcap"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ def read_mat(path: Path, columns: ColumnMap) -> list[Take]:
             head = file.read(10)
         if head == b"MATLAB 7.3" or head.startswith(b"\x89HDF"):
             return read_hdf5(path, columns)
+        _refuse_cut_off(path)
         content = loadmat(path, simplify_cells=True)
         for name, _, kind in whosmat(path):
             if kind == "logical":  # which loadmat gives as whole numbers
@@ -40,6 +42,26 @@ def read_mat(path: Path, columns: ColumnMap) -> list[Take]:
             for name, array in _flat(key, value)
         }
     return takes_by_group(str(path), arrays, columns)
+
+
+def _refuse_cut_off(path: Path) -> None:
+    """Raise if a version 5 file ends within a variable, of which scipy may say nothing and leave it out.
+
+    One that ends between two variables cannot be told from a whole one: the format states no total length.
+    """
+    from scipy.io.matlab import matfile_version
+
+    if matfile_version(path)[0] != 1:
+        return
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        order = "<" if file.read(128)[126:] == b"IM" else ">"
+        while (start := file.tell()) < size:
+            tag = file.read(8)
+            end = start + 8 + struct.unpack(f"{order}I", tag[4:])[0] if len(tag) == 8 else size + 1
+            if end > size:
+                raise EOFError(f"the variable that starts at byte {start} is cut off at byte {size}")
+            file.seek(end)
 
 
 def _flat(name: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
