@@ -2,3 +2,9 @@
 
 A robot is data. What moves it lives in ``physics``, and what it is asked to do in ``envs``.
 """
+
+from torchrl_athletic.robots.b2z1 import b2z1
+from torchrl_athletic.robots.robot import Joint, Robot
+from torchrl_athletic.robots.z1 import z1
+
+__all__ = ["Joint", "Robot", "b2z1", "z1"]

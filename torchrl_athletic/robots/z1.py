@@ -1,0 +1,44 @@
+"""The Unitree Z1 arm bolted to a table."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import mujoco
+
+from torchrl_athletic.robots.arm import ARM_JOINTS, ARM_SENSORS, add_arm, add_motors
+from torchrl_athletic.robots.robot import Robot, assemble
+from torchrl_athletic.robots.scene import Cone, add_keyframe, empty_scene
+
+
+def z1(*, reinforced: bool = False, cone: Cone = "elliptic") -> Robot:
+    """The Z1 arm: 6 joints (group ``"arm"``) and a gripper that opens towards -1.57 rad (group ``"gripper"``).
+
+    It weighs 5.221 kg and reaches 0.74 m from the shoulder to the flange. Figures and their sources stand in
+    :mod:`torchrl_athletic.robots.arm`. The keyframe is called ``"default"``.
+
+    Args:
+        reinforced: Whether links 2 to 5 carry the paper's kind of reinforcement.
+        cone: Of friction, see :func:`~torchrl_athletic.robots.scene.empty_scene`.
+
+    Example:
+        >>> robot = z1()
+        >>> robot.model().nu, robot.joint_groups["arm"]
+        (7, (0, 1, 2, 3, 4, 5))
+    """
+    return assemble(
+        "z1",
+        ARM_JOINTS,
+        partial(_build, reinforced, cone),
+        ARM_SENSORS,
+        base=None,
+        keyframe="default",
+    )
+
+
+def _build(reinforced: bool, cone: Cone) -> mujoco.MjSpec:
+    spec = empty_scene("z1", cone)
+    add_arm(spec, spec.worldbody, (0.0, 0.0, 0.0), reinforced=reinforced)
+    add_motors(spec, ARM_JOINTS)
+    add_keyframe(spec, "default", [joint.default for joint in ARM_JOINTS])
+    return spec
