@@ -203,9 +203,7 @@ def add_arm(spec: mujoco.MjSpec, parent: mujoco.MjsBody, position: Vector, *, re
         position: Of the mounting plane's centre in the parent's frame [m].
         reinforced: Whether links 2 to 5 carry :data:`BRACES`.
     """
-    joints = dict(
-        zip(("link01", "link02", "link03", "link04", "link05", "link06", "gripperMover"), ARM_JOINTS, strict=True)
-    )
+    joints = dict(zip(list(LINKS)[1:], ARM_JOINTS, strict=True))
     body = parent
     for name, (offset, inertial) in LINKS.items():
         braces = BRACES.get(name, ()) if reinforced else ()
@@ -262,6 +260,7 @@ def add_box(
     rgba: tuple[float, ...] = _GREY,
     contype: int = 0,
     conaffinity: int = 0,
+    mass: float = 0.0,
 ) -> None:
     """A box by its edge lengths [m]; contacts only where asked for."""
     body.add_geom(
@@ -272,7 +271,7 @@ def add_box(
         rgba=rgba,
         contype=contype,
         conaffinity=conaffinity,
-        mass=0.0,
+        mass=mass,
     )
 
 
@@ -286,6 +285,7 @@ def add_round(
     cylinder: bool = False,
     rgba: tuple[float, ...] = _GREY,
     contype: int = 0,
+    mass: float = 0.0,
 ) -> None:
     """A capsule or a cylinder from point to point [m]; contacts only where asked for."""
     kind = mujoco.mjtGeom.mjGEOM_CYLINDER if cylinder else mujoco.mjtGeom.mjGEOM_CAPSULE
@@ -297,7 +297,7 @@ def add_round(
         rgba=rgba,
         contype=contype,
         conaffinity=0,
-        mass=0.0,
+        mass=mass,
     )
 
 

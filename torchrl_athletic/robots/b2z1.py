@@ -22,6 +22,8 @@ from torchrl_athletic.robots.arm import (
 from torchrl_athletic.robots.inertial import Inertial, set_inertial
 from torchrl_athletic.robots.robot import Joint, Robot, assemble
 from torchrl_athletic.robots.scene import Cone, add_keyframe, empty_scene
+from torchrl_athletic.robots.terrain import Terrain, add_terrain
+from torchrl_athletic.robots.tools import Tool, add_tool, tool_sensors
 
 LEGS = {"FR": (1, -1), "FL": (1, 1), "RR": (-1, -1), "RL": (-1, 1)}
 """Order of the legs as in the paper's reward tables, and on which side each is: front is +1, left is +1."""
@@ -56,7 +58,9 @@ _CALF = Inertial(  # with the foot
     (0.00792094717, 0.0, -0.180894536),
     (0.0141199207, 0.0142389355, 0.000342859274, 0.0, 0.000190511861, 0.0),
 )
+_PAYLOAD_SIZE, _PAYLOAD_CENTRE = (0.28, 0.24, 0.10), (-0.13, 0.0, 0.15)
 _GREY, _DARK, _RUBBER = (0.78, 0.79, 0.8, 1.0), (0.2, 0.21, 0.24, 1.0), (0.08, 0.08, 0.08, 1.0)
+_RED = (0.75, 0.22, 0.17, 1.0)
 
 
 def _leg_joints(leg: str) -> tuple[Joint, Joint, Joint]:
@@ -113,7 +117,14 @@ SENSORS: dict[str, tuple[str, ...]] = {
 }
 
 
-def b2z1(*, reinforced: bool = False, cone: Cone = "elliptic") -> Robot:
+def b2z1(
+    *,
+    reinforced: bool = False,
+    tool: Tool | None = None,
+    payload: float = 0.0,
+    terrain: Terrain | None = None,
+    cone: Cone = "elliptic",
+) -> Robot:
     """The B2 with a Z1: 12 leg joints in the order FR, FL, RR, RL (hip, thigh, calf each), 6 of the arm, the gripper.
 
     It weighs 60 + 6.8 kg. The keyframe ``"stand"`` has the feet touching the floor; under the default gains the base
@@ -121,7 +132,14 @@ def b2z1(*, reinforced: bool = False, cone: Cone = "elliptic") -> Robot:
 
     Args:
         reinforced: Whether links 2 to 5 of the arm carry the paper's kind of reinforcement.
+        tool: A :class:`~torchrl_athletic.robots.tools.Bucket` with a ball, or a
+            :class:`~torchrl_athletic.robots.tools.Dumbbell`, in the gripper.
+        payload: Of a box on the back, behind the arm, body ``payload`` [kg].
+        terrain: Uneven ground to stand on instead of the flat floor.
         cone: Of friction, see :func:`~torchrl_athletic.robots.scene.empty_scene`.
+
+    Raises:
+        ValueError: If the payload is negative, since MuJoCo would refuse it later with less to go by.
 
     Source:
         Lengths, ranges, torques, speeds: unitreerobotics/unitree_ros@d6f13aa, ``b2_description`` (BSD-3). Masses:
@@ -136,17 +154,20 @@ def b2z1(*, reinforced: bool = False, cone: Cone = "elliptic") -> Robot:
         >>> robot.joint_names[:3]
         ('FR_hip_joint', 'FR_thigh_joint', 'FR_calf_joint')
     """
+    if not 0 <= payload < np.inf:
+        raise ValueError(f"payload is {payload} kg. Give a positive mass, or 0 for none.")
     return assemble(
         "b2z1",
         (*LEG_JOINTS, *ARM_JOINTS),
-        partial(_build, reinforced, cone),
-        SENSORS,
+        partial(_build, reinforced, tool, payload, terrain, cone),
+        {**SENSORS, **tool_sensors(tool)},
         base="base",
         keyframe="stand",
+        ground=("floor",) if terrain is None else ("floor", "terrain"),
     )
 
 
-def _build(reinforced: bool, cone: Cone) -> mujoco.MjSpec:
+def _build(reinforced: bool, tool: Tool | None, payload: float, terrain: Terrain | None, cone: Cone) -> mujoco.MjSpec:
     spec = empty_scene("b2z1", cone)
     base = spec.worldbody.add_body(name="base", pos=[0, 0, STAND_HEIGHT])
     base.add_freejoint(name="root")
@@ -159,7 +180,16 @@ def _build(reinforced: bool, cone: Cone) -> mujoco.MjSpec:
     set_inertial(mount, Inertial(MOUNT_MASS, (0.0, 0.0, 0.005), (0.004, 0.004, 0.0078, 0.0, 0.0, 0.0)))
     joints = (*LEG_JOINTS, *ARM_JOINTS)
     add_motors(spec, joints)
-    add_keyframe(spec, "stand", [0, 0, STAND_HEIGHT, 1, 0, 0, 0, *(joint.default for joint in joints)])
+    height = STAND_HEIGHT
+    if payload:
+        box = base.add_body(name="payload", pos=_PAYLOAD_CENTRE)
+        add_box(box, "payload", (0, 0, 0), _PAYLOAD_SIZE, rgba=_RED, conaffinity=ARM_ON_TRUNK, mass=payload)
+    if terrain is not None:
+        add_terrain(spec, terrain)
+        height += terrain.roughness[1]  # clear of every bump
+    pose = [0, 0, height, 1, 0, 0, 0, *(joint.default for joint in joints)]
+    add_tool(spec, tool, pose)
+    add_keyframe(spec, "stand", pose)
     return spec
 
 

@@ -70,6 +70,6 @@ def empty_scene(name: str, cone: Cone) -> mujoco.MjSpec:
 
 
 def add_keyframe(spec: mujoco.MjSpec, name: str, qpos: Sequence[float]) -> None:
-    """A state at rest: the robot's positions; bodies after it stay where the model puts them."""
+    """A state at rest: the robot's positions, and the rest of the bodies where the model puts them."""
     rest = spec.compile().qpos0[len(qpos) :]
     spec.add_key(name=name, qpos=[*qpos, *rest])

@@ -9,9 +9,10 @@ import mujoco
 from torchrl_athletic.robots.arm import ARM_JOINTS, ARM_SENSORS, add_arm, add_motors
 from torchrl_athletic.robots.robot import Robot, assemble
 from torchrl_athletic.robots.scene import Cone, add_keyframe, empty_scene
+from torchrl_athletic.robots.tools import Tool, add_tool, tool_sensors
 
 
-def z1(*, reinforced: bool = False, cone: Cone = "elliptic") -> Robot:
+def z1(*, reinforced: bool = False, tool: Tool | None = None, cone: Cone = "elliptic") -> Robot:
     """The Z1 arm: 6 joints (group ``"arm"``) and a gripper that opens towards -1.57 rad (group ``"gripper"``).
 
     It weighs 5.221 kg and reaches 0.74 m from the shoulder to the flange. Figures and their sources stand in
@@ -19,6 +20,8 @@ def z1(*, reinforced: bool = False, cone: Cone = "elliptic") -> Robot:
 
     Args:
         reinforced: Whether links 2 to 5 carry the paper's kind of reinforcement.
+        tool: A :class:`~torchrl_athletic.robots.tools.Bucket` with a ball, or a
+            :class:`~torchrl_athletic.robots.tools.Dumbbell`, in the gripper.
         cone: Of friction, see :func:`~torchrl_athletic.robots.scene.empty_scene`.
 
     Example:
@@ -29,16 +32,18 @@ def z1(*, reinforced: bool = False, cone: Cone = "elliptic") -> Robot:
     return assemble(
         "z1",
         ARM_JOINTS,
-        partial(_build, reinforced, cone),
-        ARM_SENSORS,
+        partial(_build, reinforced, tool, cone),
+        {**ARM_SENSORS, **tool_sensors(tool)},
         base=None,
         keyframe="default",
     )
 
 
-def _build(reinforced: bool, cone: Cone) -> mujoco.MjSpec:
+def _build(reinforced: bool, tool: Tool | None, cone: Cone) -> mujoco.MjSpec:
     spec = empty_scene("z1", cone)
     add_arm(spec, spec.worldbody, (0.0, 0.0, 0.0), reinforced=reinforced)
     add_motors(spec, ARM_JOINTS)
-    add_keyframe(spec, "default", [joint.default for joint in ARM_JOINTS])
+    pose = [joint.default for joint in ARM_JOINTS]
+    add_tool(spec, tool, pose)
+    add_keyframe(spec, "default", pose)
     return spec
