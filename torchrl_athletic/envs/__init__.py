@@ -3,3 +3,7 @@
 The actuation chain between the policy and the motor is not here: it is made of ``transforms``, applied at the physics
 rate.
 """
+
+from torchrl_athletic.envs.torque_env import TorqueEnv, make_physics
+
+__all__ = ["TorqueEnv", "make_physics"]

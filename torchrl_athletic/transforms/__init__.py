@@ -3,3 +3,20 @@
 They know tensordicts, never MuJoCo, so that any TorchRL project can use them; the folder is linked at the root of the
 repository for that reason. What must survive a step is carried in the tensordict.
 """
+
+from torchrl_athletic.transforms.actuation import ActionDelay, PDControl, PowerClip, TorqueSpeedClip, UANCorrection
+from torchrl_athletic.transforms.decimation import Decimation
+from torchrl_athletic.transforms.observation_history import ObservationHistory
+from torchrl_athletic.transforms.stateful import RandomTransform, StatefulTransform
+
+__all__ = [
+    "ActionDelay",
+    "Decimation",
+    "ObservationHistory",
+    "PDControl",
+    "PowerClip",
+    "RandomTransform",
+    "StatefulTransform",
+    "TorqueSpeedClip",
+    "UANCorrection",
+]

@@ -1,0 +1,205 @@
+"""A robot that takes torques: one step of the environment is one step of the physics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import mujoco
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from torchrl_athletic.functional import rotations
+from torchrl_athletic.physics import BatchPhysics, Physics
+from torchrl_athletic.robots import Robot
+
+
+class TorqueEnv(EnvBase):
+    """N copies of a robot, driven by joint torques at the physics rate.
+
+    There is no task in it: the reward is 0, and an episode ends only where the simulation diverged or ``terminate``
+    says so. Actuators, observations and rewards are transforms around it.
+
+    Entries, float32 in SI units, J joints in the robot's order:
+
+    - ``torque`` (N, J), the action, unlimited: :class:`~torchrl_athletic.transforms.TorqueSpeedClip` limits it;
+    - ``joint_position``, ``joint_velocity``, ``applied_torque`` (N, J);
+    - with a floating base, ``base_position``, ``base_quaternion`` (wxyz), in the world; ``base_linear_velocity``,
+      ``base_angular_velocity``, ``projected_gravity``, in the base's axes;
+    - the robot's ``sensors``: ``end_effector_position`` and so on, ``foot_force``.
+
+    Observations describe the state after the step; forces are those that acted during it. ``next`` holds the true last
+    observation of an episode. A step whose tensordict holds ``_substep`` shows joints only, and ``_step`` is a mask of
+    the rows that it advances (:class:`~torchrl_athletic.transforms.Decimation` uses both).
+
+    A reset puts the robot at its keyframe, or at ``reset_qpos`` (N, nq) and ``reset_qvel`` (N, nv) where the tensordict
+    given to this environment's reset holds them, as transforms do that choose where an episode starts.
+
+    Args:
+        robot: What to simulate.
+        physics: Simulations of its model. None makes them: threads on the CPU, a GPU's on CUDA.
+        num_envs: N, where ``physics`` is None.
+        device: Where ``physics`` is None.
+        seed: Accepted for TorchRL's sake; nothing here is random.
+        terminate: From what a step shows to whether the episode has failed, bool of shape (N, 1).
+        fields: Of the model, to differ between environments, where ``physics`` is None.
+
+    Raises:
+        ValueError: If the physics drives other joints than the robot's.
+
+    Example:
+        >>> from torchrl_athletic.robots import z1
+        >>> env = TorqueEnv(z1(), num_envs=3)
+        >>> env.rollout(5)["joint_position"].shape
+        torch.Size([3, 5, 7])
+    """
+
+    supports_partial_step = True
+
+    def __init__(
+        self,
+        robot: Robot,
+        physics: Physics | None = None,
+        *,
+        num_envs: int = 1,
+        device: torch.device | str = "cpu",
+        seed: int = 0,
+        terminate: Callable[[TensorDictBase], Tensor] | None = None,
+        fields: Sequence[str] = (),
+    ) -> None:
+        if physics is None:
+            physics = make_physics(robot, num_envs, device, fields)
+        if physics.joint_names != robot.joint_names:
+            raise ValueError(
+                f"the physics drives {physics.joint_names}, the robot has {robot.joint_names}: torques would reach the "
+                "wrong joints. Give the physics joint_names=robot.joint_names."
+            )
+        super().__init__(device=physics.device, batch_size=[physics.num_envs])
+        self.robot, self.physics, self.terminate = robot, physics, terminate
+        model = physics.model
+        self._base_qpos, self._base_dof = _free_joint(model, robot.base)
+        self._sensors = {key: _columns(model, names) for key, names in robot.sensors.items()}
+        self._keyframe = model.key(robot.keyframe).id
+        self._make_specs()
+        self.set_seed(seed)
+
+    @property
+    def joint_groups(self) -> dict[str, tuple[int, ...]]:
+        """Numbers of the joints by the name of their group."""
+        return dict(self.robot.joint_groups)
+
+    def _make_specs(self) -> None:
+        n, device = self.physics.num_envs, self.device
+        limit = torch.tensor(self.robot.torque_limit, dtype=torch.float32, device=device).expand(n, -1)
+        self.action_spec = Composite(
+            torque=Bounded(-limit, limit, dtype=torch.float32, device=device), shape=[n], device=device
+        )
+        self.physics.forward()
+        shown = self._observe(torch.zeros_like(limit))
+        self.observation_spec = Composite(
+            {key: Unbounded(shape=value.shape, dtype=value.dtype, device=device) for key, value in shown.items()},
+            shape=[n],
+            device=device,
+        )
+        self.reward_spec = Unbounded(shape=(n, 1), device=device)
+        flag = Binary(shape=(n, 1), dtype=torch.bool, device=device)
+        self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=[n], device=device)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
+        starts = qpos = qvel = None
+        if tensordict is not None:
+            starts = tensordict.get("_reset", None)
+            starts = None if starts is None else starts.reshape(self.batch_size)
+            qpos, qvel = tensordict.get("reset_qpos", None), tensordict.get("reset_qvel", None)
+        self.physics.reset(starts, self._keyframe, qpos, qvel)
+        flag = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
+        shown = self._observe(torch.zeros_like(self._joints(self.physics.joint_position)))
+        return self._tensordict(shown, done=flag, terminated=flag.clone(), truncated=flag.clone())
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        torque = tensordict.get("torque")
+        only_joints = "_substep" in tensordict.keys()
+        self.physics.apply_torque(torque)
+        self.physics.step(refresh=not only_joints and bool(self._sensors))
+        shown = self._show_joints() if only_joints else self._observe(torque)
+        failed = self.physics.diverged.unsqueeze(-1)
+        if self.terminate is not None and not only_joints:
+            failed = failed | self.terminate(self._tensordict(shown))
+        reward = torch.zeros(*self.batch_size, 1, device=self.device)
+        truncated = torch.zeros_like(failed)
+        return self._tensordict(shown, reward=reward, done=failed, terminated=failed.clone(), truncated=truncated)
+
+    def _set_seed(self, seed: int | None) -> None:
+        """Nothing here is random."""
+
+    def _show_joints(self) -> dict[str, Tensor]:
+        return {
+            "joint_position": self._joints(self.physics.joint_position),
+            "joint_velocity": self._joints(self.physics.joint_velocity),
+        }
+
+    def _observe(self, torque: Tensor) -> dict[str, Tensor]:
+        shown = self._show_joints() | {"applied_torque": torque.float()}
+        if self._base_qpos is not None:
+            shown |= self._show_base()
+        if self._sensors:
+            readings = self._joints(self.physics.data("sensordata"))
+            for key, (columns, shape) in self._sensors.items():
+                shown[key] = readings[:, columns].unflatten(-1, shape)
+        return shown
+
+    def _show_base(self) -> dict[str, Tensor]:
+        """MuJoCo's free joint: position and attitude in the world, linear velocity there too, angular in the body."""
+        pose = self._joints(self.physics.qpos[:, self._base_qpos])
+        velocity = self._joints(self.physics.qvel[:, self._base_dof])
+        attitude = pose[:, 3:]
+        return {
+            "base_position": pose[:, :3],
+            "base_quaternion": attitude,
+            "base_linear_velocity": rotations.rotate_inverse(attitude, velocity[:, :3]),
+            "base_angular_velocity": velocity[:, 3:],
+            "projected_gravity": rotations.projected_gravity(attitude),
+        }
+
+    @staticmethod
+    def _joints(live: Tensor) -> Tensor:
+        """A copy, since the physics writes its tensors anew."""
+        return live.to(torch.float32, copy=True)
+
+    def _tensordict(self, shown: dict[str, Tensor], **others: Tensor) -> TensorDict:
+        return TensorDict({**shown, **others}, batch_size=self.batch_size, device=self.device)
+
+
+def make_physics(robot: Robot, num_envs: int, device: torch.device | str, fields: Sequence[str] = ()) -> Physics:
+    """Simulations of a robot: on the threads of the CPU, or on a GPU."""
+    device = torch.device(device)
+    if device.type == "cpu":
+        return BatchPhysics(robot.model(), num_envs, fields=fields, joint_names=robot.joint_names)
+    from torchrl_athletic.physics import WarpPhysics
+
+    return WarpPhysics(robot.model(), num_envs, device=device, fields=fields, joint_names=robot.joint_names)
+
+
+def _free_joint(model: mujoco.MjModel, base: str | None) -> tuple[slice | None, slice | None]:
+    """Columns of the base's pose in ``qpos`` and of its velocity in ``qvel``."""
+    if base is None:
+        return None, None
+    joint = int(model.body(base).jntadr[0])
+    if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+        raise ValueError(f"body {base!r} has no free joint, so it is no floating base. Set the robot's base to None.")
+    position, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    return slice(position, position + 7), slice(dof, dof + 6)
+
+
+def _columns(model: mujoco.MjModel, names: Sequence[str]) -> tuple[slice | list[int], tuple[int, ...]]:
+    """Where the sensors' readings are, and the shape they take: (S,) for scalars, (D,) for one, (S, D) for several."""
+    columns: list[int] = []
+    for name in names:
+        sensor = model.sensor(name)
+        columns += range(int(sensor.adr[0]), int(sensor.adr[0] + sensor.dim[0]))
+    width = len(columns) // len(names)
+    shape = (len(columns),) if width == 1 or len(names) == 1 else (len(names), width)
+    one_block = columns == list(range(columns[0], columns[-1] + 1))
+    return slice(columns[0], columns[-1] + 1) if one_block else columns, shape

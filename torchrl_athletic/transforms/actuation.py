@@ -1,0 +1,395 @@
+"""The chain between the policy and the motor, as transforms on the action's way in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from tensordict import NestedKey, TensorDictBase, unravel_key
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs import Transform
+
+from torchrl_athletic.functional import actuation, history, streams
+from torchrl_athletic.transforms.stateful import Joints, RandomTransform, StatefulTransform, joint_index, unbounded_like
+
+PerJoint = Tensor | Sequence[float] | float
+"""One value for every joint, or one for all."""
+
+
+class _Torque(Transform):
+    """Changes the torque on its way to the motor."""
+
+    def __init__(self, torque_key: NestedKey, action_key: NestedKey | None = None) -> None:
+        super().__init__(in_keys=[], out_keys=[], in_keys_inv=[torque_key], out_keys_inv=[action_key or torque_key])
+        self.torque_key = torque_key
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Leaves data as it is: the transform acts on the way in, as :meth:`inv` does."""
+        return tensordict
+
+
+class PDControl(_Torque):
+    """The action is a position target; a PD law makes a torque of it (:func:`~.functional.actuation.pd_torque`).
+
+    Also notes the target under ``position_target``, for what corrects the torque further in.
+
+    Args:
+        kp: Stiffness [N·m/rad]. Shape (J,) or ().
+        kd: Damping [N·m·s/rad]. Shape (J,) or ().
+        torque_key: What the environment takes [N·m]. Shape (*B, J).
+        action_key: What the policy gives instead [rad]. Shape (*B, J).
+        position_key: As the encoders read it [rad].
+        velocity_key: [rad/s].
+        target_key: Where to note the target.
+        scale_keys: Entries that multiply ``kp`` and ``kd`` where the tensordict has them, shape (*B, J) or (*B, 1):
+            :class:`~.DomainRandomization` writes them.
+
+    Example:
+        >>> from torchrl_athletic.envs import TorqueEnv
+        >>> from torchrl_athletic.robots import z1
+        >>> from torchrl.envs import TransformedEnv
+        >>> robot = z1()
+        >>> env = TransformedEnv(TorqueEnv(robot, num_envs=2), PDControl(robot.kp, robot.kd))
+        >>> env.action_key
+        'action'
+    """
+
+    kp: Tensor
+    kd: Tensor
+
+    def __init__(
+        self,
+        kp: PerJoint,
+        kd: PerJoint,
+        *,
+        torque_key: NestedKey = "torque",
+        action_key: NestedKey = "action",
+        position_key: NestedKey = "joint_position",
+        velocity_key: NestedKey = "joint_velocity",
+        target_key: NestedKey = "position_target",
+        scale_keys: tuple[NestedKey, NestedKey] = ("kp_scale", "kd_scale"),
+    ) -> None:
+        super().__init__(torque_key, action_key)
+        self.register_buffer("kp", _per_joint(kp))
+        self.register_buffer("kd", _per_joint(kd))
+        self.action_key, self.target_key, self.scale_keys = action_key, target_key, scale_keys
+        self.position_key, self.velocity_key = position_key, velocity_key
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        target = tensordict.get(self.action_key)
+        kp, kd = (_scaled(gain, tensordict, key) for gain, key in zip((self.kp, self.kd), self.scale_keys, strict=True))
+        position, velocity = tensordict.get(self.position_key), tensordict.get(self.velocity_key)
+        tensordict.set(self.torque_key, actuation.pd_torque(target, position, velocity, kp, kd))
+        tensordict.set(self.target_key, target)
+        return tensordict
+
+    def transform_input_spec(self, input_spec: Composite) -> Composite:
+        action = input_spec["full_action_spec"]
+        torque = action[self.torque_key]
+        if unravel_key(self.torque_key) != unravel_key(self.action_key):
+            del action[self.torque_key]
+        action[self.action_key] = unbounded_like(torque, torque.shape)
+        return input_spec
+
+
+class TorqueSpeedClip(_Torque):
+    """A motor's torque falls with its speed (:func:`~.functional.actuation.clip_torque_speed`).
+
+    Args:
+        torque_limit: At standstill [N·m]. Shape (J,) or ().
+        velocity_limit: Without load [rad/s]. Shape (J,) or ().
+        torque_key: What is clipped [N·m]. Shape (*B, J).
+        velocity_key: [rad/s]. Shape (*B, J).
+        scale_key: Entry that multiplies ``torque_limit`` where the tensordict has it. Shape (*B, J) or (*B, 1).
+
+    Source:
+        Fey et al. 2025, section II-B, first constraint.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> clip = TorqueSpeedClip(torque_limit=[30.0], velocity_limit=[10.0])
+        >>> clip.inv(TensorDict(torque=[[50.0]], joint_velocity=[[5.0]], batch_size=[1]))["torque"]
+        tensor([[15.]])
+    """
+
+    torque_limit: Tensor
+    velocity_limit: Tensor
+
+    def __init__(
+        self,
+        torque_limit: PerJoint,
+        velocity_limit: PerJoint,
+        *,
+        torque_key: NestedKey = "torque",
+        velocity_key: NestedKey = "joint_velocity",
+        scale_key: NestedKey = "torque_limit_scale",
+    ) -> None:
+        super().__init__(torque_key)
+        self.register_buffer("torque_limit", _per_joint(torque_limit))
+        self.register_buffer("velocity_limit", _per_joint(velocity_limit))
+        for name in ("torque_limit", "velocity_limit"):
+            if not (getattr(self, name) > 0).all():
+                raise ValueError(
+                    f"{name} {getattr(self, name).tolist()} must be greater than zero for every joint: a motor without "
+                    "torque or speed would never move. Leave joints without a limit out, or give them a large one."
+                )
+        self.velocity_key, self.scale_key = velocity_key, scale_key
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        limit = _scaled(self.torque_limit, tensordict, self.scale_key)
+        torque, velocity = tensordict.get(self.torque_key), tensordict.get(self.velocity_key)
+        tensordict.set(self.torque_key, actuation.clip_torque_speed(torque, velocity, limit, self.velocity_limit))
+        return tensordict
+
+
+class PowerClip(_Torque):
+    """Scale the torques of a group of joints so that its power stays in bounds.
+
+    See :func:`~.functional.actuation.power_scale`.
+
+    Args:
+        max_power: Of the group, in magnitude [W].
+        joints: The group.
+        torque_key: What is scaled [N·m]. Shape (*B, J).
+        velocity_key: [rad/s]. Shape (*B, J).
+
+    Source:
+        Fey et al. 2025, section II-B, second constraint.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> clip = PowerClip(max_power=20.0, joints=[1])
+        >>> clip.inv(TensorDict(torque=[[50.0, 8.0]], joint_velocity=[[5.0, 5.0]], batch_size=[1]))["torque"]
+        tensor([[50.,  4.]])
+    """
+
+    def __init__(
+        self,
+        max_power: float,
+        joints: Joints = None,
+        *,
+        torque_key: NestedKey = "torque",
+        velocity_key: NestedKey = "joint_velocity",
+    ) -> None:
+        super().__init__(torque_key)
+        if not max_power > 0:
+            raise ValueError(f"max_power is {max_power} W, needed is more than zero: the joints could not move.")
+        self.max_power, self.joints, self.velocity_key = max_power, joints, velocity_key
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        columns = joint_index(self, self.joints)
+        torque, velocity = tensordict.get(self.torque_key), tensordict.get(self.velocity_key)
+        scale = actuation.power_scale(torque[..., columns], velocity[..., columns], self.max_power)
+        if columns == slice(None):
+            return tensordict.set(self.torque_key, torque * scale)
+        torque = torque.clone()
+        torque[..., columns] *= scale
+        return tensordict.set(self.torque_key, torque)
+
+
+class UANCorrection(StatefulTransform):
+    r"""Add the torque that an Unsupervised Actuator Net thinks the simulation lacks.
+
+    The net sees, for each joint alone, the position errors :math:`q^* - q` and the velocity errors :math:`-\dot q` of
+    the last steps, oldest first, and gives a torque. One net serves all joints of the group. Place it further in than
+    :class:`PDControl`, which notes the target, and within :class:`~.Decimation`: it runs at the physics rate.
+
+    Args:
+        net: Maps (*B, J, 2 * length) to (*B, J, 1) [N·m], position errors before velocity errors. Not trained here:
+            it runs without gradients unless ``differentiable``.
+        joints: Which it corrects.
+        length: Steps that it sees, the newest included.
+        scale: Unit of its output [N·m].
+        differentiable: Whether gradients shall flow through the net.
+        torque_key: What is corrected [N·m]. Shape (*B, J).
+        target_key: [rad]. Shape (*B, J).
+        position_key: [rad].
+        velocity_key: [rad/s].
+        correction_key: Where to note the correction [N·m]. Shape (*B, J of the group).
+        history_key: Where the errors are remembered. Shape (*B, J of the group, 2, length).
+        reset_key: As of :class:`StatefulTransform`.
+
+    Source:
+        Fey et al. 2025, section II-A.
+
+    Example:
+        >>> from torchrl_athletic.envs import TorqueEnv
+        >>> from torchrl_athletic.robots import z1
+        >>> from torchrl.envs import Compose, TransformedEnv
+        >>> robot, net = z1(), nn.Linear(40, 1)
+        >>> chain = Compose(UANCorrection(net, joints="arm"), PDControl(robot.kp, robot.kd))
+        >>> env = TransformedEnv(TorqueEnv(robot, num_envs=2), chain)
+        >>> env.rollout(3)["torque_correction"].shape
+        torch.Size([2, 3, 6])
+    """
+
+    def __init__(
+        self,
+        net: nn.Module | TensorDictModuleBase,
+        joints: Joints = None,
+        *,
+        length: int = 20,
+        scale: float = 1.0,
+        differentiable: bool = False,
+        torque_key: NestedKey = "torque",
+        target_key: NestedKey = "position_target",
+        position_key: NestedKey = "joint_position",
+        velocity_key: NestedKey = "joint_velocity",
+        correction_key: NestedKey = "torque_correction",
+        history_key: NestedKey = "error_history",
+        reset_key: NestedKey | None = None,
+    ) -> None:
+        super().__init__(
+            in_keys=[],
+            out_keys=[correction_key, history_key],
+            in_keys_inv=[torque_key],
+            out_keys_inv=[torque_key],
+            reset_key=reset_key,
+        )
+        self.net, self.joints, self.length, self.scale, self.differentiable = net, joints, length, scale, differentiable
+        self.torque_key, self.target_key, self.position_key = torque_key, target_key, position_key
+        self.velocity_key, self.correction_key, self.history_key = velocity_key, correction_key, history_key
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        columns = joint_index(self, self.joints)
+        position, velocity = tensordict.get(self.position_key), tensordict.get(self.velocity_key)
+        target = tensordict.get(self.target_key, None)
+        if target is None:
+            raise KeyError(
+                f"UANCorrection found no {self.target_key!r}: the errors that the net sees are undefined. Put "
+                "PDControl after it in Compose, so that the action passes it first."
+            )
+        error = torch.stack((target[..., columns] - position[..., columns], -velocity[..., columns]), -1)
+        errors = history.push(tensordict.get(self.history_key), error, dim=-1)
+        with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
+            correction = self.scale * self.net(errors.flatten(-2)).squeeze(-1)
+        torque = tensordict.get(self.torque_key)
+        if columns == slice(None):
+            torque = torque + correction
+        else:
+            torque = torque.clone()
+            torque[..., columns] += correction
+        tensordict.set(self.torque_key, torque)
+        tensordict.set(self.correction_key, correction)
+        return tensordict.set(self.history_key, errors)
+
+    def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
+        position = tensordict_reset.get(self.position_key)[..., joint_index(self, self.joints)]
+        return {  # as if the joint had rested at its target
+            self.correction_key: torch.zeros_like(position),
+            self.history_key: position.new_zeros(*position.shape, 2, self.length),
+        }
+
+    def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
+        for key in (self.correction_key, self.history_key):
+            next_tensordict.set(key, tensordict.get(key))
+
+    def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
+        position = observation_spec[self.position_key]
+        shape = position.zero()[..., joint_index(self, self.joints)].shape
+        return {
+            self.correction_key: unbounded_like(position, shape),
+            self.history_key: unbounded_like(position, (*shape, 2, self.length)),
+        }
+
+
+class ActionDelay(RandomTransform):
+    """The action arrives late, by a number of steps that is drawn when an episode starts.
+
+    Within :class:`~.Decimation` a step is a physics step. Until the first action of an episode can have arrived, what
+    acts is ``before``.
+
+    Args:
+        max_steps: Greatest delay; 0 to ``max_steps`` are equally likely.
+        min_steps: Least delay.
+        before: What was commanded before the episode, shape (D,); None holds the first action from the start.
+        action_key: What is delayed. Shape (*B, D).
+        delay_key: Where the delay is noted [steps]. int64, shape (*B, 1).
+        queue_key: Where actions on their way are kept. Shape (*B, max_steps + 1, D).
+        seed: Of the draws.
+        first_row: As of :class:`RandomTransform`.
+        reset_key: As of :class:`StatefulTransform`.
+
+    Source:
+        Fey et al. 2025, table II: policy lag of 0 to 6 steps of 5 ms.
+
+    Example:
+        >>> from torchrl.envs import GymEnv, TransformedEnv
+        >>> env = TransformedEnv(GymEnv("Pendulum-v1"), ActionDelay(max_steps=2, before=[0.0]))
+        >>> env.rollout(3)["action_queue"].shape
+        torch.Size([3, 3, 1])
+    """
+
+    before: Tensor | None
+
+    def __init__(
+        self,
+        max_steps: int = 6,
+        min_steps: int = 0,
+        *,
+        before: PerJoint | None = None,
+        action_key: NestedKey = "action",
+        delay_key: NestedKey = "action_delay",
+        queue_key: NestedKey = "action_queue",
+        seed: int = 0,
+        first_row: int = 0,
+        reset_key: NestedKey | None = None,
+    ) -> None:
+        if not 0 <= min_steps <= max_steps:
+            raise ValueError(f"a delay of {min_steps} to {max_steps} steps is none: give 0 <= min_steps <= max_steps.")
+        self.age_key = (*queue_key[:-1], f"{queue_key[-1]}_age") if isinstance(queue_key, tuple) else f"{queue_key}_age"
+        super().__init__(
+            in_keys=[],
+            out_keys=[delay_key, queue_key, self.age_key],
+            in_keys_inv=[action_key],
+            out_keys_inv=[action_key],
+            seed=seed,
+            first_row=first_row,
+            reset_key=reset_key,
+        )
+        self.min_steps, self.max_steps = min_steps, max_steps
+        self.action_key, self.delay_key, self.queue_key = action_key, delay_key, queue_key
+        self.register_buffer("before", None if before is None else _per_joint(before))
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        queue = history.push(tensordict.get(self.queue_key), tensordict.get(self.action_key))
+        steps, age = tensordict.get(self.delay_key), tensordict.get(self.age_key)
+        if self.before is None:
+            steps = torch.minimum(steps, age)
+        tensordict.set(self.action_key, history.look_back(queue, steps))
+        tensordict.set(self.age_key, torch.clamp(age + 1, max=self.max_steps))
+        return tensordict.set(self.queue_key, queue)
+
+    def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
+        action = self._action_spec()
+        before = action.zero() if self.before is None else self.before.to(action.dtype).expand(action.shape)
+        steps = self.min_steps + streams.integers(key, 1, self.max_steps - self.min_steps + 1)
+        return {
+            self.delay_key: steps,
+            self.queue_key: history.tile(before, self.max_steps + 1).to(key.device),
+            self.age_key: torch.zeros_like(steps),
+        }
+
+    def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
+        for key in self.out_keys:
+            next_tensordict.set(key, tensordict.get(key))
+
+    def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
+        action = self._action_spec()
+        steps = Unbounded(shape=(*action.shape[:-1], 1), dtype=torch.int64, device=action.device)
+        queue = (*action.shape[:-1], self.max_steps + 1, action.shape[-1])
+        return {self.delay_key: steps, self.queue_key: unbounded_like(action, queue), self.age_key: steps.clone()}
+
+    def _action_spec(self) -> TensorSpec:
+        return self.parent.full_action_spec[self.action_key]
+
+
+def _per_joint(value: PerJoint) -> Tensor:
+    return torch.as_tensor(value, dtype=torch.float32).clone()
+
+
+def _scaled(value: Tensor, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
+    scale = tensordict.get(key, None)
+    return value if scale is None else value * scale

@@ -1,0 +1,123 @@
+"""One action of the policy, several steps of the physics."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase, Transform, TransformedEnv
+
+_HELD = "_held_action"
+
+
+class Decimation(Transform):
+    """Hold the policy's action for several steps of the environment, and run what lies further in at each of them.
+
+    The transforms before this one in :class:`~torchrl.envs.Compose` form a chain from the action to the motor. It is
+    applied anew at every step, to the action as the policy gave it and to what the environment shows at that step.
+    Rewards are summed. A row that is done stops there: its last observation, its flags and its reward are those of the
+    step that ended it. (:class:`~torchrl.envs.FrameSkipTransform` applies the chain to its own output from the second
+    step on, and steps past the end.)
+
+    An environment may help, by two conventions. It may leave out of a step whose tensordict holds ``_substep`` what
+    only the policy looks at: what it left out is shown at the last step. And one whose ``supports_partial_step`` is
+    true is told by the mask ``_step`` which rows go on; the state behind the others stays as it was.
+
+    Args:
+        steps: Of the environment per action.
+
+    Source:
+        Fey et al. 2025, section II-A: the actuator net runs every 5 ms, the controller every 20 ms.
+
+    Example:
+        >>> from torchrl.envs import Compose, GymEnv, TransformedEnv
+        >>> env = TransformedEnv(GymEnv("Pendulum-v1"), Decimation(4))
+        >>> env.rollout(3)["next", "reward"].shape
+        torch.Size([3, 1])
+    """
+
+    def __init__(self, steps: int) -> None:
+        if steps < 1:
+            raise ValueError(f"steps is {steps}, needed is at least 1: without a step nothing would follow an action.")
+        super().__init__(in_keys=[], out_keys=[])
+        self.steps = steps
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if self.parent is None:  # in a buffer: nothing to hold
+            return tensordict
+        held = {key: tensordict.get(key) for key in self.parent.action_keys}
+        tensordict.set(_HELD, tensordict.empty().update(held))
+        if self.steps > 1:
+            tensordict.set("_substep", _done(self.parent, tensordict))
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        parent = self.parent
+        chain, base_env = parent.transform, parent.base_env
+        held = tensordict.get(_HELD)
+        reward_keys = parent.reward_keys
+        for remaining in range(self.steps - 2, -1, -1):
+            done = _done(parent, next_tensordict)
+            current = tensordict.copy().update(next_tensordict).update(held)
+            if remaining == 0:
+                del current["_substep"]
+            anyone_stops = _may_stop(done)
+            if anyone_stops and getattr(base_env, "supports_partial_step", False):
+                current.set("_step", ~done.reshape(*base_env.batch_size, -1).any(-1))
+            elif anyone_stops and done.numel() == 1 and not _traced(done):
+                break  # a single environment need not know how to be stepped past its end
+            following = _step_once(base_env, chain, current)
+            if anyone_stops:
+                _freeze(done, next_tensordict, following)
+            for key in reward_keys:
+                reward = following.get(key)
+                gained = torch.where(_expand(done, reward), 0, reward) if anyone_stops else reward
+                following.set(key, next_tensordict.get(key) + gained)
+            next_tensordict = following
+        return next_tensordict
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Leaves data as it is: collected data are at the policy's rate already."""
+        return tensordict
+
+
+def _step_once(base_env: EnvBase, chain: Transform, tensordict: TensorDictBase) -> TensorDictBase:
+    """A step without the checks and copies of ``env.step``: they were made for the first one."""
+    tensordict = chain._inv_call(tensordict)
+    next_tensordict = base_env._step(tensordict)
+    base_env._complete_done(base_env.full_done_spec, next_tensordict)
+    return chain._step(tensordict, next_tensordict)
+
+
+def _done(env: TransformedEnv, tensordict: TensorDictBase) -> torch.Tensor:
+    """Rows at their end, by any of their flags. Shape (*B, 1)."""
+    done, *others = (tensordict.get(key) for key in env.done_keys)
+    for flag in others:
+        done = done | flag
+    return done
+
+
+def _traced(tensor: torch.Tensor) -> bool:
+    """Whether values must not be looked at: while compiling, and on a device, where a look would wait for it."""
+    return torch.compiler.is_compiling() or tensor.device.type != "cpu"
+
+
+def _may_stop(done: torch.Tensor) -> bool:
+    return _traced(done) or bool(done.any())
+
+
+def _freeze(done: torch.Tensor, last: TensorDictBase, following: TensorDictBase) -> None:
+    """Rows that were done keep what they showed then."""
+    for key in following.keys(True, True):
+        old = last.get(key, None)
+        if old is not None:
+            new = following.get(key)
+            following.set(key, torch.where(_expand(done, new), old, new))
+
+
+def _expand(mask: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
+    while mask.ndim > value.ndim:
+        mask = mask.any(-1)
+    return mask.reshape(mask.shape + (1,) * (value.ndim - mask.ndim))

@@ -1,0 +1,238 @@
+"""What every transform with a memory shares: the memory is in the tensordict, and an episode's start renews it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
+
+import torch
+from tensordict import NestedKey, TensorDictBase, unravel_key
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs import EnvBase, Transform, TransformedEnv
+
+from torchrl_athletic.functional.streams import stream
+
+Joints: TypeAlias = str | Sequence[int] | slice | None
+"""Joints of a robot: the name of a group that the environment knows, their numbers, or None for all of them."""
+
+
+class StatefulTransform(Transform):
+    """A transform that remembers something from one step to the next.
+
+    TorchRL resets environments in three ways: some rows of a batch after a step, whatever ``env.reset(tensordict)``
+    names, or, in environments that reset themselves, in the step. Here all three come down to :meth:`initial`, whose
+    rows replace those of the episodes that start. What is remembered stands in the tensordict and in the specs, so it
+    survives cloning, compilation, and checkpoints with another number of environments.
+
+    Subclasses say what an episode starts with (:meth:`initial`), what a step makes of it (:meth:`advance`) and what the
+    entries look like (:meth:`state_spec`). Those on the way of the action write to the tensordict in ``_inv_call``,
+    which :meth:`advance` sees.
+
+    Args:
+        in_keys: What :meth:`advance` reads of the environment.
+        out_keys: What it writes, memory included.
+        in_keys_inv: As of :class:`~torchrl.envs.Transform`.
+        out_keys_inv: As of :class:`~torchrl.envs.Transform`.
+        reset_key: Which rows start anew; None takes the environment's, if it has one.
+    """
+
+    def __init__(
+        self,
+        in_keys: Sequence[NestedKey],
+        out_keys: Sequence[NestedKey],
+        in_keys_inv: Sequence[NestedKey] = (),
+        out_keys_inv: Sequence[NestedKey] = (),
+        reset_key: NestedKey | None = None,
+    ) -> None:
+        super().__init__(
+            in_keys=list(in_keys),
+            out_keys=list(out_keys),
+            in_keys_inv=list(in_keys_inv),
+            out_keys_inv=list(out_keys_inv),
+        )
+        self._given_reset_key = reset_key
+
+    def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
+        """What every entry of :meth:`state_spec` is when an episode starts.
+
+        Args:
+            tensordict_reset: What the environment shows after its reset; rows that go on hold values of no meaning.
+
+        Returns:
+            A value for the whole batch, of which the rows that start are taken.
+        """
+        raise NotImplementedError
+
+    def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
+        """Write every entry of :meth:`state_spec` after a step.
+
+        Args:
+            tensordict: What the step started from, with what ``_inv_call`` wrote.
+            next_tensordict: What the environment shows after it. To be written.
+        """
+        raise NotImplementedError
+
+    def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
+        """Entries that are remembered, given what the environment shows."""
+        raise NotImplementedError
+
+    @property
+    def reset_key(self) -> NestedKey:
+        """Key of the mask of rows that start anew."""
+        if self._given_reset_key is not None:
+            return self._given_reset_key
+        keys = ["_reset"] if self.parent is None else self.parent.reset_keys
+        if len(keys) > 1:
+            raise ValueError(
+                f"{type(self).__name__} cannot tell which of the environment's reset keys {keys} starts its episodes. "
+                "Name one: reset_key=..."
+            )
+        return keys[0]
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        self.advance(tensordict, next_tensordict)
+        return next_tensordict
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        starts = reset_mask(tensordict, self.reset_key)
+        for key, first in self.initial(tensordict_reset).items():
+            old = tensordict.get(key, None)
+            if starts is None or old is None:
+                tensordict_reset.set(key, first)
+            else:
+                tensordict_reset.set(key, torch.where(_like(starts, first), first, old))
+        return tensordict_reset
+
+    def _reset_on_native_autoreset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._reset(tensordict, tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        for key, spec in self.state_spec(observation_spec).items():
+            observation_spec[key] = spec
+        return observation_spec
+
+    def transform_input_spec(self, input_spec: Composite) -> Composite:
+        """A manual reset hands over what the state spec names, and the rows that go on need their memory."""
+        input_spec = super().transform_input_spec(input_spec)
+        shown = self.parent.full_observation_spec
+        state = input_spec["full_state_spec"]
+        if state is None:
+            state = Composite(shape=input_spec.shape, device=input_spec.device)
+        for key, spec in self.state_spec(shown).items():
+            state[key] = spec.clone()
+        input_spec["full_state_spec"] = state
+        return input_spec
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Refused: what this transform adds depends on the steps before, which a sample or a module does not have."""
+        raise RuntimeError(
+            f"{type(self).__name__} remembers earlier steps, so it works on an environment only. What it wrote there "
+            f"is in the collected data already: sample {list(map(unravel_key, self.out_keys))} from the buffer."
+        )
+
+
+class RandomTransform(StatefulTransform):
+    """A :class:`StatefulTransform` that draws random numbers when an episode starts, and from then on.
+
+    Each row draws from a stream of its own, named by the seed, the row's number and how many episodes the row has had
+    (:mod:`torchrl_athletic.functional.streams`): the same in a batch as alone.
+
+    Args:
+        in_keys: As of :class:`StatefulTransform`.
+        out_keys: As of :class:`StatefulTransform`.
+        seed: Of the streams.
+        first_row: Number of the batch's first row, for copies that shall draw what a row of a larger batch draws.
+        in_keys_inv: As of :class:`StatefulTransform`.
+        out_keys_inv: As of :class:`StatefulTransform`.
+        reset_key: As of :class:`StatefulTransform`.
+    """
+
+    episode: Tensor
+    """Episodes that each row has had. It names random numbers only, so that no checkpoint has to hold it."""
+
+    def __init__(
+        self,
+        in_keys: Sequence[NestedKey],
+        out_keys: Sequence[NestedKey],
+        *,
+        seed: int = 0,
+        first_row: int = 0,
+        in_keys_inv: Sequence[NestedKey] = (),
+        out_keys_inv: Sequence[NestedKey] = (),
+        reset_key: NestedKey | None = None,
+    ) -> None:
+        super().__init__(in_keys, out_keys, in_keys_inv, out_keys_inv, reset_key)
+        self.seed, self.first_row = seed, first_row
+        self.register_buffer("episode", torch.empty(0, dtype=torch.int64), persistent=False)
+
+    def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
+        """What :meth:`initial` is, given a stream for each row. Shape of ``key``: (*B,)."""
+        raise NotImplementedError
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        batch, device = tensordict_reset.batch_size, tensordict_reset.device
+        if self.episode.shape != batch or self.episode.device != device:
+            self.episode = torch.zeros(batch, dtype=torch.int64, device=device)
+        starts = reset_mask(tensordict, self.reset_key)
+        self.episode += 1 if starts is None else starts.reshape(*batch, -1).any(-1)
+        return super()._reset(tensordict, tensordict_reset)
+
+    def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
+        row = torch.arange(self.episode.numel(), device=self.episode.device).reshape(self.episode.shape)
+        return self.draw(stream(self.seed, row + self.first_row, self.episode), tensordict_reset)
+
+
+def reset_mask(tensordict: TensorDictBase, reset_key: NestedKey) -> Tensor | None:
+    """Rows that start anew, bool in the shape of the done entry; None where all do."""
+    return tensordict.get(reset_key, None)
+
+
+def _like(mask: Tensor, value: Tensor) -> Tensor:
+    """The mask, shape (*B, 1), for a value of shape (*B, ...)."""
+    while mask.ndim > value.ndim:
+        mask = mask.any(-1)
+    return mask.reshape(mask.shape + (1,) * (value.ndim - mask.ndim))
+
+
+def base_env_of(env: EnvBase | None) -> EnvBase | None:
+    """What lies under all transforms."""
+    while isinstance(env, TransformedEnv):
+        env = env.base_env
+    return env
+
+
+def joint_index(transform: Transform, joints: Joints) -> slice | list[int]:
+    """Columns of the joints, a name being looked up in the environment's ``joint_groups``.
+
+    Raises:
+        ValueError: If the environment has no such group.
+    """
+    if joints is None:
+        return slice(None)
+    if isinstance(joints, slice):
+        return joints
+    if not isinstance(joints, str):
+        return _contiguous(list(joints))
+    groups = getattr(base_env_of(transform.parent), "joint_groups", {})
+    if joints not in groups:
+        known = f"it has {sorted(groups)}" if groups else "it has none: give the joints' numbers"
+        raise ValueError(f"{type(transform).__name__}: the environment has no group of joints {joints!r}; {known}.")
+    return _contiguous(list(groups[joints]))
+
+
+def _contiguous(columns: list[int]) -> slice | list[int]:
+    """As a slice where the columns follow one another, since that is a view."""
+    if columns and columns == list(range(columns[0], columns[-1] + 1)):
+        return slice(columns[0], columns[-1] + 1)
+    return columns
+
+
+def unbounded_like(spec: TensorSpec, shape: Sequence[int]) -> Unbounded:
+    """An entry of that shape, of the type and on the device of another."""
+    return Unbounded(shape=torch.Size(shape), dtype=spec.dtype, device=spec.device)
