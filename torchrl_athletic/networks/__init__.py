@@ -2,3 +2,10 @@
 
 Checkpoints are written and read here too.
 """
+
+from torchrl_athletic.networks.actor_critic import actor, critic
+from torchrl_athletic.networks.actuator_net import uan, uan_actor
+from torchrl_athletic.networks.checkpoint import load_checkpoint, save_checkpoint
+from torchrl_athletic.networks.normalizer import RunningNormalizer
+
+__all__ = ["RunningNormalizer", "actor", "critic", "load_checkpoint", "save_checkpoint", "uan", "uan_actor"]

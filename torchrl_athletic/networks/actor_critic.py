@@ -1,0 +1,130 @@
+"""Policy and value function as TensorDict modules."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import NestedKey
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor, ValueOperator
+
+HIDDEN = (512, 512, 512)
+"""Layer sizes of the paper's whole-body controller and its critic."""
+
+
+class Trunk(nn.Module):
+    """Inputs side by side, normalised if asked, through an MLP of ELU layers. (*B, D1), (*B, D2), ... -> (*B, D)."""
+
+    def __init__(
+        self,
+        in_features: int,
+        out_features: int,
+        hidden: Sequence[int],
+        normalizer: nn.Module | None = None,
+        device: torch.device | str | None = None,
+    ):
+        super().__init__()
+        self.normalizer = nn.Identity() if normalizer is None else normalizer
+        self.mlp = MLP(in_features, out_features, num_cells=list(hidden), activation_class=nn.ELU, device=device)
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        return self.mlp(self.normalizer(inputs[0] if len(inputs) == 1 else torch.cat(inputs, -1)))
+
+
+class GaussianHead(nn.Module):
+    """A network's output as mean, with a standard deviation that no state changes. -> loc (*B, A), scale (*B, A)."""
+
+    def __init__(self, network: nn.Module, size: int, scale: float, device: torch.device | str | None = None):
+        super().__init__()
+        self.network = network
+        self.log_scale = nn.Parameter(torch.full((size,), scale, device=device).log())
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, Tensor]:
+        loc = self.network(*inputs)
+        return loc, self.log_scale.exp().expand_as(loc)
+
+
+def actor(
+    in_features: int,
+    action_size: int,
+    *,
+    in_keys: Sequence[NestedKey] = ("observation",),
+    hidden: Sequence[int] = HIDDEN,
+    scale: float = 1.0,
+    normalizer: nn.Module | None = None,
+    device: torch.device | str | None = None,
+) -> ProbabilisticActor:
+    """Policy with a Gaussian over actions, whose ``loc`` and ``scale`` stay in the tensordict beside the action.
+
+    It acts on its mean unless exploration is set: TorchRL's collectors do so, in a loop of your own say
+    ``with set_exploration_type(ExplorationType.RANDOM)``.
+
+    Args:
+        in_features: Of all inputs together.
+        action_size: A.
+        in_keys: What it sees, put side by side in this order.
+        hidden: Layer sizes.
+        scale: First standard deviation, in the action's unit; it is learnt, through its logarithm.
+        normalizer: What the inputs go through first, such as ``RunningNormalizer(in_features)``.
+        device: Where its parameters are made.
+
+    Returns:
+        Module that writes ``loc``, ``scale``, ``action`` (*B, A) and ``action_log_prob`` (*B).
+
+    Source:
+        Fey et al. 2025, section IV-A (sizes, ELU), https://arxiv.org/abs/2502.10894; rsl_rl (Gaussian, one learnt
+        standard deviation per action).
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> policy = actor(5, 2, in_keys=["observation", "command"])
+        >>> batch = policy(TensorDict({"observation": torch.zeros(4, 3), "command": torch.zeros(4, 2)}, [4]))
+        >>> batch["action"].shape, batch["action_log_prob"].shape
+        (torch.Size([4, 2]), torch.Size([4]))
+    """
+    head = GaussianHead(Trunk(in_features, action_size, hidden, normalizer, device), action_size, scale, device)
+    return gaussian_actor(head, in_keys)
+
+
+def gaussian_actor(head: nn.Module, in_keys: Sequence[NestedKey]) -> ProbabilisticActor:
+    """Policy around a network that gives mean and standard deviation."""
+    return ProbabilisticActor(
+        TensorDictModule(head, in_keys=list(in_keys), out_keys=["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        distribution_class=IndependentNormal,
+        distribution_kwargs={"validate_args": False},  # validation waits for the GPU
+        return_log_prob=True,
+    )
+
+
+def critic(
+    in_features: int,
+    *,
+    in_keys: Sequence[NestedKey] = ("observation",),
+    hidden: Sequence[int] = HIDDEN,
+    normalizer: nn.Module | None = None,
+    device: torch.device | str | None = None,
+) -> ValueOperator:
+    """Value function.
+
+    Args:
+        in_features: Of all inputs together.
+        in_keys: What it sees, ``privileged`` say, put side by side in this order.
+        hidden: Layer sizes.
+        normalizer: What the inputs go through first, such as ``RunningNormalizer(in_features)``.
+        device: Where its parameters are made.
+
+    Returns:
+        Module that writes ``state_value`` [reward] (*B, 1).
+
+    Source:
+        Fey et al. 2025, section IV-A: as the policy, with weights of its own, https://arxiv.org/abs/2502.10894.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> critic(3)(TensorDict({"observation": torch.zeros(4, 3)}, [4]))["state_value"].shape
+        torch.Size([4, 1])
+    """
+    return ValueOperator(Trunk(in_features, 1, hidden, normalizer, device), in_keys=list(in_keys))

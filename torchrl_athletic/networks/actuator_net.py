@@ -1,0 +1,81 @@
+"""The Unsupervised Actuator Net: one small network, shared by all joints, that corrects each joint's torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import NestedKey
+from torch import Tensor, nn
+from torchrl.modules import MLP, ProbabilisticActor
+
+from torchrl_athletic.networks.actor_critic import GaussianHead, gaussian_actor
+
+HISTORY = 20
+"""Physics steps of 5 ms that a UAN looks back: 100 ms."""
+
+
+def uan(
+    history: int = HISTORY, hidden: Sequence[int] = (128, 128), device: torch.device | str | None = None
+) -> nn.Module:
+    """Network from a joint's recent tracking errors to a corrective torque.
+
+    It maps (*B, J, 2 history), position errors [rad] and then velocity errors [rad/s], to (*B, J, 1) [N·m]; the joints
+    are samples to it. Its last layer starts at zero, so that an untrained one corrects nothing.
+
+    Args:
+        history: Physics steps it sees.
+        hidden: Layer sizes.
+        device: Where its parameters are made.
+
+    Source:
+        Fey et al. 2025, section III-A, https://arxiv.org/abs/2502.10894.
+
+    Example:
+        >>> uan()(torch.randn(4, 6, 40)).shape
+        torch.Size([4, 6, 1])
+    """
+    net = MLP(2 * history, 1, num_cells=list(hidden), activation_class=nn.ELU, device=device)
+    nn.init.zeros_(net[-1].weight)
+    nn.init.zeros_(net[-1].bias)
+    return net
+
+
+def uan_actor(
+    net: nn.Module,
+    *,
+    in_keys: Sequence[NestedKey] = ("observation",),
+    scale: float = 1.0,
+    device: torch.device | str | None = None,
+) -> ProbabilisticActor:
+    """Policy that explores around a UAN, to train it by PPO; ``net`` itself is what is kept.
+
+    Args:
+        net: As :func:`uan` gives it.
+        in_keys: Where its input (*B, J, 2 history) is.
+        scale: First standard deviation of all joints [N·m].
+        device: Where that is made.
+
+    Returns:
+        Module that writes ``loc``, ``scale``, ``action`` (*B, J) and ``action_log_prob`` (*B).
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> uan_actor(uan())(TensorDict({"observation": torch.randn(4, 6, 40)}, [4]))["action"]
+        tensor([[0., 0., 0., 0., 0., 0.],
+                [0., 0., 0., 0., 0., 0.],
+                [0., 0., 0., 0., 0., 0.],
+                [0., 0., 0., 0., 0., 0.]], grad_fn=<SqueezeBackward1>)
+    """
+    return gaussian_actor(GaussianHead(PerJoint(net), 1, scale, device), in_keys)
+
+
+class PerJoint(nn.Module):
+    """One number a joint, without the dimension of one. (*B, J, F) -> (*B, J)."""
+
+    def __init__(self, net: nn.Module):
+        super().__init__()
+        self.net = net
+
+    def forward(self, joints: Tensor) -> Tensor:
+        return self.net(joints).squeeze(-1)
