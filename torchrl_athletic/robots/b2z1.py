@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -159,7 +159,7 @@ def b2z1(
     return assemble(
         "b2z1",
         (*LEG_JOINTS, *ARM_JOINTS),
-        partial(_build, reinforced, tool, payload, terrain, cone),
+        _Blueprint(reinforced, tool, payload, terrain, cone),
         {**SENSORS, **tool_sensors(tool)},
         base="base",
         keyframe="stand",
@@ -167,30 +167,38 @@ def b2z1(
     )
 
 
-def _build(reinforced: bool, tool: Tool | None, payload: float, terrain: Terrain | None, cone: Cone) -> mujoco.MjSpec:
-    spec = empty_scene("b2z1", cone)
-    base = spec.worldbody.add_body(name="base", pos=[0, 0, STAND_HEIGHT])
-    base.add_freejoint(name="root")
-    set_inertial(base, _BASE)
-    _add_trunk(spec, base)
-    for leg, (front, left) in LEGS.items():
-        _add_leg(spec, base, leg, front, left)
-    add_arm(spec, base, MOUNT, reinforced=reinforced)
-    mount = base.add_body(name="mount", pos=MOUNT)
-    set_inertial(mount, Inertial(MOUNT_MASS, (0.0, 0.0, 0.005), (0.004, 0.004, 0.0078, 0.0, 0.0, 0.0)))
-    joints = (*LEG_JOINTS, *ARM_JOINTS)
-    add_motors(spec, joints)
-    height = STAND_HEIGHT
-    if payload:
-        box = base.add_body(name="payload", pos=_PAYLOAD_CENTRE)
-        add_box(box, "payload", (0, 0, 0), _PAYLOAD_SIZE, rgba=_RED, conaffinity=ARM_ON_TRUNK, mass=payload)
-    if terrain is not None:
-        add_terrain(spec, terrain)
-        height += terrain.roughness[1]  # clear of every bump
-    pose = [0, 0, height, 1, 0, 0, 0, *(joint.default for joint in joints)]
-    add_tool(spec, tool, pose)
-    add_keyframe(spec, "stand", pose)
-    return spec
+@dataclass(frozen=True)
+class _Blueprint:
+    reinforced: bool
+    tool: Tool | None
+    payload: float
+    terrain: Terrain | None
+    cone: Cone
+
+    def __call__(self) -> mujoco.MjSpec:
+        spec = empty_scene("b2z1", self.cone)
+        base = spec.worldbody.add_body(name="base", pos=[0, 0, STAND_HEIGHT])
+        base.add_freejoint(name="root")
+        set_inertial(base, _BASE)
+        _add_trunk(spec, base)
+        for leg, (front, left) in LEGS.items():
+            _add_leg(spec, base, leg, front, left)
+        add_arm(spec, base, MOUNT, reinforced=self.reinforced)
+        mount = base.add_body(name="mount", pos=MOUNT)
+        set_inertial(mount, Inertial(MOUNT_MASS, (0.0, 0.0, 0.005), (0.004, 0.004, 0.0078, 0.0, 0.0, 0.0)))
+        joints = (*LEG_JOINTS, *ARM_JOINTS)
+        add_motors(spec, joints)
+        height = STAND_HEIGHT
+        if self.payload:
+            box = base.add_body(name="payload", pos=_PAYLOAD_CENTRE)
+            add_box(box, "payload", (0, 0, 0), _PAYLOAD_SIZE, rgba=_RED, conaffinity=ARM_ON_TRUNK, mass=self.payload)
+        if self.terrain is not None:
+            add_terrain(spec, self.terrain)
+            height += self.terrain.roughness[1]  # clear of every bump
+        pose = [0, 0, height, 1, 0, 0, 0, *(joint.default for joint in joints)]
+        add_tool(spec, self.tool, pose)
+        add_keyframe(spec, "stand", pose)
+        return spec
 
 
 def _add_trunk(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> None:

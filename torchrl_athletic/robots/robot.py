@@ -67,7 +67,7 @@ class Robot:
     sensors: Mapping[str, tuple[str, ...]]
     """Observation key -> MJCF sensors: several vectors are stacked on a new dim, several scalars are one vector."""
     build: Callable[[], mujoco.MjSpec] = field(repr=False)
-    """Makes a new spec, the same each time."""
+    """Makes a new spec, the same each time. It can be pickled and compared."""
     keyframe: str = "stand"
     """Name of the keyframe that holds the default state, at rest."""
     ground: tuple[str, ...] = ("floor",)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import dataclass
 
 import mujoco
 
@@ -32,18 +32,24 @@ def z1(*, reinforced: bool = False, tool: Tool | None = None, cone: Cone = "elli
     return assemble(
         "z1",
         ARM_JOINTS,
-        partial(_build, reinforced, tool, cone),
+        _Blueprint(reinforced, tool, cone),
         {**ARM_SENSORS, **tool_sensors(tool)},
         base=None,
         keyframe="default",
     )
 
 
-def _build(reinforced: bool, tool: Tool | None, cone: Cone) -> mujoco.MjSpec:
-    spec = empty_scene("z1", cone)
-    add_arm(spec, spec.worldbody, (0.0, 0.0, 0.0), reinforced=reinforced)
-    add_motors(spec, ARM_JOINTS)
-    pose = [joint.default for joint in ARM_JOINTS]
-    add_tool(spec, tool, pose)
-    add_keyframe(spec, "default", pose)
-    return spec
+@dataclass(frozen=True)
+class _Blueprint:
+    reinforced: bool
+    tool: Tool | None
+    cone: Cone
+
+    def __call__(self) -> mujoco.MjSpec:
+        spec = empty_scene("z1", self.cone)
+        add_arm(spec, spec.worldbody, (0.0, 0.0, 0.0), reinforced=self.reinforced)
+        add_motors(spec, ARM_JOINTS)
+        pose = [joint.default for joint in ARM_JOINTS]
+        add_tool(spec, self.tool, pose)
+        add_keyframe(spec, "default", pose)
+        return spec
