@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
@@ -12,9 +12,16 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchrl_athletic.physics.data_fields import (
+    POSES_AND_VELOCITIES,
+    check_computed,
+    late_columns,
+    sensors_need_constraints,
+)
 from torchrl_athletic.physics.joints import driven_joints, joint_columns
 from torchrl_athletic.physics.model_fields import has_constants, refuse_ignored_limits
-from torchrl_athletic.physics.protocol import Envs, Physics, Values
+from torchrl_athletic.physics.protocol import CapacityError, Envs, Physics, Result, Values
+from torchrl_athletic.physics.rows import check_shape, env_ids, expand_to
 
 __all__ = ["BatchPhysics", "SimulationError"]
 
@@ -25,7 +32,8 @@ _INPUTS = {
     "qfrc_applied": mujoco.mjtState.mjSTATE_QFRC_APPLIED,
     "xfrc_applied": mujoco.mjtState.mjSTATE_XFRC_APPLIED,
 }
-_NOT_COMPUTED = ("cacc", "cfrc_ext", "cfrc_int", "energy", "qfrc_inverse", "subtree_angmom", "subtree_linvel")
+_WITHOUT_CONSTRAINTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+_FULL = [mujoco.mjtWarning.mjWARN_CONTACTFULL.value, mujoco.mjtWarning.mjWARN_CNSTRFULL.value]
 
 
 class BatchPhysics(Physics):
@@ -73,6 +81,8 @@ class BatchPhysics(Physics):
         self._forces = self.batch.bind("qfrc_applied")
         self._data: dict[str, Tensor] = {}
         self._derived = False  # whether any output is copied out, so that there is a use in forward()
+        self._costly_refresh = sensors_need_constraints(model)
+        self._late = torch.from_numpy(late_columns(model))
         self.joint_names = driven_joints(model) if joint_names is None else tuple(joint_names)
         self._joint_qpos, self._joint_dof = joint_columns(model, self.joint_names)
 
@@ -120,7 +130,7 @@ class BatchPhysics(Physics):
 
     def data(self, name: str) -> Tensor:
         if name not in self._data:
-            _check_computed(name)
+            check_computed(name)
             array = self.batch.bind(name)
             with warnings.catch_warnings():  # a derived field is read-only, which a tensor cannot say
                 warnings.filterwarnings("ignore", "The given NumPy array is not writable", UserWarning)
@@ -137,7 +147,7 @@ class BatchPhysics(Physics):
 
     def set_field(self, name: str, value: Values, envs: Envs = None) -> None:
         field, ids = self.field(name), self._ids(envs)
-        wanted = _like(field, value, name)[_rows(ids)]
+        wanted = expand_to(field, value, name)[_rows(ids)]
         refuse_ignored_limits(self.model, name, wanted, self.fields)
         field[_rows(ids)] = wanted.to(field.dtype)
         if has_constants(name):
@@ -156,21 +166,24 @@ class BatchPhysics(Physics):
         for name, value in (("qpos", qpos), ("qvel", qvel)):
             if value is not None:
                 state = self.data(name)
-                state[_rows(ids)] = _like(state, value, name)[_rows(ids)].to(state.dtype)
+                state[_rows(ids)] = expand_to(state, value, name)[_rows(ids)].to(state.dtype)
         if self._derived:
             self.batch.forward(ids)
 
     def apply_torque(self, torque: Tensor) -> None:
-        self._check_shape("torque", torque, (self.num_envs, len(self.joint_names)))
+        check_shape("torque", torque, (self.num_envs, len(self.joint_names)), self.joint_names)
         self._forces[:, self._joint_dof] = torque.detach().numpy()  # for small batches several times as quick as torch
 
     def apply_wrench(self, body: str, force: Values = 0.0, torque: Values = 0.0) -> None:
         wrench = self.xfrc_applied[:, self.model.body(body).id]
-        wrench[:, :3] = _like(wrench[:, :3], force, "force")
-        wrench[:, 3:] = _like(wrench[:, 3:], torque, "torque")
+        wrench[:, :3] = expand_to(wrench[:, :3], force, "force")
+        wrench[:, 3:] = expand_to(wrench[:, 3:], torque, "torque")
 
-    def step(self, nstep: int = 1, refresh: bool = False) -> None:
-        self.batch.step(None, nstep, _VEL if refresh else _NONE)
+    def step(self, nstep: int = 1, refresh: bool = False, envs: Envs = None) -> None:
+        ids = self._ids(envs)
+        self.batch.step(ids, nstep, _VEL if refresh and self._costly_refresh else _NONE)
+        if refresh and self._derived and not self._costly_refresh:
+            self._refresh(ids)
 
     def forward(self, envs: Envs = None) -> None:
         self.batch.forward(self._ids(envs))
@@ -181,15 +194,27 @@ class BatchPhysics(Physics):
         if into not in _INPUTS:
             raise ValueError(f"control cannot go into {into!r}; known are {tuple(_INPUTS)}.")
         for name in record:
-            _check_computed(name)
+            check_computed(name)
         rows = None if control is None else self._control(nstep, control, into).numpy()
         recorded = self.batch.rollout(nstep, rows, _INPUTS[into].value, record)
         return {str(name): torch.from_numpy(array) for name, array in recorded.items()}
 
+    def check(self) -> None:
+        lost = np.flatnonzero(self.batch.warning[:, _FULL, 1].any(1))
+        if lost.size:
+            raise CapacityError(
+                f"in {lost.size} of {self.num_envs} envs, such as {lost[0]}, contacts or constraints found no place in "
+                f"the model's memory of {self.model.narena} bytes and were left out. Give it more: "
+                "<size memory='...'/> in the MJCF."
+            )
+
+    def capture(self, function: Callable[[], Result], warmup: int = 3) -> Callable[[], Result]:
+        return function
+
     def _control(self, nstep: int, control: Tensor, into: str) -> Tensor:
         """Inputs of a rollout as the batch takes them, (N, T, flat)."""
         columns = (len(self.joint_names),) if into == "torque" else self.data(into).shape[1:]
-        self._check_shape(f"control into {into!r}", control, (self.num_envs, nstep, *columns))
+        check_shape(f"control into {into!r}", control, (self.num_envs, nstep, *columns), self.joint_names)
         control = control.detach().to(self.dtype)
         if into != "torque" or self._joint_dof == slice(0, self.model.nv):
             return control.reshape(self.num_envs, nstep, -1)
@@ -197,44 +222,34 @@ class BatchPhysics(Physics):
         forces[..., self._joint_dof] = control
         return forces
 
-    def _check_shape(self, name: str, value: Tensor, shape: tuple[int, ...]) -> None:
-        if value.shape != shape:
-            raise ValueError(
-                f"{name} has shape {tuple(value.shape)}, needed is {shape}: {self.num_envs} envs and, for torques, the "
-                f"joints {self.joint_names}."
-            )
-
     def _ids(self, envs: Envs) -> NDArray[np.int64] | None:
         """Sorted, as the batch takes them; None for all."""
-        if envs is None:
-            return None
-        chosen = np.asarray(envs)
-        if chosen.dtype != bool:
-            ids = np.unique(chosen).astype(np.int64)
-            if ids.size and (ids[0] < 0 or ids[-1] >= self.num_envs):
-                raise ValueError(f"envs {ids.tolist()} must be among 0 to {self.num_envs - 1}.")
-            return ids
-        if chosen.shape != (self.num_envs,):
-            raise ValueError(
-                f"the mask of envs has shape {chosen.shape}, needed is one bool per env, ({self.num_envs},)."
-            )
-        return np.flatnonzero(chosen)
+        return None if envs is None else env_ids(envs, self.num_envs)
+
+    def _refresh(self, ids: NDArray[np.int64] | None) -> None:
+        """Compute poses, velocities and their sensors, without looking for contacts: a tenth of a step.
+
+        What the call does not compute would then be another env's, since envs share the threads' memory: it is held.
+        """
+        held = [
+            (output, output.clone())
+            for name, output in self._data.items()
+            if name not in POSES_AND_VELOCITIES and name != "sensordata" and not self.batch.bind(name).flags.writeable
+        ]
+        sensors = self._data.get("sensordata") if self._late.numel() else None
+        late = None if sensors is None else sensors[:, self._late]
+        flags = self.batch.expand("opt.disableflags")
+        before = flags.copy()
+        flags |= _WITHOUT_CONSTRAINTS
+        try:
+            self.batch.forward(ids, _VEL)
+        finally:
+            flags[:] = before
+        for output, values in held:
+            output.copy_(values)
+        if sensors is not None and late is not None:
+            sensors[:, self._late] = late
 
 
 def _rows(ids: NDArray[np.int64] | None) -> slice | Tensor:
     return slice(None) if ids is None else torch.from_numpy(ids)
-
-
-def _like(target: Tensor, value: Values, name: str) -> Tensor:
-    """``value`` with a row for each env, in a type that loses nothing."""
-    given = value.detach() if isinstance(value, Tensor) else torch.tensor(np.asarray(value))
-    try:
-        return given.expand(target.shape)
-    except RuntimeError as error:
-        needed = f"{tuple(target.shape)}, a row for every env, concerned or not, or one value for all"
-        raise ValueError(f"{name} has shape {tuple(given.shape)}, needed is {needed}.") from error
-
-
-def _check_computed(name: str) -> None:
-    if name in _NOT_COMPUTED:
-        raise ValueError(f"a step need not compute {name}: it could be another env's. Read a sensor of it instead.")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol, TypeAlias, runtime_checkable
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import mujoco
 import torch
@@ -14,6 +14,11 @@ Envs: TypeAlias = Tensor | Sequence[int] | None
 """Which envs a call concerns: a bool mask (N,), ids, or None for all of them."""
 Values: TypeAlias = Tensor | ArrayLike
 """One value for every env, or one row per env of the batch (N, ...); rows of envs not concerned are not looked at."""
+Result = TypeVar("Result")
+
+
+class CapacityError(RuntimeError):
+    """Contacts or constraints were left out of a simulation, because no room had been set aside for them."""
 
 
 @runtime_checkable
@@ -76,14 +81,17 @@ class Physics(Protocol):
     def diverged(self) -> Tensor:
         """Envs whose simulation cannot be trusted since their last reset. Bool, shape (N,).
 
-        MuJoCo answers a bad state by restarting from the default pose, which looks healthy: this mask tells.
+        MuJoCo on the CPU answers a bad state by restarting from the default pose, which looks healthy, and on a GPU by
+        nothing at all: this mask tells.
         """
 
     def data(self, name: str) -> Tensor:
         """A field of ``mjData`` by name: ``"sensordata"``, ``"xpos"``, ``"qacc"``, ``"act"``. Shape (N, ...).
 
         State fields are to be written too. Derived ones are refreshed by each call; after :meth:`step` they describe
-        the state before its last physics step, as after ``mj_step``, unless it was told to refresh them.
+        the state before its last physics step, as after ``mj_step``, unless it was told to refresh them. What follows
+        from accelerations and contact forces (``qacc``, sensors of touch and acceleration) always does: between a
+        reset and the next step or :meth:`forward` it means nothing.
         """
 
     def field(self, name: str) -> Tensor:
@@ -131,12 +139,14 @@ class Physics(Protocol):
             torque: [N·m]. Shape (3,) or (N, 3).
         """
 
-    def step(self, nstep: int = 1, refresh: bool = False) -> None:
-        """Advance every env by ``nstep`` physics steps.
+    def step(self, nstep: int = 1, refresh: bool = False, envs: Envs = None) -> None:
+        """Advance envs by ``nstep`` physics steps.
 
         Args:
             nstep: Physics steps under the same inputs.
-            refresh: Whether what depends on position and velocity, sensors included, shall describe the new state.
+            refresh: Whether poses (``xpos``, ``site_xpos``, ``subtree_com``...), velocities (``cvel``) and the sensors
+                of position and velocity shall describe the new state.
+            envs: Mask or ids of those that advance; the others are not touched.
         """
 
     def forward(self, envs: Envs = None) -> None:
@@ -145,7 +155,7 @@ class Physics(Protocol):
     def rollout(
         self, nstep: int, control: Tensor | None = None, into: str = "ctrl", record: Sequence[str] = ("qpos", "qvel")
     ) -> dict[str, Tensor]:
-        """Advance every env by ``nstep`` physics steps without a return to Python, open loop.
+        """Advance every env by ``nstep`` physics steps, open loop.
 
         An env that diverges stops there and repeats its last record; see :attr:`diverged`.
 
@@ -158,4 +168,25 @@ class Physics(Protocol):
 
         Returns:
             Name -> shape (N, T, ...).
+        """
+
+    def check(self) -> None:
+        """Make sure that no contact and no constraint was left out for want of room. Waits for the device.
+
+        Raises:
+            CapacityError: If one was. Says which capacity it takes.
+        """
+
+    def capture(self, function: Callable[[], Result], warmup: int = 3) -> Callable[[], Result]:
+        """Something that does what ``function`` does, faster where the device can replay recorded work.
+
+        Args:
+            function: A step of training or control that calls this physics. On CUDA all of it is recorded: it must
+                not wait for the device, nor branch on values there, and it works on tensors that stay where they are.
+                What it returns is overwritten by the next call.
+            warmup: Calls before the recording. The simulation's state is put back afterwards; what else the function
+                changes is not.
+
+        Returns:
+            The function to call instead.
         """
