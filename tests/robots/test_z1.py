@@ -97,6 +97,13 @@ def _motion(model, q, v):
     return mass_matrix, data.qfrc_bias.copy()
 
 
+def test_tube_and_plates_are_of_aluminium():
+    for braces in BRACES.values():
+        sheet = braces[0]  # bearings come after it
+        volume = np.prod(sheet.size) - np.prod(sheet.hollow)
+        assert sheet.mass / volume == pytest.approx(2700.0, rel=0.02)
+
+
 def test_only_links_two_to_five_are_reinforced():
     bare, braced = z1().model(), z1(reinforced=True).model()
     heavier = {name for name in LINKS if braced.body(name).mass > bare.body(name).mass + 1e-9}

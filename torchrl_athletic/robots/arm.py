@@ -170,11 +170,11 @@ class Brace:
 
 
 BRACES: dict[str, tuple[Brace, ...]] = {
-    # 50 x 50 x 2 mm square tube around the upper arm, 2700 kg/m³
-    "link02": (Brace(0.249, (0.24, 0.05, 0.05), (-0.175, 0.0, 0.0), hollow=(0.24, 0.046, 0.046)),),
+    # 64 x 64 x 2 mm square tube around the upper arm, 2700 kg/m³
+    "link02": (Brace(0.321, (0.24, 0.064, 0.064), (-0.175, 0.0, 0.0), hollow=(0.24, 0.06, 0.06)),),
     # a 4 mm plate with an idler bearing of 40 g, on the side across from the motor it supports
     "link03": (
-        Brace(0.105, (0.15, 0.004, 0.04), (0.13, -0.045, 0.045)),
+        Brace(0.065, (0.15, 0.004, 0.04), (0.13, -0.045, 0.045)),
         Brace(0.04, (0.03, 0.01, 0.03), (0, -0.04, 0)),
     ),
     "link04": (

@@ -203,6 +203,7 @@ class _Blueprint:
 
 def _add_trunk(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> None:
     add_box(base, "trunk", (0, 0, 0.005), (0.42, 0.29, 0.19), rgba=_GREY, contype=GROUND, conaffinity=ARM_ON_TRUNK)
+    add_box(base, "chassis", (0, 0, 0.005), (0.8, 0.13, 0.13), rgba=_GREY)
     add_box(base, "head", (0.41, 0, 0.005), (0.04, 0.12, 0.14), rgba=_DARK)
     add_box(base, "tail", (-0.405, 0, 0.005), (0.025, 0.12, 0.14), rgba=_DARK)
     for leg, (front, left) in LEGS.items():
@@ -241,13 +242,13 @@ def _add_leg(spec: mujoco.MjSpec, base: mujoco.MjsBody, leg: str, front: int, le
     add_round(
         thigh, f"{leg}_thigh_motor", (0, -0.099 * left, 0), (0, 0.028 * left, 0), 0.0615, cylinder=True, rgba=_DARK
     )
-    add_round(thigh, f"{leg}_thigh", (-0.012, 0, -0.05), (-0.02, 0, -0.32), 0.03, rgba=_GREY)
+    add_round(thigh, f"{leg}_thigh", (-0.012, 0, -0.05), (-0.02, 0, -0.29), 0.042, rgba=_GREY)
     _add_ball(thigh, f"{leg}_knee", 0.03, -THIGH_LENGTH, _DARK)
 
     calf = thigh.add_body(name=f"{leg}_calf", pos=[0, 0, -THIGH_LENGTH])
     add_joint(calf, calf_joint)
-    add_round(calf, f"{leg}_calf", (0.004, 0, -0.03), (0.034, 0, -0.17), 0.014, rgba=_DARK)
-    add_round(calf, f"{leg}_shin", (0.034, 0, -0.17), (0.02, 0, -0.31), 0.016, rgba=_DARK)
+    add_round(calf, f"{leg}_calf", (0.004, 0, -0.03), (0.034, 0, -0.17), 0.018, rgba=_DARK)
+    add_round(calf, f"{leg}_shin", (0.034, 0, -0.17), (0.02, 0, -0.31), 0.02, rgba=_DARK)
     _add_ball(calf, f"{leg}_foot", FOOT_RADIUS, -CALF_LENGTH, _RUBBER)
 
     for body, inertial in zip((hip, thigh, calf), across, strict=True):
