@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import torch
@@ -142,7 +143,8 @@ class SplitOptimizationStepper(OptimizationStepper):
         """Capture an update of batches like this one in a CUDA graph; networks and optimisers stay as they are.
 
         :meth:`update` does so at its first call if ``cuda_graph`` is set. The graph reads and writes the parameters
-        where they are: copy values into them, do not replace them.
+        where they are: copy values into them, do not replace them. A policy whose distribution validates its arguments
+        waits for the GPU and cannot be captured: give it ``distribution_kwargs={"validate_args": False}``.
 
         Raises:
             RuntimeError: If the networks are not on a GPU.
@@ -161,6 +163,8 @@ class SplitOptimizationStepper(OptimizationStepper):
         with torch.no_grad():
             for tensor, before in zip(self._trained(), saved, strict=True):
                 tensor.copy_(before)
+        self.actor_optimizer.zero_grad()
+        self.critic_optimizer.zero_grad()
         torch.cuda.synchronize(self.device)
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local"):
@@ -230,7 +234,7 @@ class SplitOptimizationStepper(OptimizationStepper):
     def _count(self, batch: TensorDict) -> Tensor | int:
         """Samples that count; on a GPU the host need not know."""
         mask = self.loss.valid(batch)
-        return batch.numel() if mask is None else mask.sum().clamp_min(1)
+        return batch.numel() if mask is None else mask.sum(dtype=self.critic_parameters[0].dtype).clamp_min(1)
 
     def _order(self, count: int) -> Tensor:
         """A permutation of the samples for each epoch, drawn outside the graph. Shape (epochs, B)."""
@@ -239,7 +243,7 @@ class SplitOptimizationStepper(OptimizationStepper):
     def _inputs(self, batch: TensorDictBase) -> TensorDict:
         """What the losses read, one sample a row, without the rest of a collector's batch."""
         keys = dict.fromkeys([*self._actor_keys(batch), *self._critic_keys(batch)])
-        return batch.select(*keys).reshape(-1).detach()
+        return batch.select(*keys).reshape(-1).detach().to(self.device)
 
     def _actor_keys(self, batch: TensorDictBase) -> list[NestedKey]:
         keys, actor = self.loss.tensor_keys, self.loss.actor_network
@@ -278,7 +282,9 @@ def adamw(parameters: list[nn.Parameter], rate: Tensor, weight_decay: float) -> 
     rate.zero_()  # a step of no length makes the moments
     for parameter in parameters:
         parameter.grad = torch.zeros_like(parameter)
-    optimizer.step()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*capturable")  # it steps outside a graph, and may stay there
+        optimizer.step()
     optimizer.zero_grad()
     rate.copy_(first)
     for state in optimizer.state.values():
@@ -287,11 +293,13 @@ def adamw(parameters: list[nn.Parameter], rate: Tensor, weight_decay: float) -> 
 
 
 def load_optimizer(optimizer: torch.optim.Optimizer, rate: Tensor, state: dict[str, Any]) -> None:
-    """Load a state but keep the rate's tensor, which others hold."""
+    """Load a state but keep the rate's tensor, which others hold, and what depends on the GPU."""
+    (group,) = optimizer.param_groups
+    capturable = group["capturable"]
     optimizer.load_state_dict(state)
-    for group in optimizer.param_groups:
-        rate.copy_(torch.as_tensor(group["lr"]))
-        group["lr"] = rate
+    (group,) = optimizer.param_groups
+    rate.copy_(torch.as_tensor(group["lr"]))
+    group.update(lr=rate, capturable=capturable)
 
 
 def present(batch: TensorDictBase, keys: list[NestedKey]) -> list[NestedKey]:

@@ -1,0 +1,264 @@
+import pytest
+import torch
+from networks.samples import ACTION, STATE, collected, gradients, move, networks
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torch.distributions import Independent, Normal, kl_divergence
+from torchrl.modules import NormalParamExtractor, OneHotCategorical, ProbabilisticActor, TanhNormal
+from torchrl.objectives import ClipPPOLoss
+
+from torchrl_athletic.losses import SplitClipPPOLoss, clipped_surrogate, gaussian_kl, sampled_kl
+
+OPTIONS = [
+    {},
+    {"clip_epsilon": 0.05, "loss_critic_type": "l2", "clip_value": True, "entropy_coeff": 0.3},
+    {"clip_epsilon": (0.05, 0.3), "loss_critic_type": "l1", "clip_value": 0.1, "critic_coeff": 0.5},
+    {"normalize_advantage": True, "entropy_bonus": False},
+    {"reduction": "sum", "log_explained_variance": False, "functional": False},
+    {"reduction": "none", "separate_losses": True},
+]
+
+
+@pytest.fixture
+def case():
+    policy, value = networks()
+    batch = collected(policy, 64)
+    move(policy)
+    return policy, value, batch
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=str)
+def test_on_one_batch_it_is_the_stock_loss_values_and_gradients(case, options):
+    policy, value, batch = case
+    ours, stock = SplitClipPPOLoss(policy, value, **options)(batch), ClipPPOLoss(policy, value, **options)(batch)
+    assert set(ours.keys()) == {*stock.keys(), "kl"}
+    for key, expected in stock.items():
+        torch.testing.assert_close(ours[key], expected.reshape(ours[key].shape))
+    losses = [key for key in stock.keys() if key.startswith("loss_")]
+    for network in (policy, value):
+        found = gradients(sum(ours[key].sum() for key in losses), network)
+        for ours_, stock_ in zip(found, gradients(sum(stock[key].sum() for key in losses), network), strict=True):
+            torch.testing.assert_close(ours_, stock_)
+            assert ours_.abs().max() > 0
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=str)
+def test_it_returns_what_it_says_it_returns(case, options):
+    policy, value, batch = case
+    loss = SplitClipPPOLoss(policy, value, **options)
+    assert set(loss(batch).keys()) == set(loss.out_keys)
+
+
+@pytest.mark.parametrize("coefficient", [None, 0.0])
+def test_without_a_coefficient_the_critic_stays_out_of_the_sum_but_can_be_asked(case, coefficient):
+    policy, value, batch = case
+    loss = SplitClipPPOLoss(policy, value, critic_coeff=coefficient)
+    assert "loss_critic" not in loss(batch).keys()
+    assert "loss_critic" not in loss.out_keys
+    whole = SplitClipPPOLoss(policy, value).loss_critic(batch)["loss_critic"]
+    assert loss.loss_critic(batch)["loss_critic"] == whole
+
+
+def test_actor_and_critic_each_see_their_own_samples(case):
+    policy, value, batch = case
+    loss = SplitClipPPOLoss(policy, value)
+    few = batch[:16]
+    assert loss.loss_actor(few)["loss_objective"] == loss(few)["loss_objective"]
+    assert loss.loss_critic(batch)["loss_critic"] == loss(batch)["loss_critic"]
+    assert loss.loss_actor(few)["loss_objective"] != loss(batch)["loss_objective"]
+
+
+def test_the_actor_needs_no_critic(case):
+    policy, value, batch = case
+    loss = SplitClipPPOLoss(policy)
+    assert loss(batch)["loss_objective"] == SplitClipPPOLoss(policy, value)(batch)["loss_objective"]
+    with pytest.raises(RuntimeError, match="Give SplitClipPPOLoss a critic_network"):
+        loss.loss_critic(batch)
+
+
+def test_the_batch_is_left_as_it_was(case):
+    policy, value, batch = case
+    before = batch.clone()
+    SplitClipPPOLoss(policy, value)(batch)
+    assert set(batch.keys()) == set(before.keys())
+    assert (batch == before).all()
+
+
+def with_next(batch):
+    """The batch as it comes from a collector, before any advantage."""
+    done = torch.zeros(64, 1, dtype=torch.bool)
+    after = {"observation": torch.randn(64, STATE), "reward": torch.randn(64, 1), "done": done, "terminated": done}
+    return batch.exclude("advantage", "value_target", "state_value").set("next", TensorDict(after, [64]))
+
+
+def test_without_an_advantage_one_is_estimated_as_the_stock_loss_does(case):
+    policy, value, batch = case
+    batch = with_next(batch)
+    losses = SplitClipPPOLoss(policy, value), ClipPPOLoss(policy, value)
+    for loss in losses:
+        loss.make_value_estimator(gamma=0.99, lmbda=0.95)
+    ours, stock = (loss(batch) for loss in losses)
+    for key in ("loss_objective", "loss_critic"):
+        torch.testing.assert_close(ours[key], stock[key])
+    assert "advantage" not in batch.keys()
+
+
+@pytest.mark.parametrize(
+    ("ratio", "advantage", "loss"),
+    [
+        (1.0, 2.0, -2.0),
+        (1.5, 2.0, -2.4),  # a good action: credit stops at 1 + ε
+        (1.5, -2.0, 3.0),  # a bad one made likelier: full blame
+        (0.5, 2.0, -1.0),  # a good one made rarer: full blame
+        (0.5, -2.0, 1.6),  # a bad one: credit stops at 1 - ε
+    ],
+)
+def test_credit_is_bounded_and_blame_is_not(ratio, advantage, loss):
+    low, high = torch.tensor(0.8).log(), torch.tensor(1.2).log()
+    found = clipped_surrogate(torch.tensor([[ratio]]).log(), torch.tensor([[advantage]]), low, high)
+    assert found.item() == pytest.approx(loss)
+
+
+def gaussians(seed=0):
+    torch.manual_seed(seed)
+    return [(torch.randn(7, ACTION), torch.rand(7, ACTION) + 0.2) for _ in range(2)]
+
+
+def test_divergence_is_the_textbook_one_and_never_negative():
+    old, new = gaussians()
+    expected = kl_divergence(Independent(Normal(*old), 1), Independent(Normal(*new), 1))
+    torch.testing.assert_close(gaussian_kl(*old, *new).squeeze(-1), expected)
+    assert (gaussian_kl(*old, *new) > 0).all()
+    assert gaussian_kl(*old, *old).abs().max() == 0
+
+
+def test_divergence_from_actions_tends_to_the_exact_one():
+    old, new = (Independent(Normal(loc[:1], 0.5 + scale[:1]), 1) for loc, scale in gaussians())
+    torch.manual_seed(0)
+    actions = old.sample((200_000,))
+    found = sampled_kl((new.log_prob(actions) - old.log_prob(actions)).unsqueeze(-1))
+    assert found.min() >= 0
+    assert found.mean().item() == pytest.approx(kl_divergence(old, new).item(), rel=0.02)
+
+
+def test_divergence_is_exact_where_the_batch_remembers_the_policy(case):
+    policy, value, batch = case
+    loss = SplitClipPPOLoss(policy, value)
+    now = policy.get_dist(batch.clone())
+    expected = kl_divergence(Independent(Normal(batch["loc"], batch["scale"]), 1), now).mean()
+    torch.testing.assert_close(loss(batch)["kl"], expected.detach())
+    forgetful = batch.exclude("loc", "scale")
+    log_ratio = (now.log_prob(batch["action"]) - batch["action_log_prob"]).unsqueeze(-1)
+    torch.testing.assert_close(loss(forgetful)["kl"], sampled_kl(log_ratio).mean().detach())
+
+
+def test_a_map_behind_the_gaussian_leaves_the_divergence_as_it_is():
+    torch.manual_seed(0)
+    net = nn.Sequential(nn.Linear(STATE, 2 * ACTION), NormalParamExtractor())
+    head = TensorDictModule(net, in_keys=["observation"], out_keys=["loc", "scale"])
+    policy = ProbabilisticActor(head, in_keys=["loc", "scale"], distribution_class=TanhNormal, return_log_prob=True)
+    _, value = networks()
+    batch = collected(policy, 64)
+    move(policy)
+    with torch.no_grad():
+        loc, scale = net(batch["observation"])
+    torch.manual_seed(3)  # its entropy is drawn
+    ours = SplitClipPPOLoss(policy, value)(batch)
+    torch.testing.assert_close(ours["kl"], gaussian_kl(batch["loc"], batch["scale"], loc, scale).mean())
+    torch.manual_seed(3)
+    stock = ClipPPOLoss(policy, value)(batch)
+    for key in ("loss_objective", "loss_entropy", "loss_critic"):
+        torch.testing.assert_close(ours[key], stock[key])
+
+
+def test_a_policy_of_choices_has_its_divergence_estimated():
+    torch.manual_seed(0)
+    head = TensorDictModule(nn.Linear(STATE, 4), in_keys=["observation"], out_keys=["logits"])
+    policy = ProbabilisticActor(head, in_keys=["logits"], distribution_class=OneHotCategorical, return_log_prob=True)
+    batch = collected(policy, 64)
+    move(policy)
+    out = SplitClipPPOLoss(policy)(batch)
+    log_ratio = policy.get_dist(batch.clone()).log_prob(batch["action"]) - batch["action_log_prob"]
+    torch.testing.assert_close(out["kl"], sampled_kl(log_ratio).mean().detach())
+    assert out["kl"] > 0
+
+
+@pytest.mark.parametrize("key", [("collector", "mask"), "shifted_valid"])
+@pytest.mark.parametrize("trailing", [True, False])
+@pytest.mark.parametrize("options", [{}, {"normalize_advantage": True, "clip_value": 0.2}], ids=str)
+def test_masked_samples_count_nowhere_and_may_hold_anything(case, key, trailing, options):
+    policy, value, batch = case
+    loss = SplitClipPPOLoss(policy, value, **options)
+    counts = torch.arange(64) % 3 > 0
+    expected = loss(batch[counts])
+    for name in ("advantage", "value_target", "state_value", "action_log_prob"):
+        batch[name][~counts] = torch.nan
+    batch[key] = counts.unsqueeze(-1) if trailing else counts
+    found = loss(batch)
+    for name, value_ in expected.items():
+        torch.testing.assert_close(found[name], value_)
+    for network in (policy, value):
+        total = (sum(out[k] for k in ("loss_objective", "loss_entropy", "loss_critic")) for out in (found, expected))
+        for ours, theirs in zip(*(gradients(t, network) for t in total), strict=True):
+            torch.testing.assert_close(ours, theirs)
+
+
+def test_both_masks_must_let_a_sample_pass_and_one_can_be_named_or_none(case):
+    policy, value, batch = case
+    loss = SplitClipPPOLoss(policy, value)
+    even, late = torch.arange(64) % 2 == 0, torch.arange(64) > 30
+    whole = loss(batch)["loss_critic"]
+    batch["collector", "mask"], batch["shifted_valid"] = even, late
+    assert loss.valid(batch).squeeze(-1).equal(even & late)
+    loss.loss_mask_key = "shifted_valid"
+    assert loss.valid(batch).squeeze(-1).equal(late)
+    loss.loss_mask_key = None
+    assert loss(batch)["loss_critic"] == whole
+
+
+def test_keys_can_be_renamed(case):
+    policy, value, batch = case
+    loss = SplitClipPPOLoss(policy, value)
+    expected = loss(batch)
+    renamed = batch.rename_key_("advantage", ("gae", "adv")).rename_key_("value_target", "returns")
+    loss.set_keys(advantage=("gae", "adv"), value_target="returns")
+    found = loss(renamed)
+    assert all(found[key] == expected[key] for key in ("loss_objective", "loss_critic"))
+
+
+def test_it_can_be_called_without_a_tensordict(case):
+    policy, value, batch = case
+    loss = SplitClipPPOLoss(policy, value)
+    loss.make_value_estimator(gamma=0.99, lmbda=0.95)
+    batch = with_next(batch).select("observation", "action", "action_log_prob", "next")
+    expected = loss(batch)
+    found = loss(**{"_".join(key) if isinstance(key, tuple) else key: batch[key] for key in batch.keys(True, True)})
+    assert dict(zip(loss.out_keys, found, strict=True)) == {key: expected[key] for key in loss.out_keys}
+
+
+def test_a_flat_advantage_is_refused(case):
+    policy, value, batch = case
+    batch["advantage"] = batch["advantage"].squeeze(-1)
+    with pytest.raises(ValueError, match="last dimension of 1, as GAE does"):
+        SplitClipPPOLoss(policy, value)(batch)
+
+
+@pytest.mark.parametrize(("key", "advice"), [("advantage", "GAE"), ("action_log_prob", "return_log_prob=True")])
+def test_a_missing_key_is_named_with_where_it_comes_from(case, key, advice):
+    policy, value, batch = case
+    with pytest.raises(KeyError, match=rf"no '{key}', only .*{advice}"):
+        SplitClipPPOLoss(policy, value).loss_actor(batch.exclude(key))
+
+
+def test_data_that_carries_a_gradient_is_refused(case):
+    policy, value, batch = case
+    batch["action_log_prob"].requires_grad_()
+    with pytest.raises(RuntimeError, match="Detach the batch"):
+        SplitClipPPOLoss(policy, value)(batch)
+
+
+def test_an_unknown_reduction_is_refused(case):
+    policy, value, _ = case
+    with pytest.raises(ValueError, match="'mean', 'sum' or 'none'"):
+        SplitClipPPOLoss(policy, value, reduction="max")

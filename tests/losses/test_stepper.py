@@ -1,0 +1,288 @@
+import copy
+import io
+
+import pytest
+import torch
+from networks.samples import collected, move, networks
+from torch.utils._python_dispatch import TorchDispatchMode
+from torchrl.collectors import Collector
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+from torchrl.testing.mocking_classes import ContinuousActionVecMockEnv
+from torchrl.trainers import Trainer
+
+from torchrl_athletic.losses import AdaptiveKL, SplitClipPPOLoss, SplitOptimizationStepper
+from torchrl_athletic.networks import actor, critic
+
+WAITS = {"aten._local_scalar_dense.default", "aten.nonzero.default", "aten.masked_select.default", "aten.equal.default"}
+"""Operations after which the host must know a value that the GPU has."""
+
+
+def parameters(*modules):
+    return [parameter.detach().clone() for module in modules for parameter in module.parameters()]
+
+
+def agree(ours, theirs, **tolerance):
+    for a, b in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(a, b, **tolerance)
+
+
+def make(loss=None, dtype=torch.float32, **options):
+    policy, value = networks(dtype)
+    loss = loss or {}
+    return SplitOptimizationStepper(SplitClipPPOLoss(policy, value, **loss), **options)
+
+
+def test_one_minibatch_and_one_rate_are_stock_ppo_step_by_step():
+    policy, value = networks(torch.float64)
+    batch = collected(policy, 32)
+    twins = copy.deepcopy((policy, value))
+    stepper = SplitOptimizationStepper(
+        SplitClipPPOLoss(policy, value, clip_value=0.2),
+        actor_lr=3e-4, critic_lr=3e-4, adaptive_kl=None, epochs=3, minibatches=1, max_grad_norm=None,
+    )  # fmt: skip
+    stepper.update(batch)
+
+    loss = ClipPPOLoss(*twins, clip_value=0.2)
+    optimizer = torch.optim.AdamW(loss.parameters(), lr=torch.tensor(3e-4), weight_decay=0.01, fused=True)
+    for _ in range(3):
+        out = loss(batch)
+        optimizer.zero_grad()
+        (out["loss_objective"] + out["loss_entropy"] + out["loss_critic"]).backward()
+        optimizer.step()
+    agree(parameters(policy, value), parameters(*twins), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("micro_batch", [1, 7, 32, 1000])
+def test_micro_batches_add_up_to_the_whole_batch(masked, micro_batch):
+    found = []
+    for size in (None, micro_batch):
+        stepper = make({"clip_value": 0.2}, torch.float64, micro_batch=size, epochs=1, max_grad_norm=None)
+        batch = collected(stepper.loss.actor_network, 32)
+        if masked:
+            batch["shifted_valid"] = torch.arange(32) > 12  # some pieces have no sample that counts
+        report = stepper.update(batch)
+        gradient = [parameter.grad for parameter in stepper.critic_parameters]
+        found.append([*gradient, *(report[key] for key in ("loss_critic", "value_clip_fraction", "critic_grad_norm"))])
+    agree(*found, rtol=1e-12, atol=1e-15)
+
+
+def test_no_more_samples_than_a_micro_batch_go_through_the_critic_at_once():
+    stepper = make(micro_batch=10)
+    sizes = []
+    stepper.loss.critic_network.register_forward_pre_hook(lambda _, given: sizes.append(len(given[0])))
+    stepper.update(collected(stepper.loss.actor_network, 32))
+    assert sizes == [10, 10, 10, 2] * 5
+
+
+@pytest.mark.parametrize(("critic_minibatches", "critic_sizes"), [(1, [30]), (4, [8, 8, 7, 7])])
+def test_each_epoch_moves_the_actor_on_minibatches_that_cover_the_batch_once(critic_minibatches, critic_sizes):
+    stepper = make(epochs=3, critic_minibatches=critic_minibatches)
+    seen, sizes = [], []
+    batch = collected(stepper.loss.actor_network, 5, 6)
+    stepper.loss.actor_network.register_forward_pre_hook(lambda *_: None)
+    original = stepper.loss.loss_actor, stepper.loss.loss_critic
+    stepper.loss.loss_actor = lambda part: seen.append(part["observation"][:, 0]) or original[0](part)
+    stepper.loss.loss_critic = lambda part: sizes.append(len(part)) or original[1](part)
+    stepper.update(batch)
+    assert [len(part) for part in seen] == [8, 8, 7, 7] * 3
+    assert sizes == critic_sizes * 3
+    everything = batch["observation"][..., 0].flatten().sort().values
+    epochs = [torch.cat(seen[4 * k : 4 * k + 4]) for k in range(3)]
+    for epoch in epochs:
+        assert epoch.sort().values.equal(everything)
+    assert not epochs[0].equal(epochs[1])
+
+
+def test_the_rate_falls_while_the_policy_runs_and_never_moves_the_critics():
+    stepper = make(actor_lr=1e-2)
+    report = stepper.update(collected(stepper.loss.actor_network, 64))
+    assert report["kl"] > 0.02
+    assert report["actor_lr"] < 1e-2
+    assert report["critic_lr"] == torch.tensor(5e-4)
+    assert stepper.actor_optimizer.param_groups[0]["lr"] is stepper.actor_lr
+
+
+def test_a_timid_policy_is_sped_up():
+    stepper = make(actor_lr=1e-5, minibatches=1)
+    assert stepper.update(collected(stepper.loss.actor_network, 64))["actor_lr"] > 1e-5
+
+
+def test_without_adaptation_the_rate_stays():
+    stepper = make(actor_lr=1e-2, adaptive_kl=None)
+    assert stepper.update(collected(stepper.loss.actor_network, 64))["actor_lr"] == torch.tensor(1e-2)
+
+
+def test_long_gradients_are_cut_but_reported_as_they_were():
+    lengths = []
+    for limit in (None, 1e-3):
+        stepper = make(adaptive_kl=None, epochs=1, minibatches=1, max_grad_norm=limit)
+        report = stepper.update(collected(stepper.loss.actor_network, 64))
+        gradient = torch.cat([p.grad.flatten() for p in stepper.actor_parameters])
+        lengths.append((report["actor_grad_norm"].item(), gradient.norm().item()))
+    (free, unchanged), (reported, cut) = lengths
+    assert free == pytest.approx(unchanged)
+    assert reported == pytest.approx(free)
+    assert cut == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_decay_pulls_weights_that_have_no_gradient_to_zero():
+    stepper = make({"entropy_bonus": False}, adaptive_kl=None, actor_lr=1e-2, epochs=1, minibatches=1)
+    batch = collected(stepper.loss.actor_network, 8)
+    batch["advantage"].zero_()
+    before = parameters(stepper.loss.actor_network)
+    stepper.update(batch)
+    agree(parameters(stepper.loss.actor_network), [p * (1 - 1e-2 * 0.01) for p in before])
+
+
+def test_making_a_stepper_moves_nothing():
+    policy, value = networks()
+    before = parameters(policy, value)
+    stepper = SplitOptimizationStepper(SplitClipPPOLoss(policy, value))
+    assert all(a.equal(b) for a, b in zip(parameters(policy, value), before, strict=True))
+    assert all(state["step"] == 0 for state in stepper.actor_optimizer.state.values())
+    assert stepper.actor_lr == torch.tensor(1e-3)
+
+
+def test_the_value_loss_falls_and_good_actions_become_likelier():
+    stepper = make(epochs=20)
+    policy = stepper.loss.actor_network
+    batch = collected(policy, 256)
+    batch["advantage"] = (batch["action"][:, :1] > 0).float() - 0.5
+    first = stepper.update(batch)
+    assert stepper.update(batch)["loss_critic"] < first["loss_critic"]
+    assert policy(batch.clone())["loc"][:, 0].mean() > batch["loc"][:, 0].mean()
+
+
+def test_an_interrupted_training_goes_on_as_if_it_had_not_been():
+    whole, first = make(), make()
+    batches = [collected(whole.loss.actor_network, 32, seed=k) for k in range(3)]
+    for batch in batches:
+        whole.update(batch)
+    for batch in batches[:2]:
+        first.update(batch)
+    file = io.BytesIO()
+    torch.save([first.loss.state_dict(), first.state_dict()], file)
+    file.seek(0)
+    networks_, optimizers = torch.load(file, weights_only=True)
+    resumed = make(seed=99, actor_lr=2e-3, critic_lr=1e-4)
+    resumed.loss.load_state_dict(networks_)
+    resumed.load_state_dict(optimizers)
+    report = resumed.update(batches[2])
+    ours, theirs = (parameters(s.loss.actor_network, s.loss.critic_network) for s in (resumed, whole))
+    assert all(a.equal(b) for a, b in zip(ours, theirs, strict=True))
+    assert report["actor_lr"] == whole.actor_lr
+    assert resumed.actor_optimizer.param_groups[0]["lr"] is resumed.actor_lr
+
+
+def test_same_seed_same_training_other_seed_another():
+    found = []
+    for seed in (0, 0, 1):
+        stepper = make(seed=seed)
+        stepper.update(collected(stepper.loss.actor_network, 32))
+        found.append(parameters(stepper.loss.actor_network)[0])
+    assert found[0].equal(found[1])
+    assert not found[0].equal(found[2])
+
+
+class Overheard(TorchDispatchMode):
+    """Keeps the names of operations."""
+
+    def __init__(self):
+        super().__init__()
+        self.names = set()
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        self.names.add(str(func))
+        return func(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_the_host_never_waits_for_a_value(masked):
+    stepper = make({"clip_value": 0.2, "normalize_advantage": True}, micro_batch=10)
+    batch = collected(stepper.loss.actor_network, 32)
+    if masked:
+        batch["shifted_valid"] = torch.arange(32) > 12
+    with Overheard() as overheard:
+        stepper.update(batch)
+    assert "aten.mm.default" in overheard.names
+    assert overheard.names & WAITS == set()
+
+
+def test_the_listener_above_hears_the_stock_loss_wait():
+    policy, value = networks()
+    with Overheard() as overheard:
+        ClipPPOLoss(policy, value)(collected(policy, 8))
+    assert overheard.names & WAITS
+
+
+def test_it_runs_in_torchrls_trainer():
+    env = ContinuousActionVecMockEnv()
+    size, actions = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
+    policy, value = actor(size, actions, hidden=(8,)), critic(size, hidden=(8,))
+    loss = SplitClipPPOLoss(policy, value)
+    stepper = SplitOptimizationStepper(loss, epochs=2)
+    trainer = Trainer(
+        collector=Collector(env, policy, frames_per_batch=16, total_frames=48),
+        total_frames=48, frame_skip=1, optim_steps_per_batch=1, loss_module=loss, optimization_stepper=stepper,
+        progress_bar=False, log_interval=1,
+    )  # fmt: skip
+    gae = GAE(gamma=0.99, lmbda=0.95, value_network=value, average_gae=True, vectorized=False)
+    trainer.register_op("batch_process", gae)
+    before = parameters(policy, value)
+    assert "actor_optimizer" in trainer.state_dict()["optimization_stepper"]
+    trainer.train()
+    assert not any(a.equal(b) for a, b in zip(parameters(policy, value), before, strict=True))
+    assert all(state["step"] == 3 * 2 * 4 for state in stepper.actor_optimizer.state.values())
+    assert all(state["step"] == 3 * 2 for state in stepper.critic_optimizer.state.values())
+
+
+def test_networks_that_share_weights_are_refused():
+    policy, value = networks()
+    value.module.mlp = policy[0].module.network.mlp
+    with pytest.raises(ValueError, match="Give each its own"):
+        SplitOptimizationStepper(SplitClipPPOLoss(policy, value))
+
+
+@pytest.mark.parametrize(
+    ("options", "advice"),
+    [
+        ({"epochs": 0}, "epochs is 0.*Give 1 or more"),
+        ({"micro_batch": 0}, "None for no limit"),
+        ({"actor_lr": 0.1}, "Start within the bounds"),
+        ({"actor_lr": 1e-3, "adaptive_kl": AdaptiveKL(bounds=(1e-5, 1e-4))}, "Start within the bounds"),
+        ({"cuda_graph": True}, "Move the networks to CUDA"),
+        ({"loss": {"reduction": "sum"}}, "take 'mean'"),
+    ],
+)
+def test_an_update_that_cannot_work_is_refused(options, advice):
+    with pytest.raises(ValueError, match=advice):
+        make(**options)
+
+
+def test_an_actor_alone_is_refused():
+    policy, _ = networks()
+    with pytest.raises(ValueError, match="Give SplitClipPPOLoss a critic_network"):
+        SplitOptimizationStepper(SplitClipPPOLoss(policy))
+
+
+def test_capture_needs_a_gpu():
+    stepper = make()
+    with pytest.raises(RuntimeError, match="on a GPU"):
+        stepper.capture(collected(stepper.loss.actor_network, 8))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_one_graph_trains_as_the_steps_one_by_one_do():
+    found = []
+    for cuda_graph in (False, True):
+        policy, value = (module.cuda() for module in networks())
+        stepper = SplitOptimizationStepper(SplitClipPPOLoss(policy, value), cuda_graph=cuda_graph, micro_batch=100)
+        reports = []
+        for k in range(3):
+            batch = collected(networks()[0], 256, seed=k).cuda()
+            reports.append(torch.stack(list(stepper.update(batch).values())))
+        found.append([*parameters(policy, value), *reports])
+        move(policy, 0.0)
+    agree(*found, rtol=1e-4, atol=1e-5)

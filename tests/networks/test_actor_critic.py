@@ -1,0 +1,77 @@
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from torchrl_athletic.networks import RunningNormalizer, actor, critic
+
+
+def test_the_papers_networks_have_three_layers_of_512_and_elu():
+    for network in (actor(100, 19), critic(100)):
+        layers = [module for module in network.modules() if isinstance(module, nn.Linear)]
+        assert [layer.out_features for layer in layers[:-1]] == [512, 512, 512]
+        assert sum(isinstance(module, nn.ELU) for module in network.modules()) == 3
+
+
+def test_the_spread_is_the_same_in_every_state_and_starts_as_asked():
+    policy = actor(3, 2, scale=0.25)
+    out = policy(TensorDict({"observation": torch.randn(50, 3)}, [50]))
+    torch.testing.assert_close(out["scale"], torch.full((50, 2), 0.25))
+    assert out["loc"].std(0).min() > 0
+
+
+def test_it_acts_on_its_mean_until_it_explores():
+    policy = actor(3, 2, scale=0.5)
+    states = TensorDict({"observation": torch.randn(1, 3).expand(20_000, 3)}, [20_000])
+    calm = policy(states.clone())
+    assert calm["action"].equal(calm["loc"])
+    torch.manual_seed(0)
+    with set_exploration_type(ExplorationType.RANDOM):
+        wild = policy(states.clone())
+    assert (wild["action"] - wild["loc"]).std(0).tolist() == pytest.approx([0.5, 0.5], rel=0.03)
+
+
+def test_the_log_probability_is_that_of_all_actions_together():
+    out = actor(3, 2, scale=0.5)(TensorDict({"observation": torch.randn(4, 3)}, [4]))
+    at_mean = -2 * math.log(0.5 * math.sqrt(2 * math.pi))
+    assert out["action_log_prob"].tolist() == pytest.approx([at_mean] * 4)
+
+
+def test_inputs_are_put_side_by_side_in_the_order_given():
+    torch.manual_seed(0)
+    value = critic(3, in_keys=["observation", ("critic", "privileged")])
+    a, b = torch.randn(5, 1), torch.randn(5, 2)
+    given = TensorDict({"observation": a, "critic": {"privileged": b}}, [5])
+    expected = value.module.mlp(torch.cat((a, b), -1))
+    assert value(given)["state_value"].equal(expected)
+
+
+def test_a_critic_may_see_what_its_actor_does_not():
+    policy, value = actor(3, 2), critic(5, in_keys=["observation", "privileged"])
+    batch = value(policy(TensorDict({"observation": torch.randn(4, 3), "privileged": torch.randn(4, 2)}, [4])))
+    assert batch["state_value"].shape == (4, 1)
+    assert policy.in_keys == ["observation"]
+
+
+def test_a_normalizer_makes_units_irrelevant():
+    torch.manual_seed(0)
+    normalizer = RunningNormalizer(3)
+    policy = actor(3, 2, normalizer=normalizer)
+    states = torch.randn(200, 3)
+    normalizer.update(states)
+    metres = policy(TensorDict({"observation": states}, [200]))["loc"]
+    normalizer.count.zero_()
+    normalizer.update(1e3 * states)
+    millimetres = policy(TensorDict({"observation": 1e3 * states}, [200]))["loc"]
+    torch.testing.assert_close(metres, millimetres, rtol=1e-3, atol=1e-4)
+
+
+def test_it_holds_for_any_leading_dims():
+    states = torch.randn(6, 3)
+    policy = actor(3, 2)
+    flat = policy(TensorDict({"observation": states}, [6]))["loc"]
+    deep = policy(TensorDict({"observation": states.view(2, 3, 3)}, [2, 3]))["loc"]
+    torch.testing.assert_close(deep.view(6, 2), flat)
