@@ -51,3 +51,9 @@ def sensors_need_constraints(model: mujoco.MjModel) -> bool:
     """Whether a sensor of position or velocity reads collisions or constraints: their refresh costs half a step."""
     early = model.sensor_needstage < mujoco.mjtStage.mjSTAGE_ACC.value
     return bool(np.isin(model.sensor_type[early], [int(kind) for kind in _OF_CONSTRAINTS]).any())
+
+
+def sensors_read_actuators(model: mujoco.MjModel) -> bool:
+    """Whether a sensor reads the length or velocity of an actuator."""
+    kinds = (_sensor.mjSENS_ACTUATORPOS, _sensor.mjSENS_ACTUATORVEL)
+    return bool(np.isin(model.sensor_type, [int(kind) for kind in kinds]).any())

@@ -16,7 +16,12 @@ import torch
 from torch import Tensor
 
 from torchrl_athletic.physics.capacity import estimate_capacity
-from torchrl_athletic.physics.data_fields import check_computed, late_columns, sensors_need_constraints
+from torchrl_athletic.physics.data_fields import (
+    check_computed,
+    late_columns,
+    sensors_need_constraints,
+    sensors_read_actuators,
+)
 from torchrl_athletic.physics.joints import Columns, driven_joints, joint_columns
 from torchrl_athletic.physics.model_fields import has_constants, refuse_ignored_limits
 from torchrl_athletic.physics.protocol import CapacityError, Envs, Physics, Result, Values
@@ -81,7 +86,7 @@ class WarpPhysics(Physics):
         estimate = estimate_capacity(model)
         self.nconmax, self.njmax = nconmax or estimate[0], njmax or estimate[1]
         self._inline = False  # whether work goes straight to the current stream, which may be recording it
-        self._graphs: dict[tuple[int, bool, int], Callable[[], None]] = {}
+        self._graphs: dict[tuple[str | int, ...], Callable[[], None]] = {}
         self._views: dict[str, Tensor] = {}
         with self._on_stream():
             self.warp_model = self._mjw.put_model(model, batch_sizes=self._batch_sizes())
@@ -97,7 +102,8 @@ class WarpPhysics(Physics):
         self._initial = [self._keyframe(key) for key in range(-1, model.nkey)]  # the default state is the last: -1 + 1
         self._late = torch.from_numpy(late_columns(model)).to(self.device)
         self._full_refresh = sensors_need_constraints(model)
-        self._overflow = self._view("overflow")
+        self._drives_sensed = model.ntendon > 0 or sensors_read_actuators(model)
+        self._overflow, self._sensors = self._view("overflow"), self._view("sensordata")
         self._peak = torch.zeros(num_envs, device=self.device)
         self._chosen = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self.forward()
@@ -145,8 +151,7 @@ class WarpPhysics(Physics):
     @property
     def overflow(self) -> Tensor:
         """Envs that ever lost a contact or a constraint for want of room. Bool, shape (N,). See :meth:`check`."""
-        kinds = self._mjw.OverflowType
-        return (self._overflow & int(kinds.ALL & ~(kinds.ITERATIONS | kinds.LS_ITERATIONS))) != 0
+        return (self._overflow & ~_benign(self._mjw)) != 0
 
     def data(self, name: str) -> Tensor:
         if name not in self._views:
@@ -174,8 +179,7 @@ class WarpPhysics(Physics):
             self._check_values(name, value)
         self._write(field, value, mask, name)
         if has_constants(name) and not name.startswith("opt."):
-            with self._on_stream():
-                self._mjw.set_const(self.warp_model, self.warp_data)
+            self._run(("set_const",), lambda _: self._set_const())
 
     def reset(
         self, envs: Envs = None, keyframe: int | str = -1, qpos: Values | None = None, qvel: Values | None = None
@@ -192,8 +196,8 @@ class WarpPhysics(Physics):
         for name, value in (("qpos", qpos), ("qvel", qvel)):
             if value is not None:
                 self._write(self._state[name], value, mask, name)
-        self._peak.masked_fill_(torch.ones_like(self._chosen) if mask is None else mask, 0.0)
-        self._refresh()
+        self._write(self._peak, 0.0, mask, "peak")
+        self._run(("refresh",), lambda _: self._refresh())
 
     def apply_torque(self, torque: Tensor) -> None:
         check_shape("torque", torque, (self.num_envs, len(self.joint_names)), self.joint_names)
@@ -205,26 +209,11 @@ class WarpPhysics(Physics):
         self._write(wrench[:, 3:], torque, None, "torque")
 
     def step(self, nstep: int = 1, refresh: bool = False, envs: Envs = None) -> None:
-        mask = self._mask(envs)
-        if self._inline or self.device.type == "cpu":
-            self._advance(nstep, refresh, mask)
-            return
-        if self._recording():
-            raise RuntimeError(
-                "the physics cannot be recorded by a capture that it does not know of. Take physics.capture(function), "
-                "or put `with physics.capturing():` inside torch.cuda.graph(...)."
-            )
-        if mask is not None:
-            self._chosen.copy_(mask)
-        kind = (nstep, refresh, 0 if mask is None else len(self._views))  # a masked one holds what is looked at
-        if kind not in self._graphs:
-            chosen = None if mask is None else self._chosen
-            self._graphs[kind] = self.capture(lambda: self._advance(nstep, refresh, chosen), warmup=1)
-        self._graphs[kind]()
+        work = functools.partial(self._advance, nstep, refresh)
+        self._run(("step", nstep, refresh), work, self._mask(envs))
 
     def forward(self, envs: Envs = None) -> None:
-        with self._untouched(self._mask(envs), self._derived()), self._on_stream():
-            self._mjw.forward(self.warp_model, self.warp_data)
+        self._run(("forward",), self._forward, self._mask(envs))
 
     def rollout(
         self, nstep: int, control: Tensor | None = None, into: str = "ctrl", record: Sequence[str] = ("qpos", "qvel")
@@ -277,11 +266,14 @@ class WarpPhysics(Physics):
         stream, graph = torch.cuda.Stream(self.device), torch.cuda.CUDAGraph()
         stream.wait_stream(torch.cuda.current_stream(self.device))
         with torch.cuda.stream(stream), self._set_inline():
-            state = [(tensor, tensor.clone()) for tensor in (*self._state.values(), self._peak)]
+            seen = len(self._views)
+            held = [(tensor, tensor.clone()) for tensor in (*self._views.values(), self._peak)]
             for _ in range(warmup):
                 function()
-            for tensor, before in state:
+            for tensor, before in held:
                 tensor.copy_(before)
+            if len(self._views) > seen:  # what was looked at for the first time describes the warm-up
+                self._forward(None)
         with _no_garbage_collection(), torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local"):
             with self.capturing():
                 result = function()
@@ -328,6 +320,34 @@ class WarpPhysics(Physics):
             scope = self._warp.ScopedStream(stream, sync_enter=False)
         return scope
 
+    def _run(
+        self, name: tuple[str | int, ...], work: Callable[[Tensor | None], None], mask: Tensor | None = None
+    ) -> None:
+        """Do work on the envs of the mask: from a graph of its own, or as part of one being recorded."""
+        if self._inline or self.device.type == "cpu":
+            work(mask)
+            return
+        if self._recording():
+            raise RuntimeError(
+                "the physics cannot be recorded by a capture that it does not know of. Take physics.capture(function), "
+                "or put `with physics.capturing():` inside torch.cuda.graph(...)."
+            )
+        if mask is not None:
+            self._chosen.copy_(mask)
+        kind = (*name, 0 if mask is None else len(self._views))  # a masked one holds what is looked at
+        if kind not in self._graphs:
+            chosen = None if mask is None else self._chosen
+            self._graphs[kind] = self.capture(lambda: work(chosen), warmup=1)
+        self._graphs[kind]()
+
+    def _forward(self, mask: Tensor | None) -> None:
+        with self._untouched(mask, self._derived()), self._on_stream():
+            self._mjw.forward(self.warp_model, self.warp_data)
+
+    def _set_const(self) -> None:
+        with self._on_stream():
+            self._mjw.set_const(self.warp_model, self.warp_data)
+
     def _advance(self, nstep: int, refresh: bool, mask: Tensor | None) -> None:
         moved = [self._state[name] for name in _MOVED if name in self._state]
         with self._untouched(mask, moved + self._derived()):
@@ -348,7 +368,7 @@ class WarpPhysics(Physics):
             mjw.kinematics(m, d)
             mjw.com_pos(m, d)
             mjw.camlight(m, d)
-            if self.model.ntendon or self.model.nu:
+            if self._drives_sensed:
                 mjw.tendon(m, d)
                 mjw.transmission(m, d)
                 mjw.fwd_velocity(m, d)
@@ -360,10 +380,9 @@ class WarpPhysics(Physics):
     def _refresh_all(self) -> None:
         """With collisions and constraints. Their sensors are added up, from zero; the later ones stay."""
         mjw, m, d = self._mjw, self.warp_model, self.warp_data
-        sensors = self.data("sensordata")
-        late = sensors[:, self._late]
+        late = self._sensors[:, self._late]
         mjw.step1(m, d)
-        sensors[:, self._late] = late
+        self._sensors[:, self._late] = late
 
     @contextmanager
     def _untouched(self, mask: Tensor | None, tensors: Sequence[Tensor]) -> Iterator[None]:
