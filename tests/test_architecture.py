@@ -25,6 +25,7 @@ ROOMS = (  # a room may import only rooms above it
     "transforms",
     "losses",
     "networks",
+    "testing",
     "robots",
     "physics",
     "envs",
@@ -40,6 +41,7 @@ LIBRARIES = {  # all that these rooms may import from other projects
     "transforms": TENSORS,
     "losses": TENSORS,
     "networks": TENSORS,
+    "testing": TENSORS | {"pytest"},
     "recordings": {"numpy", "scipy", "h5py", "mcap", "mcap_ros2", "pyarrow", "rosbags"},
 }
 MODULES = sorted(path.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py"))
