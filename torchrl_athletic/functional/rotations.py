@@ -64,7 +64,9 @@ def projected_gravity(body_to_world: Tensor) -> Tensor:
 def yaw(body_to_world: Tensor) -> Tensor:
     """Heading about the vertical [rad]. Shape (*B, 1)."""
     w, x, y, z = body_to_world.unbind(-1)
-    return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)).unsqueeze(-1)
+    sine, cosine = 2 * (w * z + x * y), 1 - 2 * (y * y + z * z)
+    angle = torch.atan2(sine.double(), cosine.double())  # in float32 its last bit depends on the size of the batch
+    return angle.to(body_to_world.dtype).unsqueeze(-1)
 
 
 def yaw_quaternion(angle: Tensor) -> Tensor:

@@ -5,18 +5,26 @@ repository for that reason. What must survive a step is carried in the tensordic
 """
 
 from torchrl_athletic.transforms.actuation import ActionDelay, PDControl, PowerClip, TorqueSpeedClip, UANCorrection
+from torchrl_athletic.transforms.command_sampler import CommandSampler
 from torchrl_athletic.transforms.decimation import Decimation
+from torchrl_athletic.transforms.gait_clock import GaitClock
 from torchrl_athletic.transforms.observation_history import ObservationHistory
+from torchrl_athletic.transforms.reference_trajectory import ReferenceTrajectory
 from torchrl_athletic.transforms.stateful import RandomTransform, StatefulTransform
+from torchrl_athletic.transforms.task_phase import TaskPhase
 
 __all__ = [
     "ActionDelay",
+    "CommandSampler",
     "Decimation",
+    "GaitClock",
     "ObservationHistory",
     "PDControl",
     "PowerClip",
     "RandomTransform",
+    "ReferenceTrajectory",
     "StatefulTransform",
+    "TaskPhase",
     "TorqueSpeedClip",
     "UANCorrection",
 ]

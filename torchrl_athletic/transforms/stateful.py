@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
@@ -140,8 +141,9 @@ class StatefulTransform(Transform):
 class RandomTransform(StatefulTransform):
     """A :class:`StatefulTransform` that draws random numbers when an episode starts, and from then on.
 
-    Each row draws from a stream of its own, named by the seed, the row's number and how many episodes the row has had
-    (:mod:`torchrl_athletic.functional.streams`): the same in a batch as alone.
+    Each row draws from a stream of its own, named by the seed, the class, the row's number and how many episodes the
+    row has had (:mod:`torchrl_athletic.functional.streams`): the same in a batch as alone. Two transforms of one class
+    in one environment need different seeds, or they draw the same numbers.
 
     Args:
         in_keys: As of :class:`StatefulTransform`.
@@ -169,23 +171,40 @@ class RandomTransform(StatefulTransform):
     ) -> None:
         super().__init__(in_keys, out_keys, in_keys_inv, out_keys_inv, reset_key)
         self.seed, self.first_row = seed, first_row
+        self._salt = zlib.crc32(type(self).__name__.encode())  # or a short delay would always come with a light arm
         self.register_buffer("episode", torch.empty(0, dtype=torch.int64), persistent=False)
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         """What :meth:`initial` is, given a stream for each row. Shape of ``key``: (*B,)."""
         raise NotImplementedError
 
+    def upcoming(self, tensordict: TensorDictBase) -> Tensor:
+        """The streams that :meth:`draw` will get of the reset that ``tensordict`` asks for. Shape (*B,).
+
+        For what a transform hands to the environment before it resets, in ``_reset_env_preprocess``.
+        """
+        self._count_episodes_of(tensordict)
+        return self._streams(self.episode + self._starts(tensordict))
+
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        batch, device = tensordict_reset.batch_size, tensordict_reset.device
-        if self.episode.shape != batch or self.episode.device != device:
-            self.episode = torch.zeros(batch, dtype=torch.int64, device=device)
-        starts = reset_mask(tensordict, self.reset_key)
-        self.episode += 1 if starts is None else starts.reshape(*batch, -1).any(-1)
+        self._count_episodes_of(tensordict_reset)
+        self.episode += self._starts(tensordict)
         return super()._reset(tensordict, tensordict_reset)
 
     def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
-        row = torch.arange(self.episode.numel(), device=self.episode.device).reshape(self.episode.shape)
-        return self.draw(stream(self.seed, row + self.first_row, self.episode), tensordict_reset)
+        return self.draw(self._streams(self.episode), tensordict_reset)
+
+    def _count_episodes_of(self, tensordict: TensorDictBase) -> None:
+        if self.episode.shape != tensordict.batch_size:  # on the environment's device, to which it moved this module
+            self.episode = self.episode.new_zeros(tensordict.batch_size)
+
+    def _starts(self, tensordict: TensorDictBase) -> Tensor | int:
+        starts = reset_mask(tensordict, self.reset_key)
+        return 1 if starts is None else starts.reshape(*self.episode.shape, -1).any(-1)
+
+    def _streams(self, episode: Tensor) -> Tensor:
+        row = torch.arange(episode.numel(), device=episode.device).reshape(episode.shape)
+        return stream(self.seed + self._salt, row + self.first_row, episode)
 
 
 def reset_mask(tensordict: TensorDictBase, reset_key: NestedKey) -> Tensor | None:
