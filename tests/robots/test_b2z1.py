@@ -74,6 +74,46 @@ def test_a_force_is_felt_where_it_lies():
     assert plant.sensed("arm_force").max() > 10.0
 
 
+def test_each_leg_is_that_of_the_description():
+    robot, model = b2z1(), b2z1().model()
+    assert model.opt.timestep == 0.005
+    for leg in range(0, 12, 3):
+        assert robot.position_limit[leg : leg + 3] == ((-0.87, 0.87), (-0.94, 4.69), (-2.82, -0.43))
+        assert robot.torque_limit[leg : leg + 3] == (200.0, 200.0, 320.0)
+        assert robot.velocity_limit[leg : leg + 3] == (23.0, 23.0, 14.0)
+    # hips hang inwards and towards the middle of the robot: b2w_description
+    for name, side in LEGS.items():
+        assert (np.sign(model.body(f"{name}_hip").ipos[:2]) == np.multiply(side, -1)).all()
+        assert np.sign(model.body(f"{name}_thigh").ipos[1]) == -side[1]
+
+
+def test_a_heavier_rotor_and_more_friction_slow_a_joint():
+    """What the tables say reaches the model: a freely swung calf against the same without it."""
+    for field in ("dof_armature", "dof_damping", "dof_frictionloss"):
+        speeds = []
+        for share in (1.0, 0.0):
+            plant = Plant(b2z1())
+            plant.data.qpos[2] = 3.0
+            getattr(plant.model, field)[plant.dof[2]] *= share
+            plant.data.ctrl[2] = -40.0
+            for _ in range(5):
+                mujoco.mj_step(plant.model, plant.data)
+            speeds.append(abs(plant.data.qvel[plant.dof[2]]))
+        assert speeds[0] < 0.999 * speeds[1], field
+
+
+@pytest.mark.parametrize("terrain", [None, Terrain(tiles=1)])
+def test_the_ground_alone_sets_the_friction_under_the_feet(terrain):
+    robot = b2z1(terrain=terrain)
+    plant = Plant(robot)
+    for name in robot.ground:
+        plant.model.geom(name).friction[0] = 0.1
+    plant.hold(0.3)
+    assert plant.data.ncon >= 4
+    assert {plant.model.geom(int(g)).name for g in plant.data.contact.geom[:, 0]} == {robot.ground[-1]}
+    np.testing.assert_allclose(plant.data.contact.friction[:, 0], 0.1)
+
+
 def test_right_legs_are_mirror_images_of_left_ones():
     model = b2z1().model()
     for right, left in (("FR", "FL"), ("RR", "RL")):

@@ -20,6 +20,8 @@ def test_each_tile_is_as_rough_as_it_says_and_within_the_bounds():
 def test_same_seed_same_ground_and_another_seed_another():
     assert (Terrain(seed=3).heights() == Terrain(seed=3).heights()).all()
     assert (Terrain(seed=3).heights() != Terrain(seed=4).heights()).any()
+    even = {"roughness": (0.02, 0.02)}
+    assert (Terrain(seed=3, **even).heights() != Terrain(seed=4, **even).heights()).any()
     assert (Terrain(seed=3).tile_roughness() != Terrain(seed=4).tile_roughness()).any()
 
 

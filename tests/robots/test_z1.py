@@ -44,6 +44,34 @@ def test_positive_joint2_lifts_the_folded_arm_and_negative_joint3_unfolds_it():
     assert unfolded[0] > 0.5
 
 
+def test_a_second_motor_doubles_what_a_joint_has():
+    plant = Plant(z1())
+    motors = np.array([1, 2, 1, 1, 1, 1])  # Unitree's description: joint2 has two of what the others have
+    joints = [plant.model.joint(name) for name in plant.robot.joint_names[:6]]
+    for field, one in (("damping", 1.0), ("frictionloss", 1.0), ("armature", 0.03)):
+        np.testing.assert_allclose([getattr(joint, field).item() for joint in joints], one * motors)
+    np.testing.assert_allclose(plant.robot.torque_limit, [*(30.0 * motors), 20.0])
+    np.testing.assert_allclose(plant.robot.velocity_limit, 3.1415)
+
+
+def test_each_joint_turns_its_way():
+    plant = Plant(z1())
+    plant.data.qpos[plant.qpos] = level = np.array([0.0, 1.5, -1.0, -0.5, 0.0, 0.0, 0.0])
+
+    def seen(joint, angle):
+        plant.data.qpos[plant.qpos] = level
+        plant.data.qpos[plant.qpos[joint]] += angle
+        position = plant.sensed("end_effector_position")
+        jaw = plant.data.geom("z1_moving_jaw").xpos - plant.data.geom("z1_jaw").xpos
+        return position, plant.data.body("link06").xmat.reshape(3, 3).copy(), jaw
+
+    at, turn, jaws = seen(0, 0.0)
+    for joint, axis, sign in ((0, 1, 1), (1, 2, -1), (2, 2, -1), (3, 2, -1), (4, 1, 1)):  # left, down, down, down, left
+        assert sign * (seen(joint, 0.1)[0] - at)[axis] > 0.01
+    assert seen(5, 0.1)[1][2, 1] > turn[2, 1] + 0.05  # the left side of the gripper goes up
+    assert np.linalg.norm(seen(6, -1.0)[2]) > np.linalg.norm(jaws) + 0.02  # open
+
+
 def test_its_gains_hold_it_against_gravity_with_a_sag_of_torque_over_gain():
     plant = Plant(z1())
     plant.hold(5.0)
