@@ -4,6 +4,7 @@ The actuation chain between the policy and the motor is not here: it is made of 
 rate.
 """
 
+from torchrl_athletic.envs.actuation_chain import actuation_chain
 from torchrl_athletic.envs.torque_env import TorqueEnv, make_physics
 
-__all__ = ["TorqueEnv", "make_physics"]
+__all__ = ["TorqueEnv", "actuation_chain", "make_physics"]

@@ -122,7 +122,7 @@ class TorqueEnv(EnvBase):
         torque = tensordict.get("torque")
         only_joints = "_substep" in tensordict.keys()
         self.physics.apply_torque(torque)
-        self.physics.step(refresh=not only_joints and bool(self._sensors))
+        self.physics.step(refresh=not only_joints and bool(self._sensors), envs=tensordict.get("_step", None))
         shown = self._show_joints() if only_joints else self._observe(torque)
         failed = self.physics.diverged.unsqueeze(-1)
         if self.terminate is not None and not only_joints:
