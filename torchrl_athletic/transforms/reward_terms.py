@@ -1,0 +1,165 @@
+"""A reward as a sum of named terms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import torch
+from tensordict import NestedKey, TensorDictBase, unravel_key
+from torch import Tensor, nn
+from torchrl.data import Composite, TensorSpec, Unbounded
+
+from torchrl_athletic.transforms.stateful import StatefulTransform
+
+RewardTerm: TypeAlias = Callable[[TensorDictBase, TensorDictBase], Tensor]
+"""Of what a step started from and what it led to, one value per row: shape (*B, 1) or (*B,)."""
+
+
+class Term(nn.Module):
+    """A function of tensors, such as those of :mod:`torchrl_athletic.functional.rewards`, given entries of a step.
+
+    Args:
+        function: Takes the entries in order, then the constants by name.
+        keys: Entries of what the step led to.
+        constants: Tensors among them move with the environment to its device.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> from torchrl_athletic.functional import rewards
+        >>> term = Term(rewards.absolute_error, "joint_position", target=torch.tensor([1.0, 0.0]))
+        >>> step = TensorDict(joint_position=[[0.5, 0.0]], batch_size=[1])
+        >>> term(step, step)
+        tensor([[0.5000]])
+    """
+
+    def __init__(self, function: Callable[..., Tensor], *keys: NestedKey, **constants: Any) -> None:
+        super().__init__()
+        self.function, self.keys = function, keys
+        self.constants = {name: value for name, value in constants.items() if not isinstance(value, Tensor)}
+        self.tensors = tuple(name for name, value in constants.items() if isinstance(value, Tensor))
+        for name in self.tensors:
+            self.register_buffer(f"constant_{name}", constants[name].clone())
+
+    def forward(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> Tensor:
+        held = {name: getattr(self, f"constant_{name}") for name in self.tensors}
+        return self.function(*(next_tensordict[key] for key in self.keys), **self.constants, **held)
+
+
+class RewardTerms(StatefulTransform):
+    """Add a sum of scaled, named terms to the reward, and show each of them.
+
+    Outside :class:`~.Decimation` (after it in Compose) a term is taken once for each action, inside it at each physics
+    step. Terms see what transforms before this one wrote, such as :class:`~.ActionHistory`.
+
+    Args:
+        terms: By name; see :data:`RewardTerm` and :class:`Term`.
+        scales: By name, one for each term.
+        dt: Time that a step takes [s], to multiply all scales with; None takes the scales as they are.
+        show: Whether to show the scaled terms, shape (*B, 1) each, under ``terms_key``.
+        sums_key: Where to show their sums since the episode's start; None does not.
+        terms_key: Each term stands under ``(terms_key, name)``.
+        reward_key: What is added to. Shape (*B, 1).
+        reset_key: As of :class:`StatefulTransform`.
+
+    Raises:
+        ValueError: If terms and scales have different names, since a term without a scale would be lost in silence.
+
+    Source:
+        Fey et al. 2025, appendix A, tables of WBC and of UAN rewards; :mod:`torchrl_athletic.functional.rewards`.
+
+    Example:
+        >>> from torchrl_athletic.envs import TorqueEnv
+        >>> from torchrl_athletic.functional import rewards
+        >>> from torchrl_athletic.robots import z1
+        >>> from torchrl.envs import TransformedEnv
+        >>> terms = RewardTerms(
+        ...     {"power": Term(rewards.mechanical_power, "applied_torque", "joint_velocity"),
+        ...      "alive": lambda before, after: (~after["terminated"]).float()},
+        ...     {"power": -1e-4, "alive": 1.0})
+        >>> step = TransformedEnv(TorqueEnv(z1(), num_envs=2), terms).rollout(3)
+        >>> step["next", "reward_terms", "alive"].squeeze(-1)
+        tensor([[1., 1., 1.],
+                [1., 1., 1.]])
+    """
+
+    scales: Tensor
+
+    def __init__(
+        self,
+        terms: Mapping[str, RewardTerm],
+        scales: Mapping[str, float],
+        *,
+        dt: float | None = None,
+        show: bool = True,
+        sums_key: NestedKey | None = None,
+        terms_key: NestedKey = "reward_terms",
+        reward_key: NestedKey = "reward",
+        reset_key: NestedKey | None = None,
+    ) -> None:
+        if not terms or set(terms) != set(scales):
+            raise ValueError(
+                f"terms are {sorted(terms)}, scales are of {sorted(scales)}: a term without a scale, or a scale "
+                "without a term, would be left out of the reward. Give both the same names, and at least one."
+            )
+        self.names = tuple(terms)
+        self.shown = _under(terms_key, self.names) if show else []
+        self.sums = [] if sums_key is None else _under(sums_key, self.names)
+        super().__init__([reward_key], [reward_key, *self.shown, *self.sums], reset_key=reset_key)
+        self.terms, self.reward_key = tuple(terms.values()), reward_key
+        self.modules_of_terms = nn.ModuleList(term for term in self.terms if isinstance(term, nn.Module))
+        self.register_buffer("scales", torch.tensor([scales[name] * (dt or 1.0) for name in self.names]))
+
+    def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
+        reward = next_tensordict.get(self.reward_key)
+        values = self._values(tensordict, next_tensordict, reward) * self.scales
+        next_tensordict.set(self.reward_key, reward + values.sum(-1, keepdim=True))
+        _set_columns(next_tensordict, self.shown, values)
+        if self.sums:
+            before = torch.cat([tensordict.get(key) for key in self.sums], -1)
+            _set_columns(next_tensordict, self.sums, before + values)
+
+    def _values(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, reward: Tensor) -> Tensor:
+        """Unscaled. Shape (*B, K)."""
+        columns = []
+        for name, term in zip(self.names, self.terms, strict=True):
+            try:
+                value = term(tensordict, next_tensordict)
+            except KeyError as error:
+                raise KeyError(
+                    f"reward term {name!r} asks for an entry that the step does not have: {error}. Put the transform "
+                    "that writes it before RewardTerms in Compose."
+                ) from error
+            if value.shape == reward.shape[:-1]:
+                value = value.unsqueeze(-1)
+            elif value.shape != reward.shape:
+                raise ValueError(
+                    f"reward term {name!r} has shape {tuple(value.shape)}, needed is one value per row, "
+                    f"{tuple(reward.shape)}: broadcasting would mix rows. Reduce it over its last dims."
+                )
+            columns.append(value)
+        return torch.cat(columns, -1)
+
+    def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
+        zero = torch.zeros(self._shape, device=self.scales.device)
+        return {key: zero.clone() for key in (*self.shown, *self.sums)}
+
+    def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
+        return {key: Unbounded(self._shape, device=observation_spec.device) for key in (*self.shown, *self.sums)}
+
+    @property
+    def _shape(self) -> torch.Size:
+        return self.parent.full_reward_spec[self.reward_key].shape
+
+
+def _under(key: NestedKey, names: Sequence[str]) -> list[tuple[str, ...]]:
+    return [unravel_key((key, name)) for name in names]
+
+
+def _set_columns(tensordict: TensorDictBase, keys: list[tuple[str, ...]], values: Tensor) -> None:
+    """Write columns under the keys, all of which are entries of one group."""
+    if keys:
+        group = tensordict.empty()
+        for key, column in zip(keys, values.split(1, -1), strict=True):
+            group.set(key[-1], column)
+        tensordict.set(keys[0][:-1], group)
