@@ -539,7 +539,8 @@ def _rows(mask: Tensor, like: Tensor) -> Tensor:
 
 def _shaped_like(view: Tensor, field: Any) -> Tensor:
     """(N, nbody, 3, 3) as MuJoCo has it: (N, nbody, 9)."""
-    return view if field is None or not isinstance(field, np.ndarray) else view.view(view.shape[0], *field.shape)
+    shape = (view.shape[0], *np.shape(field))
+    return view.view(shape) if field is not None and np.prod(shape) == view.numel() else view
 
 
 def _columns_on(columns: Columns, device: torch.device) -> Columns:
