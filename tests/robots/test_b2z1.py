@@ -114,6 +114,19 @@ def test_the_ground_alone_sets_the_friction_under_the_feet(terrain):
     np.testing.assert_allclose(plant.data.contact.friction[:, 0], 0.1)
 
 
+def test_the_arm_cannot_pass_through_the_trunk():
+    plant = Plant(b2z1())
+    low, high = np.array(plant.robot.position_limit)[12:].T
+    rng = np.random.default_rng(0)
+    met = set()
+    for pose in rng.uniform(low, high, size=(300, 7)):
+        plant.data.qpos[plant.qpos[12:]] = pose
+        mujoco.mj_forward(plant.model, plant.data)
+        pairs = [{plant.model.geom(int(g)).name for g in pair} for pair in plant.data.contact.geom]
+        met |= {name for pair in pairs if "trunk" in pair for name in pair}
+    assert met == {"trunk", "z1_wrist", "z1_gripper"}  # the elbow stays above the shoulder
+
+
 def test_right_legs_are_mirror_images_of_left_ones():
     model = b2z1().model()
     for right, left in (("FR", "FL"), ("RR", "RL")):
@@ -187,6 +200,7 @@ def test_a_payload_presses_on_the_feet():
 
 def test_it_stands_on_rough_ground_above_the_floor():
     plant = Plant(b2z1(terrain=Terrain(roughness=(0.025, 0.025), tiles=1)))
+    assert plant.data.ncon == 0  # the keyframe is clear of every bump
     plant.hold(10.0)
     assert -plant.sensed("projected_gravity")[2] > 0.99
     feet = plant.sensed("foot_position")[:, 2] - 0.032
