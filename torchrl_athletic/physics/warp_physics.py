@@ -87,6 +87,7 @@ class WarpPhysics(Physics):
         self.nconmax, self.njmax = nconmax or estimate[0], njmax or estimate[1]
         self._inline = False  # whether work goes straight to the current stream, which may be recording it
         self._graphs: dict[tuple[str | int, ...], Callable[[], None]] = {}
+        self._pools: list[Any] = []  # memory of the graphs
         self._views: dict[str, Tensor] = {}
         with self._on_stream():
             self.warp_model = self._mjw.put_model(model, batch_sizes=self._batch_sizes())
@@ -255,7 +256,8 @@ class WarpPhysics(Physics):
         """Record a function that calls this physics into one CUDA graph. On the CPU it is returned as it is.
 
         Args:
-            function: As promised by the protocol; torch operations and physics may alternate.
+            function: As promised by the protocol; torch operations and physics may alternate, in the calling thread
+                alone: no ``backward()`` after the physics.
             warmup: As promised by the protocol; at least 1.
 
         Returns:
@@ -291,11 +293,16 @@ class WarpPhysics(Physics):
 
         The graph's stream must not be the default one, its ``capture_error_mode`` must be ``"thread_local"``, and
         what is recorded must have run before, so that every kernel is loaded. :meth:`capture` does all of it.
+
+        MuJoCo Warp's solver is a loop on the device, for which Warp ends the stream's capture and begins another. Torch
+        tells its captures by number: it would take memory for all that follows from the common pool, and give it to
+        others after the capture, while replays still write there. So what this thread allocates gets a pool of its own.
         """
-        stream = _warp_stream(torch.cuda.current_stream(self.device))
+        stream, pool = _warp_stream(torch.cuda.current_stream(self.device)), torch.cuda.MemPool()
+        self._pools.append(pool)
         self._warp.capture_begin(stream=stream, external=True)
         try:
-            with self._set_inline():
+            with self._set_inline(), torch.cuda.use_mem_pool(pool, self.device):
                 yield
         finally:
             self._warp.capture_end(stream=stream)
