@@ -1,1 +1,29 @@
 """Training in a corrected simulation: collection, advantages, updates, evaluation, checkpoints, logging."""
+
+from torchrl_athletic.training.checkpoint import Checkpoints
+from torchrl_athletic.training.evaluation import play, record_video
+from torchrl_athletic.training.finite import NonFiniteError, check_finite
+from torchrl_athletic.training.logging import CSVTable, LoggerName, MetricLogger, make_logger
+from torchrl_athletic.training.ppo import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
+from torchrl_athletic.training.rollout import Rollout, control_step
+
+__all__ = [
+    "FINE_TUNE",
+    "PPO",
+    "PRE_TRAIN",
+    "UAN",
+    "CSVTable",
+    "Checkpoints",
+    "Learner",
+    "LoggerName",
+    "MetricLogger",
+    "NonFiniteError",
+    "Rollout",
+    "check_finite",
+    "control_step",
+    "iterate",
+    "make_logger",
+    "play",
+    "record_video",
+    "train",
+]

@@ -1,0 +1,133 @@
+"""Checkpoints from which a killed run goes on as if it had not been killed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.checkpoint import Checkpoint, CheckpointRotation, GlobalRNGState, StateDictCheckpointAdapter
+from torchrl.envs import EnvBase, TransformedEnv
+
+FORMAT = StateDictCheckpointAdapter(payload_format="torch")
+"""One file a component, read with ``weights_only``: no code of a checkpoint is run."""
+
+
+class HasState(Protocol):
+    """What can be put into a checkpoint."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that changes."""
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> Any:
+        """Take it over."""
+
+
+class Checkpoints:
+    """A folder with the newest few states of a run.
+
+    Each is written beside its place and moved there when complete, so that a kill at any moment leaves the one before.
+    With the learner go the states of Python's, NumPy's and PyTorch's generators and where the log ends.
+
+    Args:
+        folder: Is made.
+        keep: How many stay.
+
+    Example:
+        >>> import tempfile, torch
+        >>> checkpoints, net = Checkpoints(tempfile.mkdtemp()), torch.nn.Linear(2, 1)
+        >>> checkpoints.resume(net)
+        False
+        >>> net.iteration = 7
+        >>> checkpoints.save(net).name
+        'checkpoint_...7'
+        >>> checkpoints.resume(torch.nn.Linear(2, 1))
+        True
+    """
+
+    def __init__(self, folder: str | Path, keep: int = 3) -> None:
+        self.rotation = CheckpointRotation(folder, keep_last=keep)
+
+    def save(self, learner: Any, logger: Any = None) -> Path:
+        """Write a new one and remove the oldest.
+
+        Args:
+            learner: With ``state_dict`` and ``iteration``, which names the checkpoint.
+            logger: Whose position is kept if it has ``state_dict``.
+        """
+        return self.rotation.save(_checkpoint(learner, logger), step=learner.iteration)
+
+    def resume(self, learner: HasState, logger: Any = None) -> bool:
+        """Take over the newest state; tells whether there was one.
+
+        Raises:
+            RuntimeError: If the networks or the optimisers are of other sizes.
+        """
+        if self.rotation.latest() is None:
+            return False
+        self.rotation.load_latest(_checkpoint(learner, logger))
+        return True
+
+
+def _checkpoint(learner: HasState, logger: Any) -> Checkpoint:
+    parts: dict[str, Any] = {"learner": learner, "generators": GlobalRNGState()}
+    if hasattr(logger, "load_state_dict"):
+        parts["logger"] = logger
+    checkpoint = Checkpoint()
+    for name, part in parts.items():
+        checkpoint.register(name, part, adapter=FORMAT)
+    return checkpoint
+
+
+def env_state(env: EnvBase) -> dict[str, Any]:
+    """What an environment holds beside its tensordict: the physics, and transforms' counts of episodes.
+
+    Returns:
+        Tensors by name; without ``physics`` if the environment has none of this library's.
+    """
+    state: dict[str, Any] = {"buffers": {name: buffer.clone() for name, buffer in _unsaved_buffers(env).items()}}
+    physics = getattr(_base(env), "physics", None)
+    if physics is not None:
+        state["physics"] = {name: physics.data(name).clone() for name in ("qpos", "qvel", "time", "qacc_warmstart")}
+        state["fields"] = {name: physics.field(name).clone() for name in physics.fields}
+    return state
+
+
+def restore_env(env: EnvBase, current: TensorDict, state: dict[str, Any]) -> TensorDict:
+    """Put an environment back to where :func:`env_state` was taken.
+
+    Args:
+        env: Of the same make.
+        current: What the policy was to see next.
+        state: Of :func:`env_state`.
+
+    Returns:
+        What the policy sees next: ``current``; or the start of new episodes, if the number of environments is another
+        or the environment is not one of this library's, whose inner state nobody can set.
+    """
+    physics = getattr(_base(env), "physics", None)
+    if physics is None or "physics" not in state or current.batch_size != env.batch_size:
+        return env.reset()
+    physics.reset(qpos=state["physics"]["qpos"], qvel=state["physics"]["qvel"])
+    for name, value in state["fields"].items():
+        physics.set_field(name, value)
+    for name in ("time", "qacc_warmstart"):
+        physics.data(name).copy_(state["physics"][name])
+    modules = dict(env.transform.named_modules()) if isinstance(env, TransformedEnv) else {}
+    for name, value in state["buffers"].items():
+        owner, _, leaf = name.rpartition(".")
+        setattr(modules[owner], leaf, value.to(env.device))
+    return current
+
+
+def _base(env: EnvBase) -> EnvBase:
+    return _base(env.base_env) if isinstance(env, TransformedEnv) else env
+
+
+def _unsaved_buffers(env: EnvBase) -> dict[str, Tensor]:
+    """Buffers that no ``state_dict`` holds: how many episodes each row has had, which names its random numbers."""
+    if not isinstance(env, TransformedEnv):
+        return {}
+    saved = env.transform.state_dict()
+    return {name: buffer for name, buffer in env.transform.named_buffers() if name not in saved}

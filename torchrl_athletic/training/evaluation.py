@@ -1,0 +1,186 @@
+"""A policy at work, without the noise that it explores with: as numbers, and as a video."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+BACKENDS = ("egl", "osmesa", "glfw")
+"""Ways to draw without a screen, and at last with one."""
+
+
+@torch.no_grad()
+def play(
+    env: EnvBase, policy: Callable[[TensorDictBase], TensorDictBase], steps: int, callback: Any = None
+) -> TensorDict:
+    """Let a policy act by its mean, from new episodes until the first of them ends.
+
+    Args:
+        env: N environments.
+        policy: Writes the action.
+        steps: At most so many.
+        callback: Called with the environment and the step's tensordict after each step.
+
+    Returns:
+        Shape (N, T).
+
+    Example:
+        >>> from torchrl.envs import GymEnv
+        >>> env = GymEnv("Pendulum-v1")
+        >>> play(env, env.rand_action, steps=5).batch_size
+        torch.Size([5])
+    """
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        return env.rollout(steps, policy, callback=callback, auto_cast_to_device=True)
+
+
+def record_video(
+    env: EnvBase,
+    policy: Callable[[TensorDictBase], TensorDictBase],
+    path: str | Path,
+    *,
+    steps: int = 200,
+    frame_rate: float = 50.0,
+    size: tuple[int, int] = (480, 640),
+    camera: int | str = -1,
+    annotate: Callable[[mujoco.MjvScene, TensorDictBase], None] | None = None,
+) -> Path:
+    """Draw an episode of the first environment.
+
+    Args:
+        env: On a :class:`~torchrl_athletic.envs.TorqueEnv`.
+        policy: Writes the action; acts by its mean.
+        path: ``.mp4``, which needs ffmpeg on the PATH, or ``.gif``. Without ffmpeg an mp4 becomes a gif.
+        steps: Most steps of the policy.
+        frame_rate: Steps of the policy per second: a frame is drawn for each.
+        size: Height and width [pixel].
+        camera: Of the model; -1 for MuJoCo's free one.
+        annotate: Adds shapes to the scene, such as a goal, given the step.
+
+    Returns:
+        What was written.
+
+    Raises:
+        RuntimeError: If nothing can draw here; says what to install.
+        ValueError: If the environment has no MuJoCo model, or the file another ending.
+    """
+    path = Path(path)
+    if path.suffix not in (".mp4", ".gif"):
+        raise ValueError(f"{path.name}: a video is an .mp4 or a .gif. Name it so.")
+    base = env.base_env if isinstance(env, TransformedEnv) else env
+    physics = getattr(base, "physics", None)
+    if physics is None:
+        raise ValueError(
+            f"{type(base).__name__} has no MuJoCo physics to draw. Give a TorqueEnv, or one with transforms."
+        )
+    frames: list[NDArray[np.uint8]] = []
+    data = mujoco.MjData(physics.model)
+    with renderer(physics.model, size, camera) as draw:
+
+        def look(_: EnvBase, step: TensorDictBase) -> None:
+            data.qpos[:] = physics.qpos[0].cpu().numpy()
+            mujoco.mj_forward(physics.model, data)
+            frames.append(draw(data, None if annotate is None else (lambda scene: annotate(scene, step[0]["next"]))))
+
+        play(env, policy, steps, callback=look)
+    return write_video(frames, path, frame_rate)
+
+
+Draw = Callable[..., NDArray[np.uint8]]
+
+
+@contextmanager
+def renderer(model: mujoco.MjModel, size: tuple[int, int], camera: int | str = -1) -> Iterator[Draw]:
+    """Something that draws a state: ``draw(data, annotate)`` gives an image (height, width, 3).
+
+    Raises:
+        RuntimeError: If neither EGL nor OSMesa nor a screen is there.
+    """
+    height, width = size
+    context = _gl_context(width, height)
+    context.make_current()
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    scene = mujoco.MjvScene(model, maxgeom=2000)
+    target = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, target)
+    view, option = mujoco.MjvCamera(), mujoco.MjvOption()
+    mujoco.mjv_defaultFreeCamera(model, view)
+    if camera != -1:
+        view.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
+        view.fixedcamid = model.camera(camera).id
+    viewport = mujoco.MjrRect(0, 0, width, height)
+
+    def draw(data: mujoco.MjData, annotate: Callable[[mujoco.MjvScene], None] | None = None) -> NDArray[np.uint8]:
+        mujoco.mjv_updateScene(model, data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL.value, scene)
+        if annotate is not None:
+            annotate(scene)
+        image = np.empty((height, width, 3), np.uint8)
+        mujoco.mjr_render(viewport, scene, target)
+        mujoco.mjr_readPixels(image, None, viewport, target)
+        return np.flipud(image).copy()
+
+    try:
+        yield draw
+    finally:
+        target.free()
+        context.free()
+
+
+def _gl_context(width: int, height: int) -> Any:
+    """The first way to draw that works, whatever ``MUJOCO_GL`` said when MuJoCo was imported."""
+    failures = []
+    for backend in BACKENDS:
+        try:
+            return importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+        except Exception as error:  # what a missing driver raises differs between drivers
+            failures.append(f"{backend}: {str(error).splitlines()[0] if str(error) else type(error).__name__}")
+    raise RuntimeError(
+        "no way to draw was found, so there is no video. Install EGL (libegl1) or OSMesa (libosmesa6), or train "
+        f"without video. Tried: {'; '.join(failures)}."
+    )
+
+
+def write_video(frames: list[NDArray[np.uint8]], path: str | Path, frame_rate: float) -> Path:
+    """Write images as a video.
+
+    Args:
+        frames: Shape (height, width, 3) each.
+        path: ``.mp4`` or ``.gif``; without ffmpeg on the PATH an mp4 becomes a gif, of every other frame.
+        frame_rate: [1/s].
+
+    Returns:
+        What was written.
+    """
+    from matplotlib import animation
+
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".mp4" and animation.writers.is_available("ffmpeg"):
+        return _write_mp4(frames, path, frame_rate)
+    from PIL import Image
+
+    path = path.with_suffix(".gif")
+    images = [Image.fromarray(frame) for frame in frames[::2]]  # browsers slow a gif down that has 50 images a second
+    images[0].save(path, save_all=True, append_images=images[1:], duration=round(2000 / frame_rate), loop=0)
+    return path
+
+
+def _write_mp4(frames: list[NDArray[np.uint8]], path: Path, frame_rate: float) -> Path:
+    import subprocess
+
+    height, width, _ = frames[0].shape
+    command = ["ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+    command += ["-r", str(frame_rate), "-i", "-", "-pix_fmt", "yuv420p", str(path)]
+    subprocess.run(command, input=b"".join(frame.tobytes() for frame in frames), check=True)
+    return path

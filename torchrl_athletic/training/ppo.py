@@ -1,0 +1,288 @@
+"""The training loop: collect, estimate advantages, update; each of them one line that can be replaced."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase
+from torchrl.envs import EnvBase
+from torchrl.objectives.value import GAE
+from tqdm import tqdm
+
+from torchrl_athletic.losses import AdaptiveKL, SplitClipPPOLoss, SplitOptimizationStepper
+from torchrl_athletic.networks import RunningNormalizer
+from torchrl_athletic.training.checkpoint import Checkpoints
+from torchrl_athletic.training.finite import check_finite
+from torchrl_athletic.training.logging import MetricLogger
+from torchrl_athletic.training.rollout import Rollout
+
+
+@dataclass(frozen=True)
+class PPO:
+    """What is chosen by hand; the defaults are the paper's for pre-training, from scratch.
+
+    Source:
+        Fey et al. 2025, table "PPO Hyperparameters", https://arxiv.org/abs/2502.10894. What the table leaves out is
+        that of rsl_rl, on which the paper builds: clipping at 0.2, gradients of length 1, advantages standardised over
+        the batch.
+    """
+
+    discount: float = 0.99
+    """Of the reward one step later, γ [1]."""
+    gae_lambda: float = 0.95
+    """Of the generalised advantage estimate [1]."""
+    entropy_coeff: float = 0.01
+    """Weight of the policy's entropy [reward/nat]."""
+    actor_lr: float = 1e-3
+    """First learning rate of the actor, which adapts."""
+    critic_lr: float = 5e-4
+    """Learning rate of the critic."""
+    kl_target: float = 0.01
+    """Divergence of policies that the actor's learning rate aims at [nat]."""
+    horizon: int = 24
+    """Steps of each environment per iteration."""
+    num_envs: int = 4096
+    """Environments; the builder of the environment is told."""
+    epochs: int = 5
+    """Passes over the batch per iteration."""
+    actor_minibatches: int = 4
+    """Steps of the actor per epoch."""
+    critic_minibatches: int = 1
+    """Steps of the critic per epoch: 1 is the paper's whole batch, ``actor_minibatches`` is common PPO."""
+    weight_decay: float = 0.01
+    """Of AdamW [1]."""
+    clip_epsilon: float = 0.2
+    """How much likelier an action may become before it stops earning [1]."""
+    max_grad_norm: float = 1.0
+    """Longest gradient of each network."""
+    micro_batch: int = 24_576
+    """Most samples that go through the critic at once."""
+
+
+PRE_TRAIN = PPO()
+"""The whole-body controller, from scratch."""
+FINE_TUNE = PPO(entropy_coeff=0.0, actor_lr=1e-5)
+"""A task, from the whole-body controller; the first rate is that of the section on task-specific fine-tuning."""
+UAN = PPO(discount=0.995, entropy_coeff=0.0, horizon=96)
+"""The Unsupervised Actuator Net: 393,216 samples an iteration, minibatches of 98,304 for the actor."""
+
+
+BAR = "{percentage:3.0f}%|{bar:20}| {elapsed} spent, {remaining} left{postfix}"
+
+
+class Learner:
+    """Everything that training changes, and nothing else; :func:`iterate` and :func:`train` work on it.
+
+    Args:
+        env: N environments.
+        actor: Policy with a distribution, as :func:`~torchrl_athletic.networks.actor` makes it.
+        critic: Value function.
+        config: Numbers chosen by hand.
+        normalizer: Of the entry ``normalized``, which both networks go through; learns after every update.
+        normalized: That entry.
+        watch: Entries of a step whose means are reported, :class:`~.RewardTerms`' ``"reward_terms"`` say.
+        seed: Of the order of samples.
+        collector: Collect with TorchRL's ``Collector``.
+        cuda_graph: Capture the update in a CUDA graph, on a GPU only.
+
+    Example:
+        >>> from torchrl.envs import GymEnv, SerialEnv
+        >>> from torchrl_athletic.networks import actor, critic
+        >>> env = SerialEnv(2, lambda: GymEnv("Pendulum-v1"))
+        >>> learner = Learner(env, actor(3, 1), critic(3), PPO(num_envs=2, horizon=8))
+        >>> sorted(iterate(learner).keys())[:3]
+        ['ESS', 'actor_grad_norm', 'actor_lr']
+        >>> learner.samples
+        16
+    """
+
+    def __init__(
+        self,
+        env: EnvBase,
+        actor: ProbabilisticTensorDictSequential,
+        critic: TensorDictModuleBase,
+        config: PPO = PRE_TRAIN,
+        *,
+        normalizer: RunningNormalizer | None = None,
+        normalized: NestedKey = "observation",
+        watch: Sequence[NestedKey] = (),
+        seed: int = 0,
+        collector: bool = False,
+        cuda_graph: bool = False,
+    ) -> None:
+        if env.numel() != config.num_envs:
+            raise ValueError(
+                f"the environment has {env.numel()} rows, the configuration says num_envs={config.num_envs}: batches "
+                "would have another size than was tuned. Build the environment with num_envs=config.num_envs."
+            )
+        self.env, self.actor, self.critic, self.config = env, actor, critic, config
+        self.normalizer, self.normalized, self.watch = normalizer, normalized, watch
+        self.rollout = Rollout(env, actor, config.horizon, keys=[*critic.in_keys, *watch], collector=collector)
+        self.advantage = GAE(
+            gamma=config.discount, lmbda=config.gae_lambda, value_network=critic, average_gae=True, vectorized=False
+        )
+        self.stepper = SplitOptimizationStepper(
+            SplitClipPPOLoss(actor, critic, clip_epsilon=config.clip_epsilon, entropy_coeff=config.entropy_coeff),
+            actor_lr=config.actor_lr,
+            critic_lr=config.critic_lr,
+            adaptive_kl=AdaptiveKL(config.kl_target),
+            weight_decay=config.weight_decay,
+            epochs=config.epochs,
+            minibatches=config.actor_minibatches,
+            critic_minibatches=config.critic_minibatches,
+            micro_batch=config.micro_batch,
+            max_grad_norm=config.max_grad_norm,
+            seed=seed,
+            cuda_graph=cuda_graph,
+        )
+        self.iteration = 0
+        """Iterations done."""
+        self.samples = 0
+        """Steps of all environments so far."""
+        self.seconds = 0.0
+        """Time spent in :func:`train`, evaluations and earlier runs included [s]."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """What it takes to go on: networks, optimisers, where the episodes stand, the counters."""
+        return {
+            "actor": self.actor.state_dict(),
+            "critic": self.critic.state_dict(),
+            "stepper": self.stepper.state_dict(),
+            "rollout": self.rollout.state_dict(),
+            "counters": {"iteration": self.iteration, "samples": self.samples, "seconds": self.seconds},
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on where :meth:`state_dict` was taken."""
+        self.actor.load_state_dict(state_dict["actor"])
+        self.critic.load_state_dict(state_dict["critic"])
+        self.stepper.load_state_dict(state_dict["stepper"])
+        self.rollout.load_state_dict(state_dict["rollout"])
+        for name, count in state_dict["counters"].items():
+            setattr(self, name, count)
+
+
+def iterate(learner: Learner) -> TensorDict:
+    """Collect once and learn from it.
+
+    The very first time, a batch before that one shows the normaliser what observations look like: were it to learn that
+    after the first update only, the policy would be another at once.
+
+    Args:
+        learner: Changed in place.
+
+    Returns:
+        What the update reports, and the means of ``reward`` and of what is watched. Shape ().
+
+    Raises:
+        NonFiniteError: If a NaN or an infinity was collected, or an update made one.
+    """
+    if learner.iteration == 0:
+        _learn_scale(learner, collect(learner))
+    batch = collect(learner)
+    estimate_advantage(learner, batch)
+    report = learner.stepper.update(batch)
+    check_finite(report, "update")
+    _learn_scale(learner, batch)
+    shown = batch["next"].select("reward", *learner.watch)
+    for key in shown.keys(include_nested=True, leaves_only=True):
+        report[key if isinstance(key, str) else "/".join(key)] = shown.get(key).float().mean()
+    learner.iteration += 1
+    return report
+
+
+def collect(learner: Learner) -> TensorDict:
+    """The next samples, all of them finite. Shape (N, T)."""
+    batch = learner.rollout()
+    check_finite(batch)
+    learner.samples += batch.numel()
+    return batch
+
+
+@torch.no_grad()
+def estimate_advantage(learner: Learner, batch: TensorDictBase) -> None:
+    """Write ``advantage``, ``value_target`` and ``state_value``."""
+    learner.advantage(batch)
+
+
+def _learn_scale(learner: Learner, batch: TensorDictBase) -> None:
+    if learner.normalizer is not None:
+        learner.normalizer.update(batch.get(learner.normalized))
+
+
+def train(
+    learner: Learner,
+    *,
+    iterations: int | None = None,
+    minutes: float | None = None,
+    evaluate: Callable[[], Mapping[str, float]] | None = None,
+    evaluate_every: int = 50,
+    logger: MetricLogger | None = None,
+    checkpoints: Checkpoints | None = None,
+    checkpoint_every: int = 50,
+    progress: bool = True,
+    show: Sequence[str] = ("reward", "kl"),
+) -> dict[str, float]:
+    """Iterate, and tell how it goes. A run that was interrupted goes on from its newest checkpoint.
+
+    Args:
+        learner: Changed in place.
+        iterations: When to stop, counted from the very start.
+        minutes: When to stop, in time spent here, evaluations and earlier runs included.
+        evaluate: Measures the policy; what it returns is logged.
+        evaluate_every: Iterations between evaluations; there is one at the end in any case.
+        logger: Where the numbers go, see :func:`~torchrl_athletic.training.make_logger`.
+        checkpoints: Where the state goes.
+        checkpoint_every: Iterations between checkpoints; there is one at the end in any case.
+        progress: Whether to show a bar with samples per second and the time left.
+        show: Entries to show beside it.
+
+    Returns:
+        The last numbers that were logged.
+
+    Raises:
+        ValueError: If nothing says when to stop.
+    """
+    if iterations is None and minutes is None:
+        raise ValueError("neither iterations nor minutes is given, so training would never end. Give one of them.")
+    if checkpoints is not None and checkpoints.resume(learner, logger):
+        tqdm.write(f"going on after iteration {learner.iteration}")
+    began, first_sample = time.perf_counter() - learner.seconds, learner.samples
+    metrics: dict[str, float] = {}
+    share = _share_done(learner, iterations, minutes)
+    with tqdm(total=1.0, initial=share, bar_format=BAR, disable=not progress) as bar:
+        started = learner.seconds
+        while share < 1:
+            metrics = _numbers(iterate(learner))
+            learner.seconds = time.perf_counter() - began
+            share = _share_done(learner, iterations, minutes)
+            if evaluate is not None and (share == 1 or learner.iteration % evaluate_every == 0):
+                metrics |= evaluate()
+                learner.seconds = time.perf_counter() - began
+            metrics |= {"samples": float(learner.samples), "seconds": learner.seconds}
+            if logger is not None:
+                logger.log_metrics(metrics, step=learner.iteration)
+            if checkpoints is not None and (share == 1 or learner.iteration % checkpoint_every == 0):
+                checkpoints.save(learner, logger)
+            rate = (learner.samples - first_sample) / (learner.seconds - started)
+            shown = {name: f"{metrics[name]:.3g}" for name in show if name in metrics}
+            bar.set_postfix({"samples": f"{learner.samples:,}", "samples/s": f"{rate:,.0f}", **shown}, refresh=False)
+            bar.update(share - bar.n)
+    return metrics
+
+
+def _numbers(report: TensorDict) -> dict[str, float]:
+    """On the host, in one copy."""
+    return dict(zip(report.keys(), torch.stack(list(report.values())).tolist(), strict=True))
+
+
+def _share_done(learner: Learner, iterations: int | None, minutes: float | None) -> float:
+    """0 at the start, 1 when training is over."""
+    by_count = learner.iteration / max(1, iterations) if iterations is not None else 0.0
+    by_time = learner.seconds / (60 * minutes) if minutes else float(minutes is not None)
+    return min(1.0, max(by_count, by_time))
