@@ -106,14 +106,6 @@ class CommandSampler(RandomTransform):
             next_tensordict.set(key, value)
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
-        shown = observation_spec.keys(True, True)
-        for poses, name in ((self.base_keys, "base_keys"), (self.end_effector_keys, "end_effector_keys")):
-            missing = [key for key in poses or () if key not in shown]
-            if missing:
-                raise KeyError(
-                    f"CommandSampler's {name} names {missing}, which the environment does not show: commands could not "
-                    f"start from the present pose. Name other keys, or pass {name}=None."
-                )
         batch, device = observation_spec.shape, observation_spec.device
         widths = {"start": 10, "goal": 10, "duration": 2, "stream": 1, "step": 1, "line": 3}
         whole = {"stream", "step"}
@@ -153,7 +145,7 @@ class CommandSampler(RandomTransform):
         centre = self.centre.expand(*key.shape, -1)
         if self.end_effector_keys is None:
             return centre.clone()
-        position, quaternion = (tensordict.get(key).float() for key in self.end_effector_keys)
+        position, quaternion = _pose(tensordict, self.end_effector_keys, "end_effector_keys")
         if self.base_keys is None:
             base = torch.zeros_like(position), rotations.yaw_quaternion(torch.zeros_like(position[..., :1]))
         else:
@@ -162,8 +154,18 @@ class CommandSampler(RandomTransform):
         return torch.cat((centre[..., VELOCITY], pose), -1)
 
     def _base(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
-        position, quaternion = (tensordict.get(key).float() for key in self.base_keys or ())
-        return position, quaternion
+        assert self.base_keys is not None
+        return _pose(tensordict, self.base_keys, "base_keys")
+
+
+def _pose(tensordict: TensorDictBase, keys: Pose, argument: str) -> tuple[Tensor, Tensor]:
+    position, quaternion = (tensordict.get(key, None) for key in keys)
+    if position is None or quaternion is None:
+        raise KeyError(
+            f"CommandSampler's {argument} are {keys}, which the environment does not show both: commands could not start "
+            f"from the present pose. Name other keys, or pass {argument}=None."
+        )
+    return position.float(), quaternion.float()
 
 
 def _with_ending(key: NestedKey, ending: str) -> NestedKey:

@@ -1,0 +1,175 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from torchrl_athletic.functional import rotations, streams
+from torchrl_athletic.functional.commands import (
+    POSITION,
+    QUATERNION,
+    VELOCITY,
+    CommandRanges,
+    blend_goals,
+    deviation_from_line,
+    draw_goal,
+    from_roll_pitch_yaw,
+    line_ahead,
+    pose_to_frame,
+    pose_to_world,
+    sled_commands,
+    straighten,
+)
+
+N = 5000
+RANGES = CommandRanges()
+
+
+def goals(seed=0, ranges=RANGES):
+    return draw_goal(streams.stream(seed, torch.arange(N)), ranges.bounds(), ranges.standstill_probability)
+
+
+def scipy_rotation(quaternion):
+    return Rotation.from_quat(quaternion.double().numpy(), scalar_first=True)
+
+
+def random_base(seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    attitude = torch.nn.functional.normalize(torch.randn(N, 4, generator=generator), dim=-1)
+    return torch.randn(N, 3, generator=generator), attitude
+
+
+def test_goals_fill_their_ranges_evenly_and_never_leave_them():
+    goal, duration = goals()
+    angles = torch.as_tensor(scipy_rotation(goal[:, QUATERNION]).as_euler("ZYX")[:, ::-1].copy()).float()
+    values = torch.cat((goal[:, VELOCITY], goal[:, POSITION], angles, duration), -1)
+    low, high = RANGES.bounds()
+    assert (values >= low - 1e-5).all()
+    assert (values <= high + 1e-5).all()
+    unit = (values - low) / (high - low)
+    torch.testing.assert_close(unit.mean(0), torch.full((11,), 0.5), atol=0.02, rtol=0)
+    torch.testing.assert_close(torch.corrcoef(unit.T), torch.eye(11), atol=0.06, rtol=0, check_dtype=False)
+
+
+def test_one_sled_command_in_five_is_to_stand_and_the_others_go_backwards_only():
+    goal, _ = goals(ranges=sled_commands())
+    velocity = goal[:, VELOCITY]
+    assert (velocity[:, 0] == 0).double().mean().item() == pytest.approx(0.2, abs=0.02)
+    walks = velocity[velocity[:, 0] != 0]
+    assert (walks[:, 0] < 0).all()
+    assert walks[:, 0].mean().item() == pytest.approx(-0.5, abs=0.02)
+    assert not velocity[:, 1:].any()
+
+
+def test_roll_pitch_and_yaw_are_scipys():
+    angles = torch.rand(100, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 6 - 3
+    expected = Rotation.from_euler("ZYX", angles.flip(-1).numpy()).as_matrix()
+    np.testing.assert_allclose(rotations.matrix(from_roll_pitch_yaw(angles)), expected, atol=1e-12)
+
+
+def test_a_way_begins_at_the_start_and_ends_at_the_goal():
+    (start, _), (goal, duration) = goals(0), goals(1)
+    torch.testing.assert_close(blend_goals(start, goal, torch.zeros(N, 1), duration), start)
+    reached = blend_goals(start, goal, torch.full((N, 1), 5.0), duration)
+    torch.testing.assert_close(reached[:, :6], goal[:, :6])
+    torch.testing.assert_close(rotations.matrix(reached[:, QUATERNION]), rotations.matrix(goal[:, QUATERNION]))
+
+
+def test_velocity_and_position_move_at_constant_speed_in_their_own_times():
+    (start, _), (goal, duration) = goals(0), goals(1)
+    for elapsed in (0.5, 1.5, 3.0):
+        command = blend_goals(start, goal, torch.full((N, 1), elapsed), duration)
+        share = (elapsed / duration).clamp(max=1)
+        for columns, of in ((VELOCITY, share[:, :1]), (POSITION, share[:, 1:])):
+            expected = start[:, columns] + of * (goal[:, columns] - start[:, columns])
+            torch.testing.assert_close(command[:, columns], expected)
+
+
+def test_an_attitude_turns_about_one_axis_the_shorter_way():
+    (start, _), (goal, duration) = goals(0), goals(1)
+    goal[::2, QUATERNION] *= -1  # the same attitude
+    first, last = scipy_rotation(start[:, QUATERNION]), scipy_rotation(goal[:, QUATERNION])
+    whole = (first.inv() * last).magnitude()
+    done = np.zeros(N)
+    for share in (0.25, 0.5, 0.75):
+        command = blend_goals(start, goal, share * duration[:, 1:], duration)
+        attitude = scipy_rotation(command[:, QUATERNION])
+        behind, ahead = (first.inv() * attitude).magnitude(), (attitude.inv() * last).magnitude()
+        np.testing.assert_allclose(behind + ahead, whole, atol=1e-3)
+        assert (behind > done).all()
+        done = behind
+        if share == 0.5:
+            np.testing.assert_allclose(behind, ahead, atol=1e-3)
+
+
+def test_the_way_between_two_goals_stays_in_the_box():
+    (start, _), (goal, duration) = goals(0), goals(1)
+    low, high = RANGES.bounds()[:, POSITION]
+    command = blend_goals(start, goal, torch.rand(N, 1) * 5, duration)[:, POSITION]
+    assert ((command >= low - 1e-6) & (command <= high + 1e-6)).all()
+
+
+def test_a_pose_goes_to_the_frame_and_back():
+    base, attitude = random_base()
+    position, quaternion = random_base(1)
+    seen = pose_to_frame(position, quaternion, base, attitude, 0.5)
+    command = torch.cat((seen[:, :3], rotations.two_columns(seen[:, 3:])), -1)
+    there, rotation = pose_to_world(command, base, attitude, 0.5)
+    torch.testing.assert_close(there, position, atol=1e-5, rtol=0)
+    torch.testing.assert_close(rotation, rotations.matrix(quaternion), atol=1e-5, rtol=0)
+
+
+def test_a_command_does_not_bob_or_tilt_with_the_base():
+    goal, _ = goals()
+    command = torch.cat((goal[:, POSITION], rotations.two_columns(goal[:, QUATERNION])), -1)
+    base, _ = random_base()
+    yaw = torch.rand(N, 1) * 2 - 1
+    upright = rotations.yaw_quaternion(yaw)
+    tilted = rotations.multiply(upright, from_roll_pitch_yaw(torch.cat((0.3 * torch.ones(N, 2), 0 * yaw), -1)))
+    high = base + torch.tensor([0.0, 0.0, 0.2])
+    there, rotation = pose_to_world(command, base, upright, 0.5)
+    torch.testing.assert_close(there[:, 2], command[:, 2] + 0.5)
+    there_too, rotation_too = pose_to_world(command, high, tilted, 0.5)
+    torch.testing.assert_close(there_too, there, atol=1e-5, rtol=0)
+    torch.testing.assert_close(rotation_too, rotation, atol=1e-5, rtol=0)
+
+
+def test_a_turn_of_the_base_carries_the_command_round_it():
+    ahead = torch.tensor([0.6, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+    base = torch.tensor([1.0, 2.0, 0.5])
+    there, rotation = pose_to_world(ahead, base, rotations.yaw_quaternion(torch.tensor([math.pi / 2])), 0.5)
+    torch.testing.assert_close(there, torch.tensor([1.0, 2.6, 0.5]))
+    torch.testing.assert_close(rotation[:, 0], torch.tensor([0.0, 1.0, 0.0]), atol=1e-6, rtol=0)
+
+
+def test_a_base_that_drifted_is_commanded_back():
+    origin = torch.zeros(1, 3)
+    for angle in (0.0, 2.0, 3.1):
+        heading = rotations.yaw_quaternion(torch.tensor([[angle]]))
+        line = line_ahead(origin, heading)
+        left = rotations.rotate(heading, torch.tensor([[-3.0, 0.2, 0.0]]))
+        turned = rotations.yaw_quaternion(torch.tensor([[angle + 0.3]]))
+        lateral, yaw = deviation_from_line(line, left, turned)
+        torch.testing.assert_close((lateral, yaw), (torch.tensor([[0.2]]), torch.tensor([[0.3]])), atol=1e-5, rtol=0)
+        command = straighten(torch.tensor([[-0.5, 0.0, 0.0]]), lateral, yaw)
+        torch.testing.assert_close(command, torch.tensor([[-0.5, -0.1, -0.15]]), atol=1e-5, rtol=0)
+
+
+def test_a_base_that_shall_stand_is_left_where_it_is():
+    stands = torch.zeros(1, 3)
+    assert torch.equal(straighten(stands, torch.ones(1, 1), torch.ones(1, 1)), stands)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"x": (0.8, 0.4)}, "lower bound first"),
+        ({"duration": (2.0, 8.0)}, "at most the interval"),
+        ({"duration": (0.0, 2.0)}, "more than 0"),
+        ({"standstill_probability": 1.2}, "0 to 1"),
+    ],
+)
+def test_ranges_that_cannot_be_drawn_from_are_refused(arguments, told):
+    with pytest.raises(ValueError, match=told):
+        CommandRanges(**arguments)

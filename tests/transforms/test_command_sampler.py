@@ -1,0 +1,117 @@
+import pytest
+import torch
+from torchrl.envs import TransformedEnv
+
+from torchrl_athletic.functional import rotations
+from torchrl_athletic.functional.commands import CommandRanges, sled_commands
+from torchrl_athletic.testing import ToyEnv, TransformContract
+from torchrl_athletic.transforms import CommandSampler
+
+DT = 0.02
+POSES = {
+    "base_position": (3,),
+    "base_quaternion": (4,),
+    "end_effector_position": (3,),
+    "end_effector_quaternion": (4,),
+}
+SHORT = CommandRanges(interval=0.05, duration=(0.01, 0.04))
+"""New goals every third step, so that several fall into an episode."""
+
+
+class TestContract(TransformContract):
+    def make_transform(self, key=str, first_row=0):
+        keys = {"velocity_key": key("velocity"), "pose_key": key("pose"), "memory_key": key("command")}
+        return CommandSampler(SHORT, DT, base_keys=None, end_effector_keys=None, first_row=first_row, **keys)
+
+
+class TestContractOfTheSled(TransformContract):
+    env_settings = {"extra": POSES}
+
+    def make_transform(self, key=str, first_row=0):
+        keys = {"velocity_key": key("velocity"), "pose_key": key("pose"), "memory_key": key("command")}
+        poses = {name: (key(f"{name}_position"), key(f"{name}_quaternion")) for name in ("base", "end_effector")}
+        keys |= {f"{name}_keys": pose for name, pose in poses.items()}
+        ranges = CommandRanges(interval=0.05, duration=(0.01, 0.04), straighten=0.5)
+        return CommandSampler(ranges, DT, first_row=first_row, **keys)
+
+
+def rollout(steps, ranges=None, num_envs=50, **settings):
+    settings = {"base_keys": None, "end_effector_keys": None, **settings}
+    sampler = CommandSampler(ranges or CommandRanges(), DT, **settings)
+    return TransformedEnv(ToyEnv(num_envs, shortest=10_000, extra=POSES), sampler).rollout(steps)
+
+
+@pytest.fixture(scope="module")
+def long():
+    """16 s."""
+    return rollout(800)
+
+
+def test_goals_change_every_seven_seconds_and_at_no_other_time(long):
+    changed = (long["command_goal"][:, 1:] != long["command_goal"][:, :-1]).any(-1)
+    assert changed.any(0).nonzero().squeeze(-1).tolist() == [349, 699]
+    assert changed[:, [349, 699]].all()
+
+
+def test_commands_reach_their_goals_within_two_to_five_seconds_and_wait_there(long):
+    velocity, goal = long["base_velocity_command"], long["command_goal"][..., :3]
+    for start in (0, 350):
+        arrived = (velocity == goal)[:, start : start + 350].all(-1)
+        assert not arrived[:, :99].any()
+        assert arrived[:, 250:].all()
+        first = arrived.long().argmax(-1) * DT
+        assert first.min() < 2.5 < 4.5 < first.max()
+
+
+def test_commands_never_jump(long):
+    for key, speed in (("base_velocity_command", 1.0), ("end_effector_command", 2.0)):
+        jump = (long[key][:, 1:] - long[key][:, :-1]).abs().max()
+        assert 0 < jump < speed * DT * 1.1
+
+
+def test_an_episode_starts_from_rest(long):
+    assert not long["base_velocity_command"][:, 0].any()
+    assert long["base_velocity_command"][:, 1].any()
+
+
+def test_an_episode_starts_from_the_pose_that_the_end_effector_has():
+    names = {f"{name}_keys": (f"{name}_position", f"{name}_quaternion") for name in ("base", "end_effector")}
+    shown = rollout(1, **names)[:, 0]
+    heading = rotations.yaw_quaternion(rotations.yaw(shown["base_quaternion"]))
+    frame = torch.cat((shown["base_position"][:, :2], torch.full((50, 1), CommandRanges().frame_height)), -1)
+    start = shown["command_start"]
+    position = frame + rotations.rotate(heading, start[:, 3:6])
+    torch.testing.assert_close(position, shown["end_effector_position"])
+    attitude = rotations.multiply(heading, start[:, 6:])
+    torch.testing.assert_close(attitude, shown["end_effector_quaternion"])
+
+
+def test_rows_and_goals_of_one_row_are_drawn_apart(long):
+    first, second, third = long["command_goal"][:, [0, 400, 750], 0].unbind(-1)
+    assert len(first.unique()) == 50
+    for one, other in ((first, second), (second, third), (first, third)):
+        assert torch.corrcoef(torch.stack((one, other)))[0, 1].abs() < 0.4
+
+
+def test_a_sled_is_pulled_back_to_its_line():
+    names = {f"{name}_keys": (f"{name}_position", f"{name}_quaternion") for name in ("base", "end_effector")}
+    steps = rollout(20, sled_commands(), **names)
+    velocity = steps["base_velocity_command"][:, 1:]
+    x, y, angle = steps["command_line"][:, 1:].unbind(-1)
+    position = steps["base_position"][:, 1:]
+    lateral = (position[..., 1] - y) * angle.cos() - (position[..., 0] - x) * angle.sin()
+    walks = velocity[..., 0] != 0
+    assert 0.5 < walks.double().mean() < 1
+    torch.testing.assert_close(velocity[..., 1][walks], -0.5 * lateral[walks])
+    assert not velocity[~walks].any()
+
+
+def test_a_pose_that_the_environment_does_not_show_is_refused():
+    env = TransformedEnv(ToyEnv(2), CommandSampler(CommandRanges(), DT))
+    with pytest.raises(KeyError, match="pass end_effector_keys=None"):
+        env.reset()
+
+
+def test_straightening_needs_the_pose_of_the_base():
+    with pytest.raises(ValueError, match="name the base's pose"):
+        CommandSampler(sled_commands(), DT, base_keys=None)
