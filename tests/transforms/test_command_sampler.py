@@ -1,3 +1,5 @@
+from typing import ClassVar
+
 import pytest
 import torch
 from torchrl.envs import TransformedEnv
@@ -25,7 +27,7 @@ class TestContract(TransformContract):
 
 
 class TestContractOfTheSled(TransformContract):
-    env_settings = {"extra": POSES}
+    env_settings: ClassVar = {"extra": POSES}
 
     def make_transform(self, key=str, first_row=0):
         keys = {"velocity_key": key("velocity"), "pose_key": key("pose"), "memory_key": key("command")}

@@ -162,8 +162,8 @@ def _pose(tensordict: TensorDictBase, keys: Pose, argument: str) -> tuple[Tensor
     position, quaternion = (tensordict.get(key, None) for key in keys)
     if position is None or quaternion is None:
         raise KeyError(
-            f"CommandSampler's {argument} are {keys}, which the environment does not show both: commands could not start "
-            f"from the present pose. Name other keys, or pass {argument}=None."
+            f"CommandSampler's {argument} are {keys}, which the environment does not show both: commands could not "
+            f"start from the present pose. Name other keys, or pass {argument}=None."
         )
     return position.float(), quaternion.float()
 
