@@ -29,7 +29,6 @@ class TestContractOfResetState(TransformContract):
             DT,
             DT,
             shown=["qpos"],
-            flatten=False,
             random_start=True,
             reset_state=RESET,
             first_row=first_row,
