@@ -12,12 +12,7 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchrl_athletic.physics.data_fields import (
-    POSES_AND_VELOCITIES,
-    check_computed,
-    late_columns,
-    sensors_need_constraints,
-)
+from torchrl_athletic.physics.data_fields import check_computed
 from torchrl_athletic.physics.joints import driven_joints, joint_columns
 from torchrl_athletic.physics.model_fields import has_constants, refuse_ignored_limits
 from torchrl_athletic.physics.protocol import CapacityError, Envs, Physics, Result, Values
@@ -32,7 +27,6 @@ _INPUTS = {
     "qfrc_applied": mujoco.mjtState.mjSTATE_QFRC_APPLIED,
     "xfrc_applied": mujoco.mjtState.mjSTATE_XFRC_APPLIED,
 }
-_WITHOUT_CONSTRAINTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 _FULL = [mujoco.mjtWarning.mjWARN_CONTACTFULL.value, mujoco.mjtWarning.mjWARN_CNSTRFULL.value]
 
 
@@ -81,8 +75,6 @@ class BatchPhysics(Physics):
         self._forces = self.batch.bind("qfrc_applied")
         self._data: dict[str, Tensor] = {}
         self._derived = False  # whether any output is copied out, so that there is a use in forward()
-        self._costly_refresh = sensors_need_constraints(model)
-        self._late = torch.from_numpy(late_columns(model))
         self.joint_names = driven_joints(model) if joint_names is None else tuple(joint_names)
         self._joint_qpos, self._joint_dof = joint_columns(model, self.joint_names)
 
@@ -180,10 +172,7 @@ class BatchPhysics(Physics):
         wrench[:, 3:] = expand_to(wrench[:, 3:], torque, "torque")
 
     def step(self, nstep: int = 1, refresh: bool = False, envs: Envs = None) -> None:
-        ids = self._ids(envs)
-        self.batch.step(ids, nstep, _VEL if refresh and self._costly_refresh else _NONE)
-        if refresh and self._derived and not self._costly_refresh:
-            self._refresh(ids)
+        self.batch.step(self._ids(envs), nstep, _VEL if refresh else _NONE)
 
     def forward(self, envs: Envs = None) -> None:
         self.batch.forward(self._ids(envs))
@@ -225,30 +214,6 @@ class BatchPhysics(Physics):
     def _ids(self, envs: Envs) -> NDArray[np.int64] | None:
         """Sorted, as the batch takes them; None for all."""
         return None if envs is None else env_ids(envs, self.num_envs)
-
-    def _refresh(self, ids: NDArray[np.int64] | None) -> None:
-        """Compute poses, velocities and their sensors, without looking for contacts: a tenth of a step.
-
-        What the call does not compute would then be another env's, since envs share the threads' memory: it is held.
-        """
-        held = [
-            (output, output.clone())
-            for name, output in self._data.items()
-            if name not in POSES_AND_VELOCITIES and name != "sensordata" and not self.batch.bind(name).flags.writeable
-        ]
-        sensors = self._data.get("sensordata") if self._late.numel() else None
-        late = None if sensors is None else sensors[:, self._late]
-        flags = self.batch.expand("opt.disableflags")
-        before = flags.copy()
-        flags |= _WITHOUT_CONSTRAINTS
-        try:
-            self.batch.forward(ids, _VEL)
-        finally:
-            flags[:] = before
-        for output, values in held:
-            output.copy_(values)
-        if sensors is not None and late is not None:
-            sensors[:, self._late] = late
 
 
 def _rows(ids: NDArray[np.int64] | None) -> slice | Tensor:

@@ -1,4 +1,4 @@
-"""Fields of ``mjData``: which a step computes, and which of them follow from position and velocity alone."""
+"""Fields of ``mjData`` that a step need not compute, and what its sensors read."""
 
 from __future__ import annotations
 
@@ -7,12 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 _NOT_COMPUTED = ("cacc", "cfrc_ext", "cfrc_int", "energy", "qfrc_inverse", "subtree_angmom", "subtree_linvel")
-
-POSES_AND_VELOCITIES = frozenset(
-    "xpos xquat xmat xipos ximat xanchor xaxis geom_xpos geom_xmat site_xpos site_xmat cam_xpos cam_xmat light_xpos "
-    "light_xdir subtree_com cdof cinert cvel cdof_dot ten_length ten_velocity".split()
-)
-"""What ``step(refresh=True)`` brings up to date besides the sensors of position and velocity."""
 
 _sensor = mujoco.mjtSensor
 _OF_CONSTRAINTS = (
@@ -48,7 +42,7 @@ def late_columns(model: mujoco.MjModel) -> NDArray[np.int64]:
 
 
 def sensors_need_constraints(model: mujoco.MjModel) -> bool:
-    """Whether a sensor of position or velocity reads collisions or constraints: their refresh costs half a step."""
+    """Whether a sensor of position or velocity reads collisions or constraints, which poses do without."""
     early = model.sensor_needstage < mujoco.mjtStage.mjSTAGE_ACC.value
     return bool(np.isin(model.sensor_type[early], [int(kind) for kind in _OF_CONSTRAINTS]).any())
 
