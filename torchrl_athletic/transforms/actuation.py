@@ -78,7 +78,12 @@ class PDControl(_Torque):
         self.position_key, self.velocity_key = position_key, velocity_key
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        target = tensordict.get(self.action_key)
+        target = tensordict.get(self.action_key, None)
+        if target is None:
+            raise KeyError(
+                f"PDControl found no {self.action_key!r}: there is no target to make a torque of. Give it data of the "
+                f"policy's side, not torques; on an environment, name the policy's action with action_key=..."
+            )
         kp, kd = (_scaled(gain, tensordict, key) for gain, key in zip((self.kp, self.kd), self.scale_keys, strict=True))
         position, velocity = tensordict.get(self.position_key), tensordict.get(self.velocity_key)
         tensordict.set(self.torque_key, actuation.pd_torque(target, position, velocity, kp, kd))
@@ -262,7 +267,10 @@ class UANCorrection(StatefulTransform):
                 "PDControl after it in Compose, so that the action passes it first."
             )
         error = torch.stack((target[..., columns] - position[..., columns], -velocity[..., columns]), -1)
-        errors = history.push(tensordict.get(self.history_key), error, dim=-1)
+        errors = tensordict.get(self.history_key, None)
+        if errors is None:
+            raise _nothing_remembered(self, self.history_key)
+        errors = history.push(errors, error, dim=-1)
         with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
             correction = self.scale * self.net(errors.flatten(-2)).squeeze(-1)
         torque = tensordict.get(self.torque_key)
@@ -354,7 +362,10 @@ class ActionDelay(RandomTransform):
         self.register_buffer("before", None if before is None else _per_joint(before))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        queue = history.push(tensordict.get(self.queue_key), tensordict.get(self.action_key))
+        queue = tensordict.get(self.queue_key, None)
+        if queue is None:
+            raise _nothing_remembered(self, self.queue_key)
+        queue = history.push(queue, tensordict.get(self.action_key))
         steps, age = tensordict.get(self.delay_key), tensordict.get(self.age_key)
         if self.before is None:
             steps = torch.minimum(steps, age)
@@ -384,6 +395,13 @@ class ActionDelay(RandomTransform):
 
     def _action_spec(self) -> TensorSpec:
         return self.parent.full_action_spec[self.action_key]
+
+
+def _nothing_remembered(transform: Transform, key: NestedKey) -> KeyError:
+    return KeyError(
+        f"{type(transform).__name__} found no {key!r}, its memory: what a step does depends on those before. Put it on "
+        "an environment and reset that first; a buffer of data that were collected so does not need it."
+    )
 
 
 def _per_joint(value: PerJoint) -> Tensor:
