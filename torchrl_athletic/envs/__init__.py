@@ -5,6 +5,18 @@ rate.
 """
 
 from torchrl_athletic.envs.actuation_chain import actuation_chain
+from torchrl_athletic.envs.reach import PoseGoal, draw_goal, reach_errors, reachable_poses
 from torchrl_athletic.envs.torque_env import TorqueEnv, make_physics
+from torchrl_athletic.envs.whole_body import whole_body_env, whole_body_rewards
 
-__all__ = ["TorqueEnv", "actuation_chain", "make_physics"]
+__all__ = [
+    "PoseGoal",
+    "TorqueEnv",
+    "actuation_chain",
+    "draw_goal",
+    "make_physics",
+    "reach_errors",
+    "reachable_poses",
+    "whole_body_env",
+    "whole_body_rewards",
+]

@@ -155,13 +155,15 @@ class TorqueEnv(EnvBase):
         pose = self._joints(self.physics.qpos[:, self._base_qpos])
         velocity = self._joints(self.physics.qvel[:, self._base_dof])
         attitude = pose[:, 3:]
-        return {
+        shown = {
             "base_position": pose[:, :3],
             "base_quaternion": attitude,
             "base_linear_velocity": rotations.rotate_inverse(attitude, velocity[:, :3]),
             "base_angular_velocity": velocity[:, 3:],
-            "projected_gravity": rotations.projected_gravity(attitude),
         }
+        if "projected_gravity" not in self._sensors:
+            shown["projected_gravity"] = rotations.projected_gravity(attitude)
+        return shown
 
     @staticmethod
     def _joints(live: Tensor) -> Tensor:
