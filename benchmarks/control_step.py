@@ -169,7 +169,8 @@ def origin(cfg: Config) -> str:
     )
     where = torch.cuda.get_device_name() if cfg.device != "cpu" else f"{len(os.sched_getaffinity(0))} cores"
     flags = f"--device {cfg.device} --num-envs {cfg.num_envs} --cone {cfg.cone}{' --learn' if cfg.learn else ''}"
-    return f"`python benchmarks/control_step.py {flags}`, commit {commit}, {where} of {platform.machine()}, torch {torch.__version__}."
+    machine = f"{where} of {platform.machine()}, torch {torch.__version__}"
+    return f"`python benchmarks/control_step.py {flags}`, commit {commit}, {machine}."
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from torchrl_athletic.losses import AdaptiveKL, SplitClipPPOLoss, SplitOptimizationStepper
 from torchrl_athletic.networks import RunningNormalizer
+from torchrl_athletic.training.captured import CapturedRollout
 from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.finite import check_finite
 from torchrl_athletic.training.logging import MetricLogger
@@ -88,7 +89,7 @@ class Learner:
         watch: Entries of a step whose means are reported, :class:`~.RewardTerms`' ``"reward_terms"`` say.
         seed: Of the order of samples.
         collector: Collect with TorchRL's ``Collector``.
-        cuda_graph: Capture the update in a CUDA graph, on a GPU only.
+        cuda_graph: Capture the control step and the update in CUDA graphs, on a GPU only.
 
     Example:
         >>> from torchrl.envs import GymEnv, SerialEnv
@@ -122,7 +123,11 @@ class Learner:
             )
         self.env, self.actor, self.critic, self.config = env, actor, critic, config
         self.normalizer, self.normalized, self.watch = normalizer, normalized, watch
-        self.rollout = Rollout(env, actor, config.horizon, keys=[*critic.in_keys, *watch], collector=collector)
+        keys = [*critic.in_keys, *watch]
+        if cuda_graph:
+            self.rollout: Rollout = CapturedRollout(env, actor, config.horizon, keys=keys)
+        else:
+            self.rollout = Rollout(env, actor, config.horizon, keys=keys, collector=collector)
         self.advantage = GAE(
             gamma=config.discount, lmbda=config.gae_lambda, value_network=critic, average_gae=True, vectorized=False
         )
