@@ -491,6 +491,7 @@ def _import_warp() -> tuple[Any, Any]:
         import warp
     except ImportError as error:
         raise ImportError("WarpPhysics needs MuJoCo Warp: pip install torchrl-athletic[warp]") from error
+    warp.init()  # most calls do so themselves, but not the one that takes a stream of torch's
     return warp, mujoco_warp
 
 
