@@ -1,0 +1,219 @@
+"""The links of the actuation chain, alone and together, on joints whose motion can be written down."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import nn
+from torchrl.envs import Compose, TransformedEnv
+
+from torchrl_athletic.functional.actuation import torque_speed_limits
+from torchrl_athletic.testing import ToyEnv, make_actions, play
+from torchrl_athletic.transforms import ActionDelay, Decimation, PDControl, PowerClip, TorqueSpeedClip, UANCorrection
+
+
+class Recording(ToyEnv):
+    """A toy that notes which actions reached it."""
+
+    def _step(self, tensordict):
+        self.__dict__.setdefault("arrived", []).append(tensordict.get(self.action_keys[0]).clone())
+        return super()._step(tensordict)
+
+
+class Last(nn.Module):
+    """Shows what the net was shown: the errors number ``column``, oldest position error first."""
+
+    def __init__(self, column):
+        super().__init__()
+        self.column = column
+
+    def forward(self, errors):
+        return errors[..., self.column, None]
+
+
+def arrived(base):
+    return torch.stack(base.arrived)
+
+
+# PDControl
+
+
+def test_the_policy_gives_a_target_and_the_environment_gets_a_torque():
+    base = Recording(2, action="torque")
+    env = TransformedEnv(base, PDControl([20.0, 10.0, 5.0], 0.5))
+    shown = env.reset()
+    target = torch.tensor([[0.1, 0.2, 0.3]] * 2)
+    env.step(shown.set("action", target))
+    expected = torch.tensor([20.0, 10.0, 5.0]) * (target - shown["joint_position"]) - 0.5 * shown["joint_velocity"]
+    assert torch.equal(base.arrived[0], expected)
+    assert list(env.action_keys) == ["action"]
+
+
+def test_randomised_gains_multiply_the_nominal_ones():
+    data = TensorDict(
+        action=torch.ones(2, 3),
+        joint_position=torch.zeros(2, 3),
+        joint_velocity=torch.ones(2, 3),
+        kp_scale=torch.tensor([[1.0], [2.0]]),
+        kd_scale=torch.tensor([[1.0], [3.0]]),
+        batch_size=[2],
+    )
+    torque = PDControl(20.0, 0.5).inv(data)["torque"]
+    assert torque[:, 0].tolist() == [20.0 - 0.5, 40.0 - 1.5]
+
+
+def test_a_target_that_is_missing_is_asked_for():
+    with pytest.raises(KeyError, match="no 'action'.*policy's side"):
+        PDControl(20.0, 0.5).inv(TensorDict(torque=torch.zeros(1, 3), batch_size=[1]))
+
+
+# Clips
+
+
+def test_torques_that_reach_the_motors_are_within_what_their_speed_allows():
+    base = Recording(4, action="torque")
+    limit, fastest = torch.tensor([0.5, 1.0, 2.0]), torch.tensor([1.0, 2.0, 3.0])
+    env = TransformedEnv(base, TorqueSpeedClip(limit, fastest))
+    steps, _ = play(env, make_actions(env, 12))
+    low, high = torque_speed_limits(steps["joint_velocity"], limit, fastest)
+    assert ((low <= arrived(base)) & (arrived(base) <= high)).all()
+    assert (arrived(base) != steps["torque"]).any()
+
+
+@pytest.mark.parametrize("joints", [None, [0, 2], [1, 2], "apart", "neighbours"])
+def test_the_power_of_the_group_is_bounded_and_other_joints_are_left_alone(joints):
+    base = Recording(4, action="torque", joints=3)
+    env = TransformedEnv(base, PowerClip(0.05, joints))
+    steps, _ = play(env, make_actions(env, 12))
+    group = base.joint_groups.get(joints, joints) if isinstance(joints, str) else joints or [0, 1, 2]
+    others = [joint for joint in range(3) if joint not in group]
+    power = (arrived(base) * steps["joint_velocity"])[..., list(group)].abs().sum(-1)
+    asked = (steps["torque"] * steps["joint_velocity"])[..., list(group)].abs().sum(-1)
+    assert (asked > 0.05).any()
+    assert (power <= 0.05 * (1 + 1e-6)).all()
+    assert torch.equal(arrived(base)[..., others], steps["torque"][..., others])
+
+
+def test_a_group_that_the_environment_does_not_have_is_refused_with_those_it_has():
+    env = TransformedEnv(ToyEnv(2, action="torque"), PowerClip(1.0, "arm"))
+    with pytest.raises(ValueError, match=r"no group of joints 'arm'; it has \['apart', 'neighbours'\]"):
+        env.rollout(1)
+
+
+@pytest.mark.parametrize("limits", [([0.0, 1.0], 1.0), (1.0, [-1.0, 1.0])])
+def test_a_motor_without_torque_or_speed_is_refused(limits):
+    with pytest.raises(ValueError, match="must be greater than zero"):
+        TorqueSpeedClip(*limits)
+
+
+# ActionDelay
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_an_action_arrives_that_many_steps_later(delay):
+    base = Recording(2, shortest=9)
+    env = TransformedEnv(base, ActionDelay(delay, delay, before=[7.0, 7.0, 7.0]))
+    given = play(env, make_actions(env, 8))[0]["action"]
+    assert torch.equal(arrived(base)[delay:], given[: 8 - delay])
+    assert (arrived(base)[:delay] == 7.0).all()
+
+
+def test_without_a_command_before_the_episode_the_first_action_acts_at_once_and_is_held():
+    base = Recording(2, shortest=9)
+    env = TransformedEnv(base, ActionDelay(2, 2))
+    given = play(env, make_actions(env, 6))[0]["action"]
+    assert torch.equal(arrived(base)[:3], given[:1].expand(3, -1, -1))
+    assert torch.equal(arrived(base)[2:], given[:4])
+
+
+def test_within_decimation_the_delay_counts_steps_of_the_physics():
+    base = Recording(1, shortest=9)
+    env = TransformedEnv(base, Compose(ActionDelay(3, 3, before=[0.0, 0.0, 0.0]), Decimation(4)))
+    given = play(env, make_actions(env, 2))[0]["action"]
+    commanded = torch.cat((torch.zeros(3, 1, 3), given.repeat_interleave(4, 0)))
+    assert torch.equal(arrived(base), commanded[:8])
+
+
+def test_every_delay_is_equally_likely_and_stays_for_the_episode():
+    env = TransformedEnv(ToyEnv(4000, shortest=3), ActionDelay(max_steps=3, min_steps=1))
+    steps, _ = play(env, make_actions(env, 3))
+    share = torch.bincount(steps["action_delay"][0].flatten(), minlength=4) / 4000
+    assert share[0] == 0
+    assert share[1:].tolist() == pytest.approx([1 / 3] * 3, abs=0.03)
+    assert torch.equal(steps["action_delay"][1], steps["action_delay"][0])
+
+
+def test_another_seed_draws_other_delays():
+    delays = [TransformedEnv(ToyEnv(50), ActionDelay(6, seed=seed)).reset()["action_delay"] for seed in (0, 0, 1)]
+    assert torch.equal(delays[0], delays[1])
+    assert not torch.equal(delays[0], delays[2])
+
+
+def test_a_delay_without_memory_says_that_it_needs_an_environment():
+    with pytest.raises(KeyError, match="ActionDelay found no 'action_queue'"):
+        ActionDelay(2).inv(TensorDict(action=torch.zeros(1, 3), batch_size=[1]))
+
+
+@pytest.mark.parametrize(("most", "least"), [(2, 3), (2, -1)])
+def test_a_delay_that_is_none_is_refused(most, least):
+    with pytest.raises(ValueError, match="min_steps <= max_steps"):
+        ActionDelay(most, least)
+
+
+# UANCorrection
+
+
+def uan(base, column, joints=None, **settings):
+    correction = UANCorrection(Last(column), joints, length=3, **settings)
+    return TransformedEnv(base, Compose(correction, PDControl(20.0, 0.5)))
+
+
+@pytest.mark.parametrize("joints", [None, [0, 2], [1, 2]])
+def test_the_net_s_torque_is_added_to_that_of_the_controller_for_its_joints_alone(joints):
+    columns = joints or [0, 1, 2]
+    base = Recording(2, action="torque")
+    env = uan(base, 2, joints, scale=10.0)
+    steps, _ = play(env, make_actions(env, 8))
+    error = steps["action"] - steps["joint_position"]
+    expected = 20.0 * error - 0.5 * steps["joint_velocity"]
+    expected[..., columns] += 10.0 * error[..., columns]  # column 2 is the newest position error
+    torch.testing.assert_close(arrived(base), expected)
+    torch.testing.assert_close(steps["next", "torque_correction"], 10.0 * error[..., columns])
+
+
+@pytest.mark.parametrize("column", range(6))
+def test_the_net_sees_position_errors_before_velocity_errors_the_oldest_first_and_zero_before_the_episode(column):
+    base = ToyEnv(1, action="torque", shortest=9)
+    env = uan(base, column)
+    steps, _ = play(env, make_actions(env, 8))
+    error = steps["action"] - steps["joint_position"] if column < 3 else -steps["joint_velocity"]
+    age = 2 - column % 3
+    shown = torch.cat((torch.zeros(age, 1, 3), error))[:8]
+    torch.testing.assert_close(steps["next", "torque_correction"], shown)
+
+
+def test_gradients_reach_the_net_only_where_asked_for():
+    for differentiable in (False, True):
+        net = nn.Linear(6, 1)
+        env = TransformedEnv(
+            ToyEnv(2, action="torque"),
+            Compose(UANCorrection(net, length=3, differentiable=differentiable), PDControl(20.0, 0.5)),
+        )
+        following = env.step(env.reset().set("action", torch.ones(2, 3)))["next"]
+        assert following["joint_position"].requires_grad is differentiable
+
+
+def test_a_correction_without_a_target_is_told_where_to_stand():
+    env = TransformedEnv(ToyEnv(1, action="torque"), Compose(PDControl(20.0, 0.5), UANCorrection(nn.Linear(40, 1))))
+    with pytest.raises(KeyError, match="Put PDControl after it"):
+        env.rollout(1)
+
+
+def test_a_correction_that_asks_for_too_much_is_clipped_by_the_motor_further_in():
+    base = Recording(2, action="torque")
+    chain = Compose(
+        TorqueSpeedClip(1.0, 5.0), UANCorrection(Last(2), length=3, scale=1e3), PDControl(20.0, 0.5), Decimation(2)
+    )
+    env = TransformedEnv(base, chain)
+    play(env, make_actions(env, 6))
+    assert (arrived(base).abs() <= 1.0).all()
+    assert (arrived(base).abs() > 0.5).any()

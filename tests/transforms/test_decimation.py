@@ -1,0 +1,145 @@
+"""One action, several steps: against the same steps by hand, one row at a time."""
+
+import pytest
+import torch
+from torchrl.envs import Compose, FrameSkipTransform, StepCounter, Transform, TransformedEnv
+
+from torchrl_athletic.testing import ToyEnv, difference, make_actions, play, rows_together
+from torchrl_athletic.transforms import Decimation, ObservationHistory, PDControl
+
+OURS = ("joint_position", "joint_velocity", "observation", "reward", "done", "terminated", "truncated")
+
+
+class Half(Transform):
+    """A link in the chain: half of the action arrives."""
+
+    def __init__(self):
+        super().__init__(in_keys=[], out_keys=[], in_keys_inv=["action"], out_keys_inv=["action"])
+
+    def _inv_call(self, tensordict):
+        return tensordict.set("action", 0.5 * tensordict.get("action"))
+
+
+class Recording(ToyEnv):
+    """A toy that notes which actions reached it, and whether a step had to show all."""
+
+    def _step(self, tensordict):
+        self.__dict__.setdefault("arrived", []).append(tensordict.get("action").clone())
+        self.__dict__.setdefault("substeps", []).append("_substep" in tensordict.keys())
+        return super()._step(tensordict)
+
+
+class Whole(ToyEnv):
+    """A toy that cannot step some of its rows only."""
+
+    supports_partial_step = False
+
+    def _step(self, tensordict):
+        return super()._step(tensordict.exclude("_step"))
+
+
+def by_hand(row, actions, substeps):
+    """Rows alone: repeat each action until the count is full or the episode over; sum up the reward."""
+    env = ToyEnv(1, first_row=row, shortest=4)
+    shown, steps = env.reset(), []
+    for action in actions.unbind(0):
+        reward = 0
+        for _ in range(substeps):
+            following = env.step(shown.copy().update(action))["next"]
+            reward = reward + following["reward"]
+            shown = following.exclude("reward")
+            if following["done"]:
+                break
+        steps.append(following.set("reward", reward))
+        if following["done"]:
+            shown = env.reset()
+    return torch.stack(steps)
+
+
+@pytest.mark.parametrize("make", [ToyEnv, Whole], ids=["partial steps", "whole batch steps"])
+def test_an_episode_that_ends_within_an_action_ends_with_its_true_last_observation_and_reward(make):
+    env = TransformedEnv(make(4, shortest=4), Decimation(3))
+    actions = make_actions(env, 1)
+    following = play(env, actions)[0]["next"].clone()
+    alone = rows_together([by_hand(row, actions[:, row : row + 1], 3) for row in range(4)])
+    assert difference(following.select(*OURS), alone.select(*OURS)) is None
+
+
+def test_a_batch_does_what_each_row_does_by_hand_through_several_episodes():
+    env = TransformedEnv(ToyEnv(4, shortest=4), Decimation(3))
+    actions = make_actions(env, 12)
+    steps = play(env, actions)[0]
+    assert steps["next", "done"].any()
+    alone = rows_together([by_hand(row, actions[:, row : row + 1], 3) for row in range(4)])
+    assert difference(steps["next"].select(*OURS), alone.select(*OURS)) is None
+
+
+def test_every_step_of_the_physics_gets_the_policy_s_action_through_the_chain_once():
+    base = Recording(1, shortest=9)
+    env = TransformedEnv(base, Compose(Half(), Decimation(3)))
+    env.step(env.reset().set("action", torch.full((1, 3), 0.8)))
+    assert torch.stack(base.arrived).flatten().tolist() == pytest.approx([0.4] * 9)
+    assert base.substeps == [True, True, False]
+
+
+def test_torchrl_s_frame_skip_applies_the_chain_to_its_own_output():
+    """The defect that this transform is there to avoid; once it is gone upstream, this test says so."""
+    base = Recording(1, shortest=9)
+    env = TransformedEnv(base, Compose(Half(), FrameSkipTransform(3)))
+    env.step(env.reset().set("action", torch.full((1, 3), 0.8)))
+    assert torch.stack(base.arrived)[:, 0, 0].tolist() == pytest.approx([0.4, 0.2, 0.2])
+
+
+def test_a_controller_in_the_chain_sees_the_joints_at_every_step():
+    base = Recording(1, shortest=9)
+    control = PDControl(20.0, 0.5, torque_key="action", action_key="goal")
+    env = TransformedEnv(base, Compose(control, Decimation(4)))
+    shown = env.reset()
+    q, v = shown["joint_position"], shown["joint_velocity"]
+    env.step(shown.set("goal", torch.ones(1, 3)))
+    for torque in base.arrived:
+        assert torch.equal(torque, 20.0 * (1 - q) - 0.5 * v)
+        v = 0.875 * v + 0.25 * torque.clamp(-8, 8)
+        q = q + 0.125 * v
+    assert len(base.arrived) == 4
+
+
+def test_what_stands_before_it_runs_at_the_physics_rate_and_what_stands_after_it_at_the_policy_s():
+    env = TransformedEnv(
+        ToyEnv(2, shortest=9),
+        Compose(StepCounter(step_count_key="physics"), Decimation(4), StepCounter(step_count_key="policy")),
+    )
+    steps = play(env, make_actions(env, 2))[0]
+    assert steps["next", "physics"][:, 0, 0].tolist() == [4, 8]
+    assert steps["next", "policy"][:, 0, 0].tolist() == [1, 2]
+
+
+def test_a_history_before_it_holds_every_step_of_the_physics():
+    env = TransformedEnv(ToyEnv(1, shortest=9), Compose(ObservationHistory(["joint_position"], 5), Decimation(4)))
+    actions = make_actions(env, 1)
+    seen = play(env, actions)[0]["next", "joint_position_history"][0, 0]
+    base = ToyEnv(1, shortest=9)
+    shown = base.reset()
+    positions = [shown["joint_position"][0]]
+    for _ in range(4):
+        shown = base.step(shown.update(actions[0]))["next"]
+        positions.append(shown["joint_position"][0])
+    assert torch.equal(seen, torch.stack(positions))
+
+
+def test_one_step_per_action_is_no_decimation():
+    env = TransformedEnv(ToyEnv(3), Decimation(1))
+    actions = make_actions(env, 10)
+    assert difference(play(env, actions)[0], play(ToyEnv(3), actions)[0]) is None
+
+
+def test_it_holds_within_an_environment_without_a_batch():
+    env = TransformedEnv(ToyEnv(None, shortest=4), Decimation(3))
+    actions = make_actions(env, 6)
+    batched = play(TransformedEnv(ToyEnv(1, shortest=4), Decimation(3)), actions.unsqueeze(1))[0]
+    assert difference(play(env, actions)[0].unsqueeze(1), batched) is None
+
+
+def test_no_steps_at_all_are_refused():
+    with pytest.raises(ValueError, match="at least 1"):
+        Decimation(0)
