@@ -1,6 +1,7 @@
 """The split loss in a stock TorchRL script, on an environment that is not ours."""
 
 import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ def recipe():
     pytest.importorskip("gymnasium")
     spec = importlib.util.spec_from_file_location("ppo_split_loss", RECIPE)
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # its dataclass looks there
     spec.loader.exec_module(module)
     return module
 
