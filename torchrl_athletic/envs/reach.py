@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import mujoco
@@ -19,7 +20,9 @@ KEYPOINT_LENGTH = 0.3
 """Of the axes on which the frame's points stand [m]: 1° of attitude counts as 5 mm."""
 
 
-def reachable_poses(robot: Robot, count: int, seed: int = 0, clearance: float = 0.05) -> Tensor:
+def reachable_poses(
+    robot: Robot, count: int, *, spread: float = math.inf, seed: int = 0, clearance: float = 0.05
+) -> Tensor:
     """Poses of the end effector at random joint positions, each within its limits: all can be reached.
 
     Those are left out where the arm touches something, or the end effector is lower than ``clearance``.
@@ -27,6 +30,7 @@ def reachable_poses(robot: Robot, count: int, seed: int = 0, clearance: float = 
     Args:
         robot: Bolted to the world, with the sensors ``end_effector_position`` and ``end_effector_quaternion``.
         count: M.
+        spread: Greatest distance of each joint from its default [rad]; by default it may be anywhere.
         seed: Of the draws.
         clearance: Above the ground [m].
 
@@ -52,6 +56,7 @@ def reachable_poses(robot: Robot, count: int, seed: int = 0, clearance: float = 
     moved = [robot.joint_names[j] for j in robot.joint_groups["arm"]]
     address = [int(model.joint(name).qposadr[0]) for name in moved]
     low, high = model.jnt_range[[model.joint(name).id for name in moved]].T
+    low, high = np.maximum(low, data.qpos[address] - spread), np.minimum(high, data.qpos[address] + spread)
     position, quaternion = (
         data.sensor(robot.sensors[f"end_effector_{name}"][0]) for name in ("position", "quaternion")
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,47 +15,64 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase, TransformedEnv
-from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from torchrl_athletic.training.rollout import Policy, done_rows
 
 BACKENDS = ("egl", "osmesa", "glfw")
 """Ways to draw without a screen, and at last with one."""
 
 
 @torch.no_grad()
-def play(
-    env: EnvBase, policy: Callable[[TensorDictBase], TensorDictBase], steps: int, callback: Any = None
-) -> TensorDict:
+def play(env: EnvBase, policy: Policy, steps: int) -> TensorDict:
     """Let a policy act by its mean, from new episodes until the first of them ends.
 
     Args:
         env: N environments.
         policy: Writes the action.
         steps: At most so many.
-        callback: Called with the environment and the step's tensordict after each step.
 
     Returns:
         Shape (N, T).
 
     Example:
-        >>> from torchrl.envs import GymEnv
-        >>> env = GymEnv("Pendulum-v1")
-        >>> play(env, env.rand_action, steps=5).batch_size
-        torch.Size([5])
+        >>> from torchrl.envs import GymEnv, SerialEnv
+        >>> env = SerialEnv(2, lambda: GymEnv("Pendulum-v1"))
+        >>> play(env, env.rand_action, steps=5)["next", "reward"].shape
+        torch.Size([2, 5, 1])
     """
+    return torch.stack(list(acting(env, policy, steps)), env.ndim)
+
+
+def acting(env: EnvBase, policy: Policy, steps: int) -> Iterator[TensorDictBase]:
+    """The steps of :func:`play`, one by one. Shape (N,)."""
+    following = env.reset()
     with set_exploration_type(ExplorationType.DETERMINISTIC):
-        return env.rollout(steps, policy, callback=callback, auto_cast_to_device=True)
+        for _ in range(steps):
+            step = policy(following).copy()
+            step.set("next", env._step(step))
+            following = step_mdp(
+                step,
+                exclude_action=True,
+                action_keys=env.action_keys,
+                reward_keys=env.reward_keys,
+                done_keys=env.done_keys,
+            )
+            yield step
+            if done_rows(env, following).any():
+                return
 
 
 def record_video(
     env: EnvBase,
-    policy: Callable[[TensorDictBase], TensorDictBase],
+    policy: Policy,
     path: str | Path,
     *,
     steps: int = 200,
     frame_rate: float = 50.0,
     size: tuple[int, int] = (480, 640),
     camera: int | str = -1,
-    annotate: Callable[[mujoco.MjvScene, TensorDictBase], None] | None = None,
+    annotate: Callable[..., None] | None = None,
 ) -> Path:
     """Draw an episode of the first environment.
 
@@ -66,7 +84,8 @@ def record_video(
         frame_rate: Steps of the policy per second: a frame is drawn for each.
         size: Height and width [pixel].
         camera: Of the model; -1 for MuJoCo's free one.
-        annotate: Adds shapes to the scene, such as a goal, given the step.
+        annotate: Adds shapes to the scene, such as a goal: called with the scene and, as ``step``, what the first
+            environment showed after the step.
 
     Returns:
         What was written.
@@ -86,14 +105,11 @@ def record_video(
         )
     frames: list[NDArray[np.uint8]] = []
     data = mujoco.MjData(physics.model)
-    with renderer(physics.model, size, camera) as draw:
-
-        def look(_: EnvBase, step: TensorDictBase) -> None:
+    with torch.no_grad(), renderer(physics.model, size, camera) as draw:
+        for step in acting(env, policy, steps):
             data.qpos[:] = physics.qpos[0].cpu().numpy()
             mujoco.mj_forward(physics.model, data)
-            frames.append(draw(data, None if annotate is None else (lambda scene: annotate(scene, step[0]["next"]))))
-
-        play(env, policy, steps, callback=look)
+            frames.append(draw(data, None if annotate is None else partial(annotate, step=step["next"][0])))
     return write_video(frames, path, frame_rate)
 
 
@@ -116,6 +132,7 @@ def renderer(model: mujoco.MjModel, size: tuple[int, int], camera: int | str = -
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, target)
     view, option = mujoco.MjvCamera(), mujoco.MjvOption()
     mujoco.mjv_defaultFreeCamera(model, view)
+    view.distance *= 1.4
     if camera != -1:
         view.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
         view.fixedcamid = model.camera(camera).id

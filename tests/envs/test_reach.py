@@ -1,0 +1,130 @@
+import mujoco
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import check_env_specs
+
+from torchrl_athletic.envs import PoseGoal, TorqueEnv, draw_goal, reach_errors, reachable_poses
+from torchrl_athletic.envs.reach import KEYPOINT_LENGTH
+from torchrl_athletic.functional import rotations
+from torchrl_athletic.robots import b2z1, z1
+
+POSES = torch.tensor([[0.4, 0.1, 0.3, 1.0, 0.0, 0.0, 0.0], [0.3, -0.2, 0.5, 0.5**0.5, 0.0, 0.0, 0.5**0.5]])
+
+
+def goal_env(num_envs=2, poses=POSES, **options):
+    return TransformedEnv(TorqueEnv(z1(), num_envs=num_envs), PoseGoal(poses, **options))
+
+
+def test_a_joint_position_exists_for_every_pose():
+    """Found here by descending the distance from the joint positions that inverse kinematics starts from."""
+    robot = z1()
+    model = robot.model()
+    data = mujoco.MjData(model)
+    site = model.site("end_effector").id
+    for pose in reachable_poses(robot, count=3, spread=0.6, seed=4).double().numpy():
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        jacobian = np.zeros((6, model.nv))
+        for _ in range(100):
+            mujoco.mj_fwdPosition(model, data)
+            here, turn = np.zeros(4), np.zeros(3)
+            mujoco.mju_mat2Quat(here, data.site_xmat[site])
+            mujoco.mju_subQuat(turn, pose[3:], here)
+            error = np.concatenate([pose[:3] - data.site_xpos[site], data.site_xmat[site].reshape(3, 3) @ turn])
+            mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
+            arm = jacobian[:, :6]
+            data.qpos[:6] += 0.5 * arm.T @ np.linalg.solve(arm @ arm.T + 1e-4 * np.eye(6), error)
+        assert np.abs(error).max() < 1e-3
+        assert (np.abs(data.qpos[:6] - robot.default_pose[:6]) < 0.6 + 1e-2).all()
+
+
+def test_poses_stay_near_the_default_if_asked_to():
+    robot = z1()
+    start = goal_env().reset()["end_effector_position"][0]
+    near, anywhere = (reachable_poses(robot, count=200, spread=spread, seed=1) for spread in (0.1, np.inf))
+    assert (near[:, :3] - start).norm(dim=-1).max() < 0.25
+    assert (anywhere[:, :3] - start).norm(dim=-1).max() > 0.8
+    assert (anywhere[:, 2] > 0.05).all()
+    torch.testing.assert_close(anywhere[:, 3:].norm(dim=-1), torch.ones(200))
+
+
+def test_poses_are_repeatable_and_differ_with_the_seed():
+    robot = z1()
+    first, again, other = (reachable_poses(robot, count=4, seed=seed) for seed in (1, 1, 2))
+    assert (first == again).all()
+    assert (first != other).any(-1).all()
+
+
+def test_a_walking_robot_is_refused():
+    with pytest.raises(ValueError, match="bolted to the world"):
+        reachable_poses(b2z1(), count=1)
+
+
+def test_specs_match_the_data():
+    check_env_specs(goal_env())
+
+
+def test_a_goal_stays_for_an_episode_and_changes_with_the_next():
+    env = goal_env(num_envs=64, poses=reachable_poses(z1(), count=1000))
+    first = env.rollout(3)["command"]
+    assert (first == first[:, :1]).all()
+    second = env.reset()["command"]
+    assert (first[:, 0] != second).any(-1).float().mean() > 0.95
+    assert len(second.unique(dim=0)) > 55  # rows draw apart
+
+
+def test_by_row_every_goal_has_its_turn():
+    env = goal_env(num_envs=3, by_row=True)
+    for _ in range(2):
+        assert (env.reset()["command"] == POSES[[0, 1, 0]]).all()
+
+
+def test_at_the_goal_the_way_is_zero_and_off_it_points_there():
+    env = goal_env()
+    shown = env.reset()
+    here = torch.cat((shown["end_effector_position"], shown["end_effector_quaternion"]), -1)[0]
+    above = here + torch.tensor([0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
+    seen = goal_env(poses=torch.stack((here, above)), by_row=True).reset()["goal_observation"]
+    torch.testing.assert_close(seen[0, :24], torch.zeros(24), atol=1e-6, rtol=0)
+    way, near = seen[1, :12].reshape(4, 3), seen[1, 12:24].reshape(4, 3)
+    torch.testing.assert_close(way, torch.tensor([0.0, 0.0, 0.02]).expand(4, 3), atol=1e-6, rtol=0)
+    torch.testing.assert_close(near, torch.tensor([0.0, 0.0, 0.2]).expand(4, 3), atol=1e-5, rtol=0)
+
+
+def test_a_turned_goal_moves_only_the_points_on_its_axes():
+    shown = goal_env(by_row=True).reset()
+    points = shown["goal_keypoints"][1]
+    torch.testing.assert_close(points[0], POSES[1, :3])
+    quarter_turn_about_z = torch.tensor([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    torch.testing.assert_close(points[1:] - points[0], KEYPOINT_LENGTH * quarter_turn_about_z, atol=1e-6, rtol=0)
+
+
+def test_errors_are_taken_at_the_end_of_episodes():
+    steps, half = 40, torch.tensor(0.5)
+    goal = torch.tensor([0.3, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0]).expand(3, steps, 7)
+    position = goal[..., :3].clone()
+    position[0, :20] += 1.0  # far in the first half, there in the second
+    position[1, :, 0] += 0.02
+    position[2, :, 2] -= 0.1
+    turned = rotations.yaw_quaternion(half.reshape(1)).expand(3, steps, 4)
+    after = {"end_effector_position": position, "end_effector_quaternion": -turned, "command": goal}
+    errors = reach_errors(TensorDict(next=after, batch_size=[3, steps]), last=20)
+    assert errors["error_cm"] == pytest.approx((0 + 2 + 10) / 3, abs=1e-4)
+    assert errors["median_cm"] == pytest.approx(2.0, abs=1e-4)
+    assert errors["share_below_3cm"] == pytest.approx(2 / 3)
+    assert errors["attitude_deg"] == pytest.approx(float(half.rad2deg()), abs=1e-2)  # q and -q are one attitude
+
+
+def test_a_table_of_another_shape_is_refused():
+    with pytest.raises(ValueError, match=r"\(M, 7\).*reachable_poses"):
+        PoseGoal(torch.zeros(3, 6))
+
+
+def test_the_goal_is_drawn_as_three_arrows():
+    model = z1().model()
+    scene = mujoco.MjvScene(model, maxgeom=10)
+    draw_goal(scene, goal_env(by_row=True).reset()[0])
+    assert scene.ngeom == 3
+    np.testing.assert_allclose(scene.geoms[0].pos, POSES[0, :3], atol=1e-6)

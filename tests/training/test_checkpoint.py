@@ -1,0 +1,110 @@
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from torchrl.envs import StepCounter, TransformedEnv
+from torchrl.testing.mocking_classes import CountingEnv
+from training.tasks import arm_env, arm_learner
+
+from torchrl_athletic.training import Checkpoints, CSVTable, train
+from torchrl_athletic.training.checkpoint import env_state, restore_env
+
+
+def state_of(learner):
+    return [*learner.actor.state_dict().values(), *learner.critic.state_dict().values(), learner.stepper.actor_lr]
+
+
+def assert_same(ours, theirs):
+    for one, other in zip(state_of(ours), state_of(theirs), strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
+
+
+def test_a_run_in_two_parts_is_the_run_in_one(tmp_path):
+    """To the last bit: weights, optimisers, learning rate, random numbers, physics, delays, where episodes stand."""
+    whole, first, second = (arm_learner() for _ in range(3))
+    torch.manual_seed(3)
+    train(whole, iterations=5, progress=False)
+    torch.manual_seed(3)
+    train(first, iterations=3, checkpoints=Checkpoints(tmp_path), progress=False)
+    torch.manual_seed(99)  # a new process knows nothing
+    train(second, iterations=5, checkpoints=Checkpoints(tmp_path), progress=False)
+    assert_same(whole, second)
+    assert (whole.rollout.current == second.rollout.current).all()
+    assert (whole.iteration, whole.samples) == (second.iteration, second.samples)
+    with pytest.raises(AssertionError):  # so that training changes what is compared
+        assert_same(whole, first)
+
+
+SCRIPT = """
+import os, signal, sys
+from training.tasks import arm_learner
+from torchrl_athletic.training import Checkpoints, CSVTable, train
+
+learner = arm_learner()
+def evaluate():
+    if learner.iteration == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {}
+train(learner, iterations=5, evaluate=evaluate, evaluate_every=1, checkpoints=Checkpoints(sys.argv[1]),
+      checkpoint_every=2, logger=CSVTable(sys.argv[1] + "/progress.csv"), progress=False)
+"""
+
+
+def test_a_killed_process_is_gone_on_with_and_its_log_has_each_step_once(tmp_path):
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    killed = subprocess.run([sys.executable, "-c", SCRIPT, str(tmp_path)], env=environment)
+    assert killed.returncode == -signal.SIGKILL
+    whole, resumed = arm_learner(), arm_learner()
+    table = CSVTable(tmp_path / "progress.csv")
+    train(resumed, iterations=5, checkpoints=Checkpoints(tmp_path), logger=table, progress=False)
+    assert [row["step"] for row in CSVTable(table.path).rows] == ["1", "2", "3", "4", "5"]
+    torch.manual_seed(0)
+    whole = arm_learner()
+    train(whole, iterations=5, progress=False)
+    assert_same(whole, resumed)
+
+
+def test_what_was_being_written_when_the_process_died_is_passed_over(tmp_path):
+    learner, checkpoints = arm_learner(), Checkpoints(tmp_path)
+    learner.iteration = 4
+    checkpoints.save(learner)
+    (tmp_path / ".checkpoint-000000000005.stage-abc").mkdir()
+    learner.iteration = 0
+    assert checkpoints.resume(learner)
+    assert learner.iteration == 4
+
+
+def test_only_the_newest_stay(tmp_path):
+    learner, checkpoints = arm_learner(), Checkpoints(tmp_path, keep=2)
+    for learner.iteration in range(4):
+        checkpoints.save(learner)
+    assert sorted(path.name[-1] for path in tmp_path.iterdir()) == ["2", "3"]
+
+
+def test_with_another_number_of_environments_new_episodes_start(tmp_path):
+    large, small = arm_learner(num_envs=4), arm_learner(num_envs=2, seed=1)
+    train(large, iterations=1, checkpoints=Checkpoints(tmp_path), progress=False)
+    train(small, iterations=2, checkpoints=Checkpoints(tmp_path), progress=False)
+    assert small.iteration == 2
+    assert small.rollout.current.batch_size == (2,)
+
+
+def test_the_physics_goes_on_where_it_stood():
+    env, twin = arm_env(episode=50), arm_env(episode=50)
+    shown = env.rollout(4, break_when_any_done=False)[:, -1]["next"].exclude("reward")
+    current = restore_env(twin, shown.clone(), env_state(env))
+    action = torch.ones(4, 7)
+    for _ in range(3):
+        shown = env._step(shown.set("action", action)).exclude("reward")
+        current = twin._step(current.set("action", action)).exclude("reward")
+    torch.testing.assert_close(current["joint_position"], shown["joint_position"], rtol=0, atol=0)
+
+
+def test_an_environment_of_another_library_starts_new_episodes():
+    env = TransformedEnv(CountingEnv(max_steps=9, batch_size=[2]), StepCounter())
+    seen = env.rollout(3, break_when_any_done=False)[:, -1]["next"]
+    assert restore_env(env, seen, env_state(env))["step_count"].sum() == 0

@@ -1,0 +1,62 @@
+import pytest
+import torch
+from tensordict import TensorDict
+from training.tasks import arm_learner
+
+from torchrl_athletic.training import NonFiniteError, check_finite, iterate
+
+
+def batch():
+    shown = {"observation": torch.zeros(2, 4, 3), "done": torch.zeros(2, 4, 1, dtype=torch.bool)}
+    after = TensorDict({key: value.clone() for key, value in shown.items()} | {"reward": torch.zeros(2, 4, 1)}, [2, 4])
+    return TensorDict({**shown, "loc": torch.zeros(2, 4, 2), "action": torch.zeros(2, 4, 2), "next": after}, [2, 4])
+
+
+def test_finite_numbers_pass():
+    check_finite(batch())
+
+
+def test_the_entry_that_came_first_in_time_is_named():
+    """The reward breaks in the second step, the observation in the third, as what follows from it."""
+    broken = batch()
+    broken["observation"][0, 2:] = torch.nan
+    broken["next", "reward"][1, 1:] = torch.inf
+    with pytest.raises(
+        NonFiniteError, match=r"\('next', 'reward'\) of the batch is inf in row 1 at step 1; later also"
+    ):
+        check_finite(broken)
+
+
+@pytest.mark.parametrize(
+    ("entries", "first", "advice"),
+    [
+        ([("next", "observation"), ("next", "reward")], "'next', 'observation'", "environment made it"),
+        (["action", ("next", "observation")], "'action'", "network's weights"),
+        (["observation", "loc", "action"], "'observation'", "environment made it"),
+        (["action", "loc"], "'loc'", "network's weights"),
+    ],
+)
+def test_of_several_at_one_time_the_cause_is_named(entries, first, advice):
+    broken = batch()
+    for entry in entries:
+        broken[entry][0, 0] = torch.nan
+    with pytest.raises(NonFiniteError, match=rf"^\(?{first}\)? of .*{advice}"):
+        check_finite(broken)
+
+
+def test_rows_are_counted():
+    broken = batch()
+    broken["observation"][:, 3] = -torch.inf
+    with pytest.raises(NonFiniteError, match="-inf in row 0 and 1 other rows at step 3"):
+        check_finite(broken)
+
+
+def test_a_network_gone_bad_stops_the_training_before_it_learns_from_it():
+    learner = arm_learner()
+    iterate(learner)
+    with torch.no_grad():
+        learner.actor.get_submodule("module.0.module.network.mlp")[-1].bias[0] = torch.nan
+    before = [parameter.clone() for parameter in learner.critic.parameters()]
+    with pytest.raises(NonFiniteError, match="'loc' of the batch is nan"):
+        iterate(learner)
+    assert all((one == other).all() for one, other in zip(before, learner.critic.parameters(), strict=True))
