@@ -7,8 +7,13 @@ repository for that reason. What must survive a step is carried in the tensordic
 from torchrl_athletic.transforms.action_history import ActionHistory
 from torchrl_athletic.transforms.actuation import ActionDelay, PDControl, PowerClip, TorqueSpeedClip, UANCorrection
 from torchrl_athletic.transforms.command_sampler import CommandSampler
+from torchrl_athletic.transforms.corrected_actuation import CorrectedActuation
 from torchrl_athletic.transforms.decimation import Decimation
+from torchrl_athletic.transforms.domain_randomization import DomainRandomization, RandomizationRanges
+from torchrl_athletic.transforms.encoder_offset import EncoderOffset
+from torchrl_athletic.transforms.external_push import B2Z1_PUSHES, ExternalPush, Push
 from torchrl_athletic.transforms.gait_clock import GaitClock
+from torchrl_athletic.transforms.initial_state import InitialState, StartRanges
 from torchrl_athletic.transforms.observation_history import ObservationHistory
 from torchrl_athletic.transforms.reference_trajectory import ReferenceTrajectory
 from torchrl_athletic.transforms.reward_terms import RewardTerm, RewardTerms, Term
@@ -16,18 +21,27 @@ from torchrl_athletic.transforms.stateful import RandomTransform, StatefulTransf
 from torchrl_athletic.transforms.task_phase import TaskPhase
 
 __all__ = [
+    "B2Z1_PUSHES",
     "ActionDelay",
     "ActionHistory",
     "CommandSampler",
+    "CorrectedActuation",
     "Decimation",
+    "DomainRandomization",
+    "EncoderOffset",
+    "ExternalPush",
     "GaitClock",
+    "InitialState",
     "ObservationHistory",
     "PDControl",
     "PowerClip",
+    "Push",
     "RandomTransform",
+    "RandomizationRanges",
     "ReferenceTrajectory",
     "RewardTerm",
     "RewardTerms",
+    "StartRanges",
     "StatefulTransform",
     "TaskPhase",
     "Term",

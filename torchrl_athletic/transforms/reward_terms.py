@@ -105,7 +105,7 @@ class RewardTerms(StatefulTransform):
         self.names = tuple(terms)
         self.shown = _under(terms_key, self.names) if show else []
         self.sums = [] if sums_key is None else _under(sums_key, self.names)
-        super().__init__([reward_key], [reward_key, *self.shown, *self.sums], reset_key=reset_key)
+        super().__init__([], [*self.shown, *self.sums], reset_key=reset_key)
         self.terms, self.reward_key = tuple(terms.values()), reward_key
         self.modules_of_terms = nn.ModuleList(term for term in self.terms if isinstance(term, nn.Module))
         self.register_buffer("scales", torch.tensor([scales[name] * (dt or 1.0) for name in self.names]))

@@ -1,0 +1,224 @@
+"""A correction in the chain moves the robot as the diagnosis' own corrected simulation does."""
+
+import json
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import Compose, Transform, TransformedEnv
+from torchrl.envs.utils import check_env_specs
+
+from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml
+from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.replay import take_of
+from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate
+from torchrl_athletic.effects import CATALOGUE, JointAddress
+from torchrl_athletic.envs import TorqueEnv
+from torchrl_athletic.recordings import Recording, sensor_noise
+from torchrl_athletic.robots import from_mjcf
+from torchrl_athletic.robots.benches import pendulum, two_link_arm
+from torchrl_athletic.transforms import CorrectedActuation, Decimation
+from torchrl_athletic.transforms.corrected_actuation import IN_THE_CHAIN, IN_THE_MODEL
+
+EFFECTS = {e.name: e for e in (*FIT_TRIMS, *CATALOGUE)}
+RATE, STEP, SECONDS = 100.0, 0.002, 1.2
+BENCHES = {
+    "pendulum": (pendulum(timestep=STEP), 12.0, 0.4),
+    "two_link_arm": (two_link_arm(timestep=STEP), 25.0, 0.6),
+}
+VALUES = {
+    "coulomb_friction": [0.12],
+    "viscous_friction": [0.05],
+    "asymmetric_friction": [0.15, 0.05, 0.06, 0.02],
+    "reflected_inertia": [0.006],
+    "link_mass": [0.9],
+    "link_com": [0.3],
+    "link_inertia": [1.4],
+    "actuation_delay": [0.0153],
+    "actuation_lag": [0.02],
+    "torque_scale": [1.3],
+    "torque_offset": [-0.2],
+    "encoder_offset": [0.08],
+    "gain_mismatch": [0.7, 1.5],
+}
+TOGETHER = ("coulomb_friction", "link_mass", "actuation_delay", "actuation_lag", "torque_scale", "torque_offset",
+            "encoder_offset", "gain_mismatch")  # fmt: skip
+
+
+def correct(bench: str, terms: dict[str, list[float]], trims: dict[str, list[float]] | None = None) -> Simulation:
+    """Effects on the last joint of a bench."""
+    model = mujoco.MjModel.from_xml_string(BENCHES[bench][0])
+    names = tuple(model.joint(i).name for i in range(model.njnt))
+    address, last = JointAddress.of(model, names), len(names) - 1
+
+    def candidates(named):
+        return tuple(
+            Candidate(EFFECTS[n], last, names[last], EFFECTS[n].parameters(model, address, last)) for n in named
+        )
+
+    trims = trims or {}
+    values = np.array([v for part in (terms, trims) for numbers in part.values() for v in numbers])
+    return Simulation(model, names, Hypothesis(candidates(terms), candidates(trims)), values)
+
+
+def record(bench: str, targets: bool) -> Recording:
+    """A take that rests at first, so that it is known what the actuators did before it. Its motion is made up."""
+    xml, kp, kd = BENCHES[bench]
+    names = from_mjcf(xml).joint_names
+    time = np.arange(round(SECONDS * RATE)) / RATE
+    moves = np.clip(time - 0.2, 0, None)[:, None]
+    phase = np.arange(len(names))
+    command = 0.5 * np.sin(2 * np.pi * 0.9 * moves + phase) - 0.5 * np.sin(phase) + 0.2 * np.sign(np.sin(9 * moves))
+    still = np.zeros_like(command)
+    if targets:
+        gains = {"kp": np.full(len(names), kp), "kd": np.full(len(names), kd)}
+        return Recording(time, names, still, position_target=command, **gains)
+    return Recording(time, names, still, torque_command=0.5 * command)
+
+
+class Start(Transform):
+    """Episodes start at given positions, at rest."""
+
+    def __init__(self, qpos: np.ndarray) -> None:
+        super().__init__()
+        self.qpos = torch.tensor(qpos)
+
+    def _reset_env_preprocess(self, tensordict):
+        tensordict = TensorDict(batch_size=self.parent.batch_size) if tensordict is None else tensordict
+        return tensordict.set("reset_qpos", self.qpos).set("reset_qvel", torch.zeros_like(self.qpos))
+
+    def _call(self, next_tensordict):
+        return next_tensordict
+
+    def _reset(self, tensordict, tensordict_reset):
+        return tensordict_reset
+
+
+def drive(simulation: Simulation, bench: str, recording: Recording, decimation: int | None = None) -> np.ndarray:
+    """Positions of the chain at the recording's stamps, shape (T, J)."""
+    robot = from_mjcf(corrected_xml(BENCHES[bench][0], simulation))
+    gains = {} if recording.kp is None else {"kp": recording.kp, "kd": recording.kd}
+    chain = CorrectedActuation(
+        json.loads(json.dumps(simulation.to_json())), timestep=STEP, torque_limit=robot.torque_limit, **gains
+    )
+    start = torch.tensor(recording.position[:1]).float() - chain.encoder_offset
+    transforms = [Start(start.numpy()), chain] + ([] if decimation is None else [Decimation(decimation)])
+    env = TransformedEnv(TorqueEnv(robot), Compose(*transforms))
+    td = env.reset()
+    path, substeps = [td["joint_position"]], round(1 / RATE / STEP)
+    for command in recording.command[:-1]:
+        for _ in range(substeps if decimation is None else substeps // decimation):
+            td = env.step(td.set(chain.policy_key, torch.tensor(command[None], dtype=torch.float32)))["next"]
+        path.append(td["joint_position"])
+    return torch.cat(path).numpy()
+
+
+CASES = [
+    *(("pendulum", (name,), False) for name in VALUES if name != "gain_mismatch"),
+    *(("two_link_arm", (name,), True) for name in VALUES),
+    *(("two_link_arm", effects, False) for effects in (("actuation_lag",), ("actuation_delay",), TOGETHER[:-1])),
+    ("two_link_arm", TOGETHER, True),
+    ("pendulum", TOGETHER, True),
+    ("pendulum", (), True),
+]
+
+
+@pytest.mark.parametrize(
+    ("bench", "effects", "targets"), CASES, ids=lambda c: "+".join(c) or "none" if isinstance(c, tuple) else str(c)
+)
+def test_the_chain_moves_as_the_corrected_simulation(bench, effects, targets):
+    trims = {name: VALUES[name] for name in effects if name == "link_inertia"}
+    simulation = correct(bench, {name: VALUES[name] for name in effects if name not in trims}, trims)
+    recording = record(bench, targets)
+    take = take_of(recording, simulation.model, *sensor_noise(recording))
+    assert take.model.opt.timestep == pytest.approx(STEP)  # the replay's steps are the chain's
+    expected = simulation.rollout(recording, window=None)
+    np.testing.assert_allclose(drive(simulation, bench, recording), expected, rtol=0, atol=1e-4)
+    if effects:
+        assert np.abs(expected - correct(bench, {}).rollout(recording, None)).max() > 2e-3
+
+
+def test_within_decimation_it_runs_at_the_physics_rate():
+    simulation = correct("two_link_arm", {name: VALUES[name] for name in TOGETHER})
+    recording = record("two_link_arm", True)
+    single = drive(simulation, "two_link_arm", recording)
+    np.testing.assert_array_equal(drive(simulation, "two_link_arm", recording, decimation=5), single)
+
+
+def chain(terms, **kwargs) -> CorrectedActuation:
+    content = correct("pendulum", terms).to_json()
+    return CorrectedActuation(content, timestep=STEP, kp=12.0, kd=0.4, torque_limit=12.0, **kwargs)
+
+
+def pendulum_env(n=3, terms=None, **kwargs) -> TransformedEnv:
+    names = ("actuation_delay", "actuation_lag", "encoder_offset") if terms is None else terms
+    robot = from_mjcf(BENCHES["pendulum"][0])
+    return TransformedEnv(TorqueEnv(robot, num_envs=n), chain({name: VALUES[name] for name in names}, **kwargs))
+
+
+def test_specs_hold():
+    check_env_specs(pendulum_env())
+    check_env_specs(pendulum_env(terms=()))
+
+
+def test_rows_that_start_anew_forget_what_was_on_its_way_and_the_others_do_not():
+    env, torque = pendulum_env(), torch.tensor([[1.0], [2.0], [3.0]])
+    td = env.reset()
+    for _ in range(20):
+        td = env.step(td.set("action", torque))["next"]
+    before = td.clone()
+    td = env.reset(td.set("_reset", torch.tensor([[True], [False], [False]])))
+    state = td["corrected_actuation"]
+    assert state["fresh"].flatten().tolist() == [True, False, False]
+    assert (state["queue"][0] == 0).all()
+    for key in ("queue", "lag"):
+        assert torch.equal(state[key][1:], before["corrected_actuation", key][1:])
+    assert torch.equal(td["joint_position"][1:], before["joint_position"][1:])
+    assert td["joint_position"][0].item() == pytest.approx(VALUES["encoder_offset"][0])
+
+
+def test_a_command_arrives_late_by_its_delay_and_not_before():
+    robot = from_mjcf(BENCHES["pendulum"][0])
+    late = CorrectedActuation(correct("pendulum", {"actuation_delay": [0.005]}).to_json(), timestep=STEP)
+    env = TransformedEnv(TorqueEnv(robot), late)
+    td, felt = env.reset(), []
+    for command in (0.0, 1.0, 1.0, 1.0, 1.0, 1.0):
+        td = env.step(td.set("torque", torch.full((1, 1), command)))["next"]
+        felt.append(td["applied_torque"].item())
+    assert felt == [0.0, 0.0, 0.0, 0.5, 1.0, 1.0]  # 5 ms are two and a half steps
+
+
+@pytest.mark.parametrize("name", ["coulomb_friction", "viscous_friction", "reflected_inertia", "link_mass", "link_com"])
+def test_a_model_without_the_correction_is_refused(name):
+    env = pendulum_env(terms=(name,))
+    with pytest.raises(ValueError, match=f"{name} of 'pendulum'.*corrected.xml"):
+        env.reset()
+
+
+def test_what_it_does_not_know_is_refused_by_name(tmp_path):
+    content = correct("pendulum", {"torque_scale": [1.1]}).to_json()
+    (tmp_path / "corrected.json").write_text(json.dumps(content))
+    assert CorrectedActuation(tmp_path / "corrected.json", timestep=STEP).torque_scale.item() == pytest.approx(1.1)
+    content["effects"][0]["effect"] = "backlash"
+    with pytest.raises(ValueError, match="'backlash' of 'pendulum'"):
+        CorrectedActuation(content, timestep=STEP)
+    with pytest.raises(ValueError, match="schema is 'other'"):
+        CorrectedActuation({**content, "schema": "other"}, timestep=STEP)
+    with pytest.raises(ValueError, match="without kp and kd there are no gains"):
+        CorrectedActuation(correct("pendulum", {"gain_mismatch": [0.7, 1.5]}).to_json(), timestep=STEP)
+
+
+def test_other_joints_and_another_time_step_are_refused():
+    robot = from_mjcf(BENCHES["two_link_arm"][0])
+    content = correct("pendulum", {"torque_scale": [1.1]}).to_json()
+    with pytest.raises(ValueError, match="not among joint_names"):
+        CorrectedActuation(content, timestep=STEP, joint_names=robot.joint_names)
+    env = TransformedEnv(TorqueEnv(from_mjcf(BENCHES["pendulum"][0])), CorrectedActuation(content, timestep=0.005))
+    with pytest.raises(ValueError, match=r"steps of 0.005 s, the physics takes 0.002 s"):
+        env.reset()
+
+
+def test_it_knows_every_effect_of_the_catalogue():
+    assert set(EFFECTS) == {*IN_THE_CHAIN, *IN_THE_MODEL}

@@ -1,0 +1,130 @@
+"""Each episode has another robot on other ground, and nothing is lost on the way to the physics."""
+
+import pytest
+import torch
+from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs.utils import check_env_specs
+
+from torchrl_athletic.envs import TorqueEnv
+from torchrl_athletic.robots import b2z1, z1
+from torchrl_athletic.transforms import DomainRandomization, PDControl, RandomizationRanges
+
+ROBOT = b2z1()
+MASS = float(ROBOT.model().body_mass.sum())
+
+
+def make_env(n: int = 4, first_row: int = 0, **kwargs) -> TransformedEnv:
+    randomization = DomainRandomization(first_row=first_row, **kwargs)
+    env = TorqueEnv(ROBOT, num_envs=n, fields=randomization.fields)
+    return TransformedEnv(env, Compose(PDControl(ROBOT.kp, ROBOT.kd), randomization))
+
+
+def test_specs_hold():
+    check_env_specs(make_env(2))
+
+
+def test_what_is_drawn_fills_its_range_and_stays_within():
+    env = make_env(64)
+    td, ranges, physics = env.reset(), RandomizationRanges(), env.base_env.physics
+    floor = physics.model.geom("floor").id
+    friction = physics.field("geom_friction")[:, floor, 0]
+    nominal = torch.tensor(physics.model.body_mass)
+    bodies = nominal > 0
+    drawn = {
+        "friction": friction,
+        "mass_scale": (physics.field("body_mass") / nominal)[:, bodies],
+        "com_offset": (physics.field("body_ipos") - torch.tensor(physics.model.body_ipos))[:, bodies],
+        "stiffness_scale": td["kp_scale"][:, :12],
+        "damping_scale": td["kd_scale"][:, :12],
+        "torque_limit_scale": td["torque_limit_scale"][:, :12],
+    }
+    for name, value in drawn.items():
+        low, high = getattr(ranges, name)
+        assert low - 1e-6 <= value.min() < low + 0.1 * (high - low), name
+        assert high + 1e-6 >= value.max() > high - 0.1 * (high - low), name
+        assert value.mean().item() == pytest.approx((low + high) / 2, abs=0.15 * (high - low)), name
+    for key in ("kp_scale", "kd_scale", "torque_limit_scale"):
+        assert (td[key][:, 12:] == 1).all()  # the arm's drives are a net's business
+    assert (td["randomization"].abs() <= 1).all()
+
+
+def test_a_heavier_link_has_its_inertia_in_proportion_and_the_whole_weighs_the_sum():
+    env = make_env(16)
+    env.reset()
+    physics = env.base_env.physics
+    scale = physics.field("body_mass")[:, 1:] / torch.tensor(physics.model.body_mass)[1:]
+    inertia = physics.field("body_inertia")[:, 1:] / torch.tensor(physics.model.body_inertia)[1:]
+    torch.testing.assert_close(inertia, scale.unsqueeze(-1).expand_as(inertia))
+    total = physics.field("body_mass").sum(-1)
+    assert 0.6 * MASS < total.min() < 0.95 * MASS < 1.05 * MASS < total.max() < 1.4 * MASS
+    physics.qpos[:, 2] += 1.0  # in free fall gravity is all there is: weight is the mass that the physics believes in
+    physics.forward()
+    weight = physics.data("qfrc_bias")[:, 2]
+    torch.testing.assert_close(weight, 9.81 * total, rtol=1e-6, atol=0)
+
+
+def test_restitution_softens_the_damping_of_the_ground_alone():
+    env = make_env(8)
+    env.reset()
+    physics = env.base_env.physics
+    floor, solref = physics.model.geom("floor").id, physics.field("geom_solref")
+    damping = solref[:, floor, 1]
+    assert (0.25 < damping).all()
+    assert (damping <= 2).all()
+    torch.testing.assert_close(
+        solref[:, floor].prod(-1), torch.full((8,), 0.02, dtype=torch.float64), rtol=1e-5, atol=0
+    )
+    others = [geom for geom in range(physics.model.ngeom) if geom != floor]
+    assert (solref[:, others] == torch.tensor(physics.model.geom_solref)[others]).all()
+
+
+def test_only_rows_that_start_draw_anew():
+    env = make_env(3)
+    td = env.reset()
+    names = ("body_mass", "body_ipos", "geom_friction")
+    before = {name: env.base_env.physics.field(name).clone() for name in names}
+    again = env.reset(td.clone().set("_reset", torch.tensor([[False], [True], [False]])))
+    for name in names:
+        changed = (env.base_env.physics.field(name) != before[name]).flatten(1).any(1)
+        assert changed.tolist() == [False, True, False]
+    for key in ("kp_scale", "randomization"):
+        assert (again[key] != td[key]).any(-1).tolist() == [False, True, False]
+
+
+def test_once_means_once():
+    env = make_env(2, every_episode=False)
+    first = env.reset()
+    mass = env.base_env.physics.field("body_mass").clone()
+    second = env.reset()
+    assert torch.equal(first["randomization"], second["randomization"])
+    assert torch.equal(env.base_env.physics.field("body_mass"), mass)
+
+
+def test_a_row_alone_is_the_row_of_the_batch_to_the_last_bit():
+    batch, alone = make_env(3), make_env(1, first_row=2)
+    action = torch.tensor(ROBOT.default_pose).repeat(3, 1)
+    one, two = batch.reset(), alone.reset()
+    for k in range(6):
+        if k == 3:
+            one = batch.reset(one.set("_reset", torch.tensor([[False], [False], [True]])))
+            two = alone.reset()
+        one, two = batch.step(one.set("action", action))["next"], alone.step(two.set("action", action[:1]))["next"]
+        for key in ("joint_position", "joint_velocity", "kd_scale", "randomization"):
+            assert torch.equal(one[key][2], two[key][0]), (k, key)
+    for name in batch.base_env.physics.fields:
+        assert torch.equal(batch.base_env.physics.field(name)[2], alone.base_env.physics.field(name)[0])
+
+
+def test_undeclared_fields_and_unknown_groups_are_refused():
+    env = TransformedEnv(TorqueEnv(ROBOT, num_envs=2, fields=["body_mass"]), DomainRandomization())
+    with pytest.raises(ValueError, match=r"share \['geom_friction'.*fields=randomization.fields"):
+        env.reset()
+    drives = RandomizationRanges(friction=None, restitution=None, mass_scale=None, com_offset=None)
+    assert DomainRandomization(drives).fields == ()
+    env = TransformedEnv(TorqueEnv(z1(), num_envs=2), DomainRandomization(drives))
+    with pytest.raises(ValueError, match=r"no group of joints 'leg'"):
+        env.reset()
+    with pytest.raises(ValueError, match=r"friction is \(2.0, 1.0\)"):
+        RandomizationRanges(friction=(2.0, 1.0))
+    with pytest.raises(ValueError, match="would never end"):
+        RandomizationRanges(restitution=(0.0, 1.0))

@@ -1,0 +1,120 @@
+"""A push of F for t changes the momentum by F t, and pushes come and go as announced."""
+
+import mujoco
+import pytest
+import torch
+from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs.utils import check_env_specs
+
+from torchrl_athletic.envs import TorqueEnv
+from torchrl_athletic.robots import b2z1, from_mjcf
+from torchrl_athletic.transforms import B2Z1_PUSHES, Decimation, ExternalPush, Push
+
+FLOATING = """
+<mujoco model="two"><option gravity="0 0 0" timestep="0.005" integrator="implicitfast"/><worldbody>
+  <body name="base"><freejoint/><geom size="0.1" mass="3"/>
+    <body name="tip" pos="0.3 0 0"><joint name="hinge" axis="0 1 0"/><geom size="0.05" mass="1"/></body></body>
+</worldbody><actuator><motor joint="hinge" forcerange="-1 1"/></actuator></mujoco>"""
+PUSHES = (Push(("base",), force=(4.0, 6.0), torque=(0.0, 0.0)), Push(("tip",), force=(1.0, 2.0), torque=(0.0, 0.1)))
+
+
+def make_env(n: int = 3, first_row: int = 0, decimation: int = 1, seed: int = 0) -> TransformedEnv:
+    push = ExternalPush(
+        PUSHES, dt=0.005 * decimation, rest=(0.05, 0.1), duration=(0.05, 0.1), first_row=first_row, seed=seed
+    )
+    return TransformedEnv(TorqueEnv(from_mjcf(FLOATING), num_envs=n), Compose(Decimation(decimation), push))
+
+
+def momentum(env: TransformedEnv) -> torch.Tensor:
+    """Of all bodies [kg m/s]. Shape (N, 3)."""
+    physics, rows = env.base_env.physics, []
+    for qpos, qvel in zip(physics.qpos.numpy(), physics.qvel.numpy(), strict=True):
+        data = mujoco.MjData(physics.model)
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        mujoco.mj_forward(physics.model, data)
+        mujoco.mj_subtreeVel(physics.model, data)
+        rows.append(torch.tensor(physics.model.body_mass.sum() * data.subtree_linvel[0]))
+    return torch.stack(rows)
+
+
+def still(env: TransformedEnv, td):
+    return td.set("torque", torch.zeros(*env.batch_size, 1))
+
+
+@pytest.mark.parametrize("decimation", [1, 4])
+def test_momentum_changes_by_force_times_time(decimation):
+    env = make_env(decimation=decimation)
+    td, impulse = env.reset(), torch.zeros(3, 3, dtype=torch.float64)
+    for _ in range(60):
+        impulse += td["push"][..., :3].sum(1).double() * 0.005 * decimation
+        td = env.step(still(env, td))["next"]
+    assert (impulse.norm(dim=-1) > 0.05).all()
+    torch.testing.assert_close(momentum(env), impulse, atol=1e-3, rtol=5e-3)  # the integrator's own, as it turns
+
+
+def test_pushes_hit_one_body_at_a_time_with_their_size_and_last_as_long_as_they_should():
+    env = make_env(200)
+    td, shown = env.reset(), []
+    assert (td["push"] == 0).all()
+    for _ in range(150):
+        td = env.step(still(env, td))["next"]
+        shown.append(td["push"])
+    push = torch.stack(shown, 1)  # (N, T, bodies, 6)
+    force = push[..., :3].norm(dim=-1)
+    acting = force > 0
+    assert not acting.all(-1).any()
+    for body, (low, high) in enumerate(((4.0, 6.0), (1.0, 2.0))):
+        sizes = force[..., body][acting[..., body]]
+        assert low - 1e-4 <= sizes.min() < low + 0.1 * (high - low)
+        assert high + 1e-4 >= sizes.max() > high - 0.1 * (high - low)
+    share = acting.float().mean((0, 1))
+    assert share.sum() == pytest.approx(0.5, abs=0.05)  # rests and pushes last alike
+    assert share[0] == pytest.approx(share[1].item(), abs=0.05)
+    on = acting.any(-1)
+    runs = [len(run) for row in on for run in "".join("1" if x else " " for x in row[:140]).split()[:-1]]
+    assert (min(runs), max(runs)) == (10, 20)
+    assert push[..., :3][acting].mean(0).abs().max() < 0.4
+
+
+def test_a_reset_ends_the_push_of_its_rows_only():
+    env = make_env(2)
+    td = env.reset()
+    while not (td["push_on"].all()):
+        td = env.step(still(env, td))["next"]
+    env.step(still(env, td))
+    acting = env.base_env.physics.xfrc_applied
+    assert (acting.abs().sum((1, 2)) > 0).all()
+    again = env.reset(td.clone().set("_reset", torch.tensor([[True], [False]])))
+    assert (acting[0] == 0).all()
+    assert (again["push"][0] == 0).all()
+    assert torch.equal(again["push"][1], td["push"][1])
+    env.step(still(env, again))
+    assert (acting[0] == 0).all()
+    assert (acting[1] != 0).any()
+
+
+def test_a_row_alone_is_the_row_of_the_batch():
+    batch, alone = make_env(3), make_env(1, first_row=2)
+    one, two = batch.reset(), alone.reset()
+    for k in range(80):
+        if k == 40:
+            one = batch.reset(one.set("_reset", torch.tensor([[False], [False], [True]])))
+            two = alone.reset()
+        one, two = batch.step(still(batch, one))["next"], alone.step(still(alone, two))["next"]
+        for key in ("push", "push_steps_left", "joint_position", "base_position"):
+            assert torch.equal(one[key][2], two[key][0]), (k, key)
+
+
+def test_specs_hold_on_the_robot_it_is_for():
+    check_env_specs(make_env())
+    check_env_specs(TransformedEnv(TorqueEnv(b2z1(), num_envs=2), ExternalPush(B2Z1_PUSHES, dt=0.005)))
+
+
+def test_unknown_bodies_and_impossible_times_are_refused():
+    env = TransformedEnv(TorqueEnv(from_mjcf(FLOATING)), ExternalPush([Push(("tail",))], dt=0.005))
+    with pytest.raises(ValueError, match=r"no body 'tail'; it has \['world', 'base', 'tip'\]"):
+        env.reset()
+    with pytest.raises(ValueError, match="make no pushes"):
+        ExternalPush(PUSHES, dt=0.0)
+    with pytest.raises(ValueError, match="a magnitude"):
+        Push(("base",), force=(-1.0, 1.0))

@@ -1,0 +1,66 @@
+"""Episodes start near the keyframe, each elsewhere."""
+
+import pytest
+import torch
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import check_env_specs
+
+from torchrl_athletic.envs import TorqueEnv
+from torchrl_athletic.functional import rotations
+from torchrl_athletic.robots import b2z1
+from torchrl_athletic.transforms import InitialState, StartRanges
+
+ROBOT = b2z1()
+RANGES = StartRanges(base_position=(1.0, 2.0, 0.0), base_linear_velocity=(0.5, 0.0, 0.0))
+
+
+def make_env(n: int = 3, ranges: StartRanges = RANGES, **kwargs) -> TransformedEnv:
+    return TransformedEnv(TorqueEnv(ROBOT, num_envs=n), InitialState(ranges, **kwargs))
+
+
+def test_specs_hold():
+    check_env_specs(make_env())
+
+
+def test_starts_fill_their_ranges_and_keep_to_the_joints_limits():
+    env = make_env(300)
+    td = env.reset()
+    default, limit = torch.tensor(ROBOT.default_pose), torch.tensor(ROBOT.position_limit)
+    away = td["joint_position"] - default
+    assert (away.abs() <= 0.2 + 1e-6).all()
+    assert away[:, :12].abs().amax(0).min() > 0.18
+    assert (td["joint_position"] >= limit[:, 0] - 1e-6).all()
+    assert (td["joint_position"] <= limit[:, 1] + 1e-6).all()
+    assert td["joint_velocity"].abs().max().item() == pytest.approx(0.5, abs=0.01)
+    place = td["base_position"]
+    assert place[:, :2].abs().amax(0).tolist() == pytest.approx([1.0, 2.0], abs=0.05)
+    assert place[:, 2].std() < 1e-6
+    torch.testing.assert_close(td["base_quaternion"].norm(dim=-1), torch.ones(300))
+    tilt = torch.acos(-td["projected_gravity"][:, 2].clamp(-1, 1))
+    assert 0.1 < tilt.max() < 0.1 * 2**0.5 + 1e-3
+    heading = rotations.yaw(td["base_quaternion"])
+    assert (heading.min() < -3, heading.max() > 3) == (True, True)
+    world = env.base_env.physics.qvel[:, :3]
+    assert world.abs().amax(0).tolist() == pytest.approx([0.5, 0.0, 0.0], abs=0.01)
+
+
+def test_without_ranges_it_is_the_keyframe():
+    none = StartRanges(0.0, 0.0, (0, 0, 0), (0, 0, 0), (0, 0, 0), (0, 0, 0))
+    start, plain = make_env(2, none).reset(), TorqueEnv(ROBOT, num_envs=2).reset()
+    torch.testing.assert_close(start["joint_position"], plain["joint_position"])
+    torch.testing.assert_close(start["base_quaternion"], plain["base_quaternion"])
+
+
+def test_only_rows_that_start_are_moved_and_a_row_alone_starts_as_in_the_batch():
+    batch, alone = make_env(3), make_env(1, first_row=1)
+    one, two = batch.reset(), alone.reset()
+    assert torch.equal(one["joint_position"][1], two["joint_position"][0])
+    again = batch.reset(one.clone().set("_reset", torch.tensor([[False], [True], [False]])))
+    assert (again["joint_position"] != one["joint_position"]).any(-1).tolist() == [False, True, False]
+    assert torch.equal(again["joint_position"][1], alone.reset()["joint_position"][0])
+    assert len(again["joint_position"][:, 0].unique()) == 3
+
+
+def test_a_negative_range_is_refused():
+    with pytest.raises(ValueError, match="base_turn is"):
+        StartRanges(base_turn=(-0.1, 0.0, 0.0))

@@ -1,0 +1,360 @@
+"""What a diagnosis found between the command and the joint, as part of the actuation chain."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import torch
+from tensordict import NestedKey, TensorDictBase, unravel_key
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec, Unbounded
+
+from torchrl_athletic.functional import actuation, history
+from torchrl_athletic.functional import actuator_dynamics as dynamics
+from torchrl_athletic.transforms.actuation import PerJoint
+from torchrl_athletic.transforms.stateful import StatefulTransform, base_env_of, unbounded_like
+
+SCHEMA = "torchrl_athletic/corrected/1"
+
+IN_THE_MODEL = {
+    "coulomb_friction": ("torque",),
+    "viscous_friction": ("damping",),
+    "reflected_inertia": ("armature",),
+    "link_mass": ("mass",),
+    "link_com": ("distance",),
+    "link_inertia": ("scale",),
+}
+"""Effects that ``corrected.xml`` holds, and their parameters."""
+
+IN_THE_CHAIN = {
+    "asymmetric_friction": ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative"),
+    "actuation_delay": ("delay",),
+    "actuation_lag": ("time_constant",),
+    "torque_scale": ("scale",),
+    "torque_offset": ("torque",),
+    "encoder_offset": ("offset",),
+    "gain_mismatch": ("kp_scale", "kd_scale"),
+}
+"""Effects that :class:`CorrectedActuation` acts out, and their parameters."""
+
+Correction: TypeAlias = str | os.PathLike[str] | Mapping[str, Any]
+"""Path of a ``corrected.json``, or what stands in it."""
+
+
+class CorrectedActuation(StatefulTransform):
+    r"""Drive the joints as a diagnosis found that the real ones are driven.
+
+    It takes the place of :class:`PDControl`: with gains, the action is a position target, else a torque. On the way
+    from there to the joint come, where the diagnosis found them,
+
+    1. the delay of the command,
+    2. the gains as they truly are, on the position that the encoder reads,
+    3. the lag of the torque loop,
+    4. the scale and the offset of the torque,
+    5. the motor's limit,
+    6. the part of friction that is alike in both directions, which the motor's limit does not touch.
+
+    ``joint_position`` shows what the encoder reads. All of it happens at the physics rate: place the transform nearest
+    to the motor, before :class:`~.Decimation`. What MuJoCo expresses itself (friction, inertia, masses) is in the model
+    that the diagnosis wrote, ``corrected.xml``: build the robot from it,
+    :func:`~torchrl_athletic.robots.from_mjcf`, and domain randomisation is then about the corrected values too.
+
+    Args:
+        correction: Path of a ``corrected.json``, or its content.
+        timestep: Of the physics [s].
+        joint_names: Of the environment's joints, those of the diagnosis among them; None takes the latter. Length J.
+        kp: Gains as the drive is told [N·m/rad]; None for torques. Shape (J,) or ().
+        kd: [N·m·s/rad]. Shape (J,) or ().
+        torque_limit: Of the motors [N·m]. Shape (J,) or ().
+        torque_key: What the environment takes [N·m]. Shape (*B, J).
+        action_key: What the policy gives instead, where there are gains [rad]. Shape (*B, J).
+        position_key: [rad]. Shape (*B, J).
+        velocity_key: [rad/s]. Shape (*B, J).
+        target_key: Where to note the target that acts.
+        scale_keys: As of :class:`PDControl`.
+        state_key: Under it stand the commands on their way, shape (*B, L, J), the state of the lag, (*B, J), and
+            whether an episode has yet to get its first command, (*B, 1). What came before is taken to be that one.
+        reset_key: As of :class:`StatefulTransform`.
+
+    Raises:
+        ValueError: If the file names an effect that is not known here, is of another schema, or names other joints; on
+            an environment, if its model, joints or time step are not those of the correction.
+
+    Example:
+        >>> from torchrl_athletic.envs import TorqueEnv
+        >>> from torchrl_athletic.robots import z1
+        >>> from torchrl.envs import TransformedEnv
+        >>> robot = z1()
+        >>> late = {"effect": "actuation_delay", "joint": "joint2", "parameters": {"delay": {"value": 0.012}}}
+        >>> found = {"schema": "torchrl_athletic/corrected/1", "joint_names": ["joint2"]}
+        >>> found |= {"effects": [late], "trims": []}
+        >>> chain = CorrectedActuation(
+        ...     found, timestep=0.005, joint_names=robot.joint_names,
+        ...     kp=robot.kp, kd=robot.kd, torque_limit=robot.torque_limit)
+        >>> env = TransformedEnv(TorqueEnv(robot, num_envs=2), chain)
+        >>> env.rollout(3)["corrected_actuation", "queue"].shape
+        torch.Size([2, 3, 4, 7])
+    """
+
+    weights: Tensor
+    lag_end: Tensor
+    lag_shown: Tensor
+    torque_scale: Tensor
+    torque_offset: Tensor
+    torque_limit: Tensor
+    even_constant: Tensor
+    even_slope: Tensor
+    encoder_offset: Tensor
+    kp: Tensor
+    kd: Tensor
+
+    def __init__(
+        self,
+        correction: Correction,
+        *,
+        timestep: float,
+        joint_names: Sequence[str] | None = None,
+        kp: PerJoint | None = None,
+        kd: PerJoint | None = None,
+        torque_limit: PerJoint = torch.inf,
+        torque_key: NestedKey = "torque",
+        action_key: NestedKey = "action",
+        position_key: NestedKey = "joint_position",
+        velocity_key: NestedKey = "joint_velocity",
+        target_key: NestedKey = "position_target",
+        scale_keys: tuple[NestedKey, NestedKey] = ("kp_scale", "kd_scale"),
+        state_key: NestedKey = "corrected_actuation",
+        reset_key: NestedKey | None = None,
+    ) -> None:
+        content = _read(correction)
+        self.joint_names = tuple(content["joint_names"] if joint_names is None else joint_names)
+        self.entries = _known_entries(content, self.joint_names)
+        if (kp is None) != (kd is None):
+            raise ValueError("CorrectedActuation got one of kp and kd: a PD law needs both, a torque neither.")
+        self.closed_loop = kp is not None
+        if not self.closed_loop and (odd := [e for e in self.entries if e[0] == "gain_mismatch"]):
+            raise ValueError(
+                f"the correction holds gain_mismatch of {odd[0][1]!r}, but without kp and kd there are no gains to "
+                "correct. Give CorrectedActuation the gains that the drive is told."
+            )
+        queue, lag, fresh = (unravel_key((state_key, name)) for name in ("queue", "lag", "fresh"))
+        delays, lags = self._column("actuation_delay"), self._column("actuation_lag")
+        self.queue_key, self.lag_key = queue if any(delays) else None, lag if any(lags) else None
+        self.fresh_key = fresh if self.queue_key or self.lag_key else None
+        memory = [key for key in (self.queue_key, self.lag_key, self.fresh_key) if key is not None]
+        policy_key = action_key if self.closed_loop else torque_key
+        super().__init__([position_key], [position_key, *memory], [torque_key], [policy_key], reset_key)
+        self.memory, self.timestep, self.policy_key, self.torque_key = memory, timestep, policy_key, torque_key
+        self.position_key, self.velocity_key = position_key, velocity_key
+        self.target_key, self.scale_keys = target_key, scale_keys
+        self._make_buffers(delays, lags, kp, kd, torque_limit)
+
+    def _column(self, effect: str, parameter: int = 0, absent: float = 0.0) -> list[float]:
+        """A parameter of an effect, by joint; of two entries for one joint the later counts, as in the diagnosis."""
+        found = {joint: values[parameter] for name, joint, values in self.entries if name == effect}
+        return [found.get(name, absent) for name in self.joint_names]
+
+    def _make_buffers(
+        self, delays: list[float], lags: list[float], kp: PerJoint | None, kd: PerJoint | None, limit: PerJoint
+    ) -> None:
+        lag_end, lag_mean = dynamics.lag_factors(lags, self.timestep)
+        forth_back = [self._column("asymmetric_friction", k) for k in range(4)]
+        forth, back, forth_slope, back_slope = (torch.tensor(column) for column in forth_back)
+        values = {
+            "weights": dynamics.delay_weights(delays, self.timestep),
+            "lag_end": lag_end,
+            # A torque acts as its mean over the step; that of a closed loop as at its end. So did the replay that
+            # fitted the time constant.
+            "lag_shown": lag_end if self.closed_loop else lag_mean,
+            "torque_scale": self._column("torque_scale", absent=1.0),
+            "torque_offset": self._column("torque_offset"),
+            "torque_limit": limit,
+            "even_constant": (forth - back) / 2,
+            "even_slope": (forth_slope - back_slope) / 2,
+            "encoder_offset": self._column("encoder_offset"),
+        }
+        if self.closed_loop:
+            for k, (name, gain) in enumerate((("kp", kp), ("kd", kd))):
+                values[name] = _float(gain) * _float(self._column("gain_mismatch", k, 1.0))
+        for name, value in values.items():
+            self.register_buffer(name, _float(value))
+        self.asymmetric = bool(self.even_constant.any() or self.even_slope.any())
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if self.parent is None:  # on its way into a buffer: what acted is noted already
+            return tensordict
+        command = tensordict.get(self.policy_key)
+        if self.queue_key is not None:
+            command = self._late(command, tensordict)
+        velocity = tensordict.get(self.velocity_key)
+        torque = command
+        if self.closed_loop:
+            kp, kd = self._gains(tensordict)
+            torque = actuation.pd_torque(command, tensordict.get(self.position_key), velocity, kp, kd)
+            tensordict.set(self.target_key, command)
+        if self.lag_key is not None:
+            torque = self._lagging(torque, tensordict)
+        if self.fresh_key is not None:
+            tensordict.set(self.fresh_key, torch.zeros_like(tensordict.get(self.fresh_key)))
+        torque = torch.clamp(torque * self.torque_scale + self.torque_offset, -self.torque_limit, self.torque_limit)
+        if self.asymmetric:
+            torque = torque + dynamics.even_friction(velocity, self.even_constant, self.even_slope)
+        return tensordict.set(self.torque_key, torque)
+
+    def _late(self, command: Tensor, tensordict: TensorDictBase) -> Tensor:
+        fresh = tensordict.get(self.fresh_key).unsqueeze(-1)
+        queue = torch.where(fresh, command.unsqueeze(-2), tensordict.get(self.queue_key))
+        queue = history.push(queue, command)
+        tensordict.set(self.queue_key, queue)
+        return dynamics.delayed(queue, self.weights)
+
+    def _lagging(self, torque: Tensor, tensordict: TensorDictBase) -> Tensor:
+        state = torch.where(tensordict.get(self.fresh_key), torque, tensordict.get(self.lag_key))
+        tensordict.set(self.lag_key, dynamics.low_pass(torque, state, self.lag_end))
+        return dynamics.low_pass(torque, state, self.lag_shown)
+
+    def _gains(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        scales = (tensordict.get(key, None) for key in self.scale_keys)
+        kp, kd = (gain if s is None else gain * s for gain, s in zip((self.kp, self.kd), scales, strict=True))
+        return kp, kd
+
+    def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
+        position = tensordict_reset.get(self.position_key)
+        first: dict[NestedKey, Tensor] = {}
+        if self.queue_key is not None:
+            first[self.queue_key] = history.tile(torch.zeros_like(position), len(self.weights))
+        if self.lag_key is not None:
+            first[self.lag_key] = torch.zeros_like(position)
+        if self.fresh_key is not None:
+            first[self.fresh_key] = torch.ones_like(position[..., :1], dtype=torch.bool)
+        return first
+
+    def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
+        self._read_encoder(next_tensordict)
+        for key in self.memory:
+            next_tensordict.set(key, tensordict.get(key))
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._read_encoder(super()._reset(tensordict, tensordict_reset))
+
+    def _reset_on_native_autoreset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return super()._reset(tensordict, tensordict_reset)  # the step has read the encoder already
+
+    def _read_encoder(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set(self.position_key, tensordict.get(self.position_key) + self.encoder_offset)
+
+    def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
+        position = observation_spec[self.position_key]
+        self._check_environment(position.shape[-1])
+        specs: dict[NestedKey, TensorSpec] = {}
+        if self.queue_key is not None:
+            shape = (*position.shape[:-1], *self.weights.shape)
+            specs[self.queue_key] = unbounded_like(position, shape)
+        if self.lag_key is not None:
+            specs[self.lag_key] = unbounded_like(position, position.shape)
+        if self.fresh_key is not None:
+            specs[self.fresh_key] = Unbounded((*position.shape[:-1], 1), dtype=torch.bool, device=position.device)
+        return specs
+
+    def transform_input_spec(self, input_spec: Composite) -> Composite:
+        input_spec = super().transform_input_spec(input_spec)
+        if self.closed_loop:
+            action = input_spec["full_action_spec"]
+            torque = action[self.torque_key]
+            if self.torque_key != self.policy_key:
+                del action[self.torque_key]
+            action[self.policy_key] = unbounded_like(torque, torque.shape)
+        return input_spec
+
+    def _check_environment(self, joints: int) -> None:
+        """Raise unless the environment is the one that the correction is for."""
+        if joints != len(self.joint_names):
+            raise ValueError(
+                f"CorrectedActuation is for {len(self.joint_names)} joints, the environment has {joints}. Give it "
+                "joint_names of all of them; those that the diagnosis did not look at stay as they are."
+            )
+        physics = getattr(base_env_of(self.parent), "physics", None)
+        if physics is None:
+            return
+        if tuple(physics.joint_names) != self.joint_names:
+            raise ValueError(
+                f"CorrectedActuation is for the joints {self.joint_names}, the environment has "
+                f"{tuple(physics.joint_names)}: corrections would act on other joints. Give it joint_names in that "
+                "order."
+            )
+        if abs(physics.timestep - self.timestep) > 1e-9:
+            raise ValueError(
+                f"CorrectedActuation counts steps of {self.timestep} s, the physics takes {physics.timestep} s: delays "
+                "and lags would be off in proportion. Give it timestep=env.physics.timestep."
+            )
+        for effect, joint, values in self.entries:
+            has = _in_model(physics.model, effect, joint)
+            if has is not None and abs(has - values[0]) > 1e-3 * abs(values[0]) + 1e-9:
+                raise ValueError(
+                    f"the correction holds {effect} of {joint!r}, {IN_THE_MODEL[effect][0]} {values[0]:.4g}, but the "
+                    f"model has {has:.4g}: it would be left out. Build the robot from corrected.xml, which the "
+                    "diagnosis wrote beside corrected.json."
+                )
+
+
+def _float(value: Any) -> Tensor:
+    """A float32 tensor of its own."""
+    return value.float().clone() if isinstance(value, Tensor) else torch.tensor(value, dtype=torch.float32)
+
+
+def _read(correction: Correction) -> Mapping[str, Any]:
+    content = correction if isinstance(correction, Mapping) else json.loads(Path(correction).read_text("utf-8"))
+    if content.get("schema") != SCHEMA:
+        raise ValueError(
+            f"schema is {content.get('schema')!r}, CorrectedActuation reads {SCHEMA!r}. Give it the corrected.json of "
+            "a diagnosis made by this version."
+        )
+    return content
+
+
+def _known_entries(
+    content: Mapping[str, Any], joint_names: tuple[str, ...]
+) -> list[tuple[str, str, tuple[float, ...]]]:
+    """Effect, joint and values, all of which the chain or the model can express."""
+    known = IN_THE_CHAIN | IN_THE_MODEL
+    entries = []
+    for entry in (*content["effects"], *content["trims"]):
+        effect, joint = entry["effect"], entry["joint"]
+        if effect not in known:
+            raise ValueError(
+                f"effect {effect!r} of {joint!r} is not one that CorrectedActuation can act out: it knows "
+                f"{sorted(known)}. Leave it out of the correction if the policy may be trained without it."
+            )
+        if joint not in joint_names:
+            raise ValueError(
+                f"{effect} was found on joint {joint!r}, which is not among joint_names {joint_names}. Name the "
+                "environment's joints as the diagnosed model does."
+            )
+        values = tuple(float(entry["parameters"][name]["value"]) for name in known[effect])
+        entries.append((effect, joint, values))
+    return entries
+
+
+def _in_model(model: Any, effect: str, joint: str) -> float | None:
+    """What the model has for the parameter of an effect, where it can be told."""
+    at = model.joint(joint)
+    if effect == "coulomb_friction":
+        return float(at.frictionloss[0])
+    if effect == "viscous_friction":
+        return float(at.damping.flat[0])
+    if effect == "reflected_inertia":
+        return float(at.armature[0])
+    body = model.body(at.bodyid[0])
+    if effect == "link_mass":
+        return float(body.mass[0])
+    if effect == "link_com":
+        offset = body.ipos - at.pos
+        lever = offset - at.axis * (at.axis @ offset)
+        return float((lever @ lever) ** 0.5)
+    return None

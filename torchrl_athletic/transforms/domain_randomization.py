@@ -1,0 +1,244 @@
+"""Robots and grounds that differ from one episode to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec, Unbounded
+
+from torchrl_athletic.functional import randomization, streams
+from torchrl_athletic.transforms.stateful import (
+    Joints,
+    RandomTransform,
+    base_env_of,
+    joint_index,
+    reset_mask,
+    unbounded_like,
+)
+
+Range: TypeAlias = tuple[float, float] | None
+"""Least and greatest value; None leaves the quantity as the model has it."""
+
+
+@dataclass(frozen=True)
+class RandomizationRanges:
+    """What differs, and by how much. Defaults are the paper's; encoders and lag have transforms of their own.
+
+    The roughness of the terrain, 0 to 2.5 cm, is part of the model: :class:`~torchrl_athletic.robots.Terrain`, where an
+    episode that starts on another tile has drawn another roughness. The policy's lag is :class:`ActionDelay`, the
+    offset of encoders :class:`EncoderOffset`.
+
+    Source:
+        Fey et al. 2025, appendix A, table of domain randomisation.
+    """
+
+    friction: Range = (0.5, 4.0)
+    """Sliding friction of the ground [1]."""
+    restitution: Range = (0.0, 0.5)
+    """Of the ground, :func:`~torchrl_athletic.functional.randomization.restitution_solref` [1]. Undamped by anything
+    else, MuJoCo's own default ground returns 0.14."""
+    stiffness_scale: Range = (0.9, 1.1)
+    """Of ``kp``, joint by joint [1]."""
+    damping_scale: Range = (0.5, 1.5)
+    """Of ``kd``, joint by joint [1]."""
+    torque_limit_scale: Range = (0.9, 1.1)
+    """Of the torque at standstill, joint by joint [1]."""
+    mass_scale: Range = (0.5, 1.5)
+    """Of each link's mass and inertia [1]."""
+    com_offset: Range = (-0.02, 0.02)
+    """Of each link's centre of mass, along each of its axes [m]."""
+
+    def __post_init__(self) -> None:
+        for name, between in vars(self).items():
+            if between is not None and not between[0] <= between[1]:
+                raise ValueError(f"{name} is {between}: no number lies between. Give (least, greatest).")
+        if self.restitution is not None and not 0 <= self.restitution[0] <= self.restitution[1] < 1:
+            raise ValueError(
+                f"restitution is {self.restitution}: at 1 or more a bounce would never end. Give 0 or more, below 1."
+            )
+
+
+_FIELDS = {
+    "friction": ("geom_friction",),
+    "restitution": ("geom_solref",),
+    "mass_scale": ("body_mass", "body_inertia"),
+    "com_offset": ("body_ipos",),
+}
+
+
+class DomainRandomization(RandomTransform):
+    """Draw another robot on other ground for each episode.
+
+    What belongs to the model is written to the fields of the physics, row by row: give them to the environment,
+    ``TorqueEnv(robot, fields=randomization.fields)``. What belongs to the drives is shown as entries of shape (*B, J),
+    1 for joints outside the group, which :class:`PDControl` and :class:`TorqueSpeedClip` read.
+
+    Args:
+        ranges: What differs.
+        joints: Whose drives differ; those of the legs in the paper, where the arm's are corrected by a net instead.
+        bodies: Names of the links that differ; None takes all that have a mass.
+        ground: Names of the geoms to stand on, whose friction and softness must rule in their contacts (``priority`` in
+            MJCF); None takes the robot's.
+        every_episode: Whether to draw anew for each episode, or once for each row.
+        kp_key: Where to show the scale of ``kp`` [1].
+        kd_key: Of ``kd``.
+        torque_limit_key: Of the torque limit.
+        drawn_key: Where to show all that was drawn, each number within [-1, 1] of its range, in the order of the
+            ranges: an observation for the critic. Shape (*B, D).
+        position_key: Tells the number of joints.
+        seed: Of the draws.
+        first_row: As of :class:`RandomTransform`.
+        reset_key: As of :class:`StatefulTransform`.
+
+    Raises:
+        ValueError: On an environment without these fields, joints, bodies or geoms.
+
+    Source:
+        Fey et al. 2025, section II-B and appendix A.
+
+    Example:
+        >>> from torchrl_athletic.envs import TorqueEnv
+        >>> from torchrl_athletic.robots import z1
+        >>> from torchrl.envs import TransformedEnv
+        >>> ranges = RandomizationRanges(friction=None, restitution=None)
+        >>> randomization = DomainRandomization(ranges, joints="arm")
+        >>> env = TransformedEnv(TorqueEnv(z1(), num_envs=3, fields=randomization.fields), randomization)
+        >>> env.reset()["kp_scale"].shape, env.physics.field("body_mass").sum(-1).unique().numel()
+        (torch.Size([3, 7]), 3)
+    """
+
+    def __init__(
+        self,
+        ranges: RandomizationRanges | None = None,
+        joints: Joints = "leg",
+        *,
+        bodies: Sequence[str] | None = None,
+        ground: Sequence[str] | None = None,
+        every_episode: bool = True,
+        kp_key: NestedKey = "kp_scale",
+        kd_key: NestedKey = "kd_scale",
+        torque_limit_key: NestedKey = "torque_limit_scale",
+        drawn_key: NestedKey = "randomization",
+        position_key: NestedKey = "joint_position",
+        seed: int = 0,
+        first_row: int = 0,
+        reset_key: NestedKey | None = None,
+    ) -> None:
+        ranges = RandomizationRanges() if ranges is None else ranges
+        keys = {"stiffness_scale": kp_key, "damping_scale": kd_key, "torque_limit_scale": torque_limit_key}
+        self.scales = {name: key for name, key in keys.items() if getattr(ranges, name) is not None}
+        out_keys = [drawn_key, *self.scales.values()]
+        super().__init__([], out_keys, seed=seed, first_row=first_row, reset_key=reset_key)
+        self.ranges, self.joints, self.bodies, self.ground = ranges, joints, bodies, ground
+        self.every_episode, self.drawn_key, self.position_key = every_episode, drawn_key, position_key
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Of the model, that differ between rows."""
+        return tuple(
+            field for name, fields in _FIELDS.items() if getattr(self.ranges, name) is not None for field in fields
+        )
+
+    def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
+        episode = self.episode if self.every_episode else torch.ones_like(self.episode)
+        return self.draw(self._streams(episode), tensordict_reset)
+
+    def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
+        widths = self._widths()
+        drawn = streams.uniform(key, sum(widths.values()), -1.0, 1.0)
+        parts = dict(zip(widths, drawn.split(list(widths.values()), -1), strict=True))
+        first = {self.drawn_key: drawn}
+        for name, entry in self.scales.items():
+            scale = torch.ones_like(tensordict_reset.get(self.position_key), dtype=drawn.dtype)
+            scale[..., joint_index(self, self.joints)] = randomization.in_range(
+                parts[name], *getattr(self.ranges, name)
+            )
+            first[entry] = scale
+        return first
+
+    def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
+        for key in self.out_keys:
+            next_tensordict.set(key, tensordict.get(key))
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        self._check_fields()
+        tensordict_reset = super()._reset(tensordict, tensordict_reset)
+        if self.fields:
+            starts = reset_mask(tensordict, self.reset_key)
+            rows = None if starts is None else starts.reshape(*self.episode.shape, -1).any(-1)
+            self._change_model(tensordict_reset.get(self.drawn_key), rows)
+        return tensordict_reset
+
+    def _change_model(self, drawn: Tensor, rows: Tensor | None) -> None:
+        """Write the fields of some rows. Drawn numbers have shape (N, D)."""
+        physics, ranges = base_env_of(self.parent).physics, self.ranges
+        widths = self._widths()
+        parts = dict(zip(widths, drawn.to(physics.dtype).split(list(widths.values()), -1), strict=True))
+        bodies, ground = self._bodies(physics.model), self._ground(physics.model)
+
+        def change(field: str, at: list[int], value: Tensor) -> None:
+            new = physics.field(field).clone()
+            new[:, at] = value
+            physics.set_field(field, new, envs=rows)
+
+        def given(field: str, at: list[int]) -> Tensor:
+            return torch.as_tensor(getattr(physics.model, field)[at], dtype=physics.dtype, device=physics.device)
+
+        if ranges.friction is not None:
+            value = given("geom_friction", ground).expand(len(drawn), -1, -1).clone()
+            value[..., 0] = randomization.in_range(parts["friction"], *ranges.friction)
+            change("geom_friction", ground, value)
+        if ranges.restitution is not None:
+            bounce = randomization.in_range(parts["restitution"], *ranges.restitution)
+            solref = given("geom_solref", ground).expand(len(drawn), -1, -1)
+            change("geom_solref", ground, randomization.restitution_solref(solref, bounce.expand(-1, len(ground))))
+        if ranges.mass_scale is not None:
+            scale = randomization.in_range(parts["mass_scale"], *ranges.mass_scale)
+            change("body_mass", bodies, given("body_mass", bodies) * scale)
+            change("body_inertia", bodies, given("body_inertia", bodies) * scale.unsqueeze(-1))
+        if ranges.com_offset is not None:
+            offset = randomization.in_range(parts["com_offset"], *ranges.com_offset)
+            change("body_ipos", bodies, given("body_ipos", bodies) + offset.unflatten(-1, (len(bodies), 3)))
+
+    def _widths(self) -> dict[str, int]:
+        """How many numbers each quantity takes."""
+        env = base_env_of(self.parent)
+        model = env.physics.model if self.fields else None
+        joints = len(range(env.observation_spec[self.position_key].shape[-1])[joint_index(self, self.joints)])
+        width = {"friction": 1, "restitution": 1}
+        width |= dict.fromkeys(("stiffness_scale", "damping_scale", "torque_limit_scale"), joints)
+        if model is not None:
+            bodies = len(self._bodies(model))
+            width |= {"mass_scale": bodies, "com_offset": 3 * bodies}
+        return {name: count for name, count in width.items() if getattr(self.ranges, name) is not None}
+
+    def _bodies(self, model: Any) -> list[int]:
+        if self.bodies is not None:
+            return [int(model.body(name).id) for name in self.bodies]
+        return [body for body in range(1, model.nbody) if model.body_mass[body] > 0]
+
+    def _ground(self, model: Any) -> list[int]:
+        names = base_env_of(self.parent).robot.ground if self.ground is None else self.ground
+        return [int(model.geom(name).id) for name in names]
+
+    def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
+        self._check_fields()
+        position = observation_spec[self.position_key]
+        drawn = (*position.shape[:-1], sum(self._widths().values()))
+        specs: dict[NestedKey, TensorSpec] = {self.drawn_key: Unbounded(drawn, device=position.device)}
+        return specs | {key: unbounded_like(position, position.shape) for key in self.scales.values()}
+
+    def _check_fields(self) -> None:
+        physics = getattr(base_env_of(self.parent), "physics", None)
+        declared = () if physics is None else physics.fields
+        if missing := [field for field in self.fields if field not in declared]:
+            raise ValueError(
+                f"DomainRandomization writes the model's fields {list(self.fields)}, but all rows of the environment "
+                f"share {missing}. Make it with TorqueEnv(..., fields=randomization.fields), or set the ranges that "
+                "need them to None."
+            )
