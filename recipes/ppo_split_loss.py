@@ -2,7 +2,8 @@
 
     python recipes/ppo_split_loss.py
 
-Gymnasium's Pendulum-v1, TorchRL's wrapper, collector and GAE; a minute on two cores.
+Gymnasium's Pendulum-v1, TorchRL's wrapper, collector and GAE; 72,000 steps, 70 s of CPU time on a busy machine.
+Mean return of 16 episodes, seed 0 (others not tried): -188; at random about -1200, and -150 counts as solved.
 """
 
 from __future__ import annotations
