@@ -1,0 +1,70 @@
+import sys
+
+import pytest
+
+from torchrl_athletic.training import CSVTable, make_logger
+
+
+def test_a_table_has_a_row_per_step_and_columns_for_what_comes_later(tmp_path):
+    table = CSVTable(tmp_path / "run" / "progress.csv")
+    table.log_metrics({"reward": 1.0}, step=5)
+    table.log_metrics({"reward": 2.0}, step=6)
+    assert table.path.read_text().split() == ["step,reward", "5,1.0", "6,2.0"]
+    table.log_metrics({"reward": 3.0, "error": 0.5}, step=7)
+    table.log_metrics({"error": 0.25}, step=8)
+    assert table.path.read_text().split() == ["step,reward,error", "5,1.0,", "6,2.0,", "7,3.0,0.5", "8,,0.25"]
+
+
+def test_a_table_is_gone_on_with(tmp_path):
+    path = tmp_path / "progress.csv"
+    CSVTable(path).log_metrics({"reward": 1.0}, step=1)
+    CSVTable(path).log_metrics({"reward": 2.0}, step=2)
+    assert path.read_text().split() == ["step,reward", "1,1.0", "2,2.0"]
+
+
+def test_steps_that_are_done_again_are_taken_out(tmp_path):
+    table = CSVTable(tmp_path / "progress.csv")
+    table.log_metrics({"reward": 1.0}, step=1)
+    position = table.state_dict()
+    table.log_metrics({"reward": 2.0}, step=2)
+    table.load_state_dict(position)
+    table.log_metrics({"reward": 3.0}, step=2)
+    assert table.path.read_text().split() == ["step,reward", "1,1.0", "2,3.0"]
+
+
+def test_no_logger_is_none(tmp_path):
+    assert make_logger("none", tmp_path) is None
+
+
+def test_an_unknown_logger_is_refused_with_the_names_of_the_known(tmp_path):
+    with pytest.raises(ValueError, match=r"there is no logger 'paper'.*'csv'"):
+        make_logger("paper", tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["wandb", "tensorboard"])
+def test_a_logger_that_is_not_installed_says_how_to_get_it(kind, tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ModuleNotFoundError, match=r"torchrl-athletic\[train\].*--logger csv"):
+        make_logger(kind, tmp_path)
+
+
+def test_tensorboard_writes_its_event_file(tmp_path):
+    pytest.importorskip("tensorboard")
+    logger = make_logger("tensorboard", tmp_path, "reach")
+    logger.log_metrics({"reward": 1.0}, step=1)
+    logger.experiment.flush()
+    assert list(tmp_path.rglob("events.out.tfevents*"))
+
+
+def test_wandb_stays_on_this_machine(tmp_path, monkeypatch):
+    pytest.importorskip("wandb")
+    for name in ("WANDB_API_KEY", "WANDB_MODE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("WANDB_BASE_URL", "http://127.0.0.1:9")  # where nobody answers
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    logger = make_logger("wandb", tmp_path, "reach")
+    logger.log_metrics({"reward": 1.0}, step=1)
+    assert logger.experiment.settings.mode == "offline"
+    logger.experiment.finish()
+    sys.modules["wandb"].teardown()
+    assert list(tmp_path.rglob("*.wandb"))

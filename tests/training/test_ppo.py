@@ -1,0 +1,138 @@
+import re
+from dataclasses import replace
+
+import pytest
+import torch
+from training.tasks import arm_env, arm_learner
+
+from torchrl_athletic.training import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
+from torchrl_athletic.training.ppo import estimate_advantage
+
+
+@pytest.mark.parametrize(
+    ("preset", "discount", "entropy", "horizon", "actor_minibatch", "critic_minibatch"),
+    [
+        (UAN, 0.995, 0.0, 96, 98_304, 393_216),
+        (PRE_TRAIN, 0.99, 0.01, 24, 24_576, 98_304),
+        (FINE_TUNE, 0.99, 0.0, 24, 24_576, 98_304),
+    ],
+    ids=["uan", "pre-train", "fine-tune"],
+)
+def test_presets_are_the_columns_of_the_papers_table(
+    preset, discount, entropy, horizon, actor_minibatch, critic_minibatch
+):
+    samples = preset.num_envs * preset.horizon
+    assert (preset.discount, preset.entropy_coeff, preset.horizon) == (discount, entropy, horizon)
+    assert samples / preset.actor_minibatches == actor_minibatch
+    assert samples / preset.critic_minibatches == critic_minibatch
+    assert (preset.gae_lambda, preset.critic_lr, preset.kl_target) == (0.95, 5e-4, 0.01)
+    assert (preset.num_envs, preset.epochs, preset.weight_decay) == (4096, 5, 0.01)
+
+
+def test_an_iteration_learns_and_counts():
+    learner = arm_learner()
+    before = [parameter.clone() for parameter in learner.actor.parameters()]
+    report = iterate(learner)
+    assert learner.iteration == 1
+    assert learner.samples == 2 * 4 * 6  # one batch more, for the scale of observations
+    assert any((one != other).any() for one, other in zip(before, learner.actor.parameters(), strict=True))
+    assert report["reward"] < 0
+    iterate(learner)
+    assert learner.samples == 3 * 4 * 6
+
+
+def test_the_policy_that_learns_is_the_policy_that_acted():
+    """The scale of observations changes after an update, before the next collection: the first step moves nothing."""
+    learner = arm_learner()
+    for _ in range(2):
+        iterate(learner)
+    seen = []
+    loss_actor = learner.stepper.loss.loss_actor
+
+    def noting(batch):
+        report = loss_actor(batch)
+        seen.append(report["kl"].item())
+        return report
+
+    learner.stepper.loss.loss_actor = noting
+    iterate(learner)
+    assert seen[0] == pytest.approx(0.0, abs=1e-6)
+    assert max(seen) > 1e-5
+
+
+def test_advantages_bootstrap_from_the_true_last_observation_of_a_truncated_episode():
+    """By hand, for a lambda of 0: r + γ V(last) - V(first), at a truncation as elsewhere."""
+    learner = arm_learner()
+    learner = Learner(learner.env, learner.actor, learner.critic, replace(learner.config, gae_lambda=0.0))
+    batch = learner.rollout()
+    estimate_advantage(learner, batch)
+    assert batch["next", "truncated"].any()
+    with torch.no_grad():
+        here = learner.critic(batch.select("joint_position").clone())["state_value"]
+        there = learner.critic(batch["next"].select("joint_position").clone())["state_value"]
+    wanted = batch["next", "reward"] + learner.config.discount * there
+    torch.testing.assert_close(batch["value_target"], wanted)
+    assert batch["advantage"].mean().abs() < 1e-5
+    assert (batch["advantage"].std() - 1).abs() < 1e-3
+    assert ((wanted - here).flatten().argsort() == batch["advantage"].flatten().argsort()).all()
+
+
+def test_the_collector_of_torchrl_teaches_the_same():
+    """For one seed, the two ways to collect end in the same weights."""
+    learners = [arm_learner(collector=collector) for collector in (False, True)]
+    for learner in learners:
+        torch.manual_seed(7)
+        for _ in range(2):
+            iterate(learner)
+    for ours, theirs in zip(*(learner.actor.parameters() for learner in learners), strict=True):
+        torch.testing.assert_close(ours, theirs)
+
+
+class Log:
+    def __init__(self):
+        self.rows = {}
+
+    def log_metrics(self, metrics, step=None):
+        self.rows[step] = metrics
+
+
+def test_training_measures_logs_and_ends_when_told():
+    log, learner = Log(), arm_learner()
+    metrics = train(
+        learner, iterations=3, evaluate=lambda: {"error": 1.0}, evaluate_every=2, logger=log, progress=False
+    )
+    assert list(log.rows) == [1, 2, 3]
+    assert ["error" in row for row in log.rows.values()] == [False, True, True]
+    assert metrics == log.rows[3]
+    assert metrics["samples"] == learner.samples
+    seconds = [row["seconds"] for row in log.rows.values()]
+    assert seconds == sorted(seconds)
+    assert seconds[0] > 0
+
+
+def test_time_that_earlier_runs_took_counts():
+    learner = arm_learner()
+    learner.seconds = 59.9999
+    train(learner, minutes=1.0, progress=False)
+    assert learner.iteration == 1
+
+
+def test_the_bar_shows_speed_time_left_and_what_to_watch(capsys):
+    train(arm_learner(), iterations=2, show=["reward"])
+    shown = capsys.readouterr().err
+    assert re.search(r"100%.*spent.* left.*samples=72.*samples/s=\d.*reward=-\d", shown)
+
+
+def test_without_an_end_there_is_no_start():
+    with pytest.raises(ValueError, match="never end"):
+        train(arm_learner())
+
+
+def test_what_is_watched_is_reported():
+    assert iterate(arm_learner(watch=["joint_velocity"]))["joint_velocity"].isfinite()
+
+
+def test_a_batch_of_another_size_than_configured_is_refused():
+    learner = arm_learner()
+    with pytest.raises(ValueError, match=r"num_envs=config\.num_envs"):
+        Learner(arm_env(2), learner.actor, learner.critic, PPO(num_envs=4))
