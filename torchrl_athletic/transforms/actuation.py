@@ -82,7 +82,7 @@ class PDControl(_Torque):
         if target is None:
             raise KeyError(
                 f"PDControl found no {self.action_key!r}: there is no target to make a torque of. Give it data of the "
-                f"policy's side, not torques; on an environment, name the policy's action with action_key=..."
+                "policy's side, not torques; on an environment, name the policy's action with action_key=..."
             )
         kp, kd = (_scaled(gain, tensordict, key) for gain, key in zip((self.kp, self.kd), self.scale_keys, strict=True))
         position, velocity = tensordict.get(self.position_key), tensordict.get(self.velocity_key)
@@ -187,7 +187,7 @@ class PowerClip(_Torque):
         columns = joint_index(self, self.joints)
         torque, velocity = tensordict.get(self.torque_key), tensordict.get(self.velocity_key)
         scale = actuation.power_scale(torque[..., columns], velocity[..., columns], self.max_power)
-        if columns == slice(None):
+        if self.joints is None:
             return tensordict.set(self.torque_key, torque * scale)
         torque = torque.clone()
         torque[..., columns] *= scale
@@ -274,7 +274,7 @@ class UANCorrection(StatefulTransform):
         with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
             correction = self.scale * self.net(errors.flatten(-2)).squeeze(-1)
         torque = tensordict.get(self.torque_key)
-        if columns == slice(None):
+        if self.joints is None:
             torque = torque + correction
         else:
             torque = torque.clone()

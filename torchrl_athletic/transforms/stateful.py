@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import TypeAlias
 
 import torch
@@ -226,8 +227,11 @@ def base_env_of(env: EnvBase | None) -> EnvBase | None:
     return env
 
 
-def joint_index(transform: Transform, joints: Joints) -> slice | list[int]:
+def joint_index(transform: Transform, joints: Joints) -> slice | Tensor:
     """Columns of the joints, a name being looked up in the environment's ``joint_groups``.
+
+    A slice where they follow one another, since that is a view. Otherwise a tensor on the environment's device: a list
+    would be copied there at every use, for which a GPU waits and which a CUDA graph cannot hold.
 
     Raises:
         ValueError: If the environment has no such group.
@@ -236,20 +240,22 @@ def joint_index(transform: Transform, joints: Joints) -> slice | list[int]:
         return slice(None)
     if isinstance(joints, slice):
         return joints
-    if not isinstance(joints, str):
-        return _contiguous(list(joints))
-    groups = getattr(base_env_of(transform.parent), "joint_groups", {})
-    if joints not in groups:
-        known = f"it has {sorted(groups)}" if groups else "it has none: give the joints' numbers"
-        raise ValueError(f"{type(transform).__name__}: the environment has no group of joints {joints!r}; {known}.")
-    return _contiguous(list(groups[joints]))
-
-
-def _contiguous(columns: list[int]) -> slice | list[int]:
-    """As a slice where the columns follow one another, since that is a view."""
-    if columns and columns == list(range(columns[0], columns[-1] + 1)):
+    parent = transform.parent
+    if isinstance(joints, str):
+        groups = getattr(base_env_of(parent), "joint_groups", {})
+        if joints not in groups:
+            known = f"it has {sorted(groups)}" if groups else "it has none: give the joints' numbers"
+            raise ValueError(f"{type(transform).__name__}: the environment has no group of joints {joints!r}; {known}.")
+        joints = groups[joints]
+    columns = tuple(joints)
+    if columns and columns == tuple(range(columns[0], columns[-1] + 1)):
         return slice(columns[0], columns[-1] + 1)
-    return columns
+    return _index(columns, None if parent is None else parent.device)
+
+
+@cache
+def _index(columns: tuple[int, ...], device: torch.device | None) -> Tensor:
+    return torch.tensor(columns, dtype=torch.int64, device=device)
 
 
 def unbounded_like(spec: TensorSpec, shape: Sequence[int]) -> Unbounded:
