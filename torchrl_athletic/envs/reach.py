@@ -191,6 +191,6 @@ def draw_goal(scene: mujoco.MjvScene, step: TensorDictBase) -> None:
     for tip, colour in zip(tips, np.eye(3), strict=True):
         geom = scene.geoms[scene.ngeom]
         kind = mujoco.mjtGeom.mjGEOM_ARROW.value
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.float32([*colour, 0.8]))
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.array([*colour, 0.8], np.float32))
         mujoco.mjv_connector(geom, kind, 0.008, origin, origin + 0.5 * (tip - origin))
         scene.ngeom += 1

@@ -43,7 +43,7 @@ def check_finite(batch: TensorDictBase, what: str = "batch") -> None:
     others = [repr(key) for key in bad if key != first]
     raise NonFiniteError(
         f"{first!r} of the {what} is {_first_bad(batch, value)}; "
-        + (f"later also {', '.join(others)}. " if others else "all else is finite. ")
+        + (f"then also {', '.join(others)}. " if others else "all else is finite. ")
         + _advice(first)
     )
 
