@@ -18,10 +18,6 @@ def in_range(unit: Tensor, low: Tensor | float, high: Tensor | float) -> Tensor:
     return low + (high - low) * (0.5 + 0.5 * unit)
 
 
-_DAMPING = torch.linspace(0.005, 2.0, 400, dtype=torch.float64)
-"""Damping ratios that :func:`restitution_damping` looks among."""
-
-
 def restitution(damping: Tensor) -> Tensor:
     r"""Share of its speed that a body keeps when it bounces off a spring and damper that do not hold it back.
 
@@ -38,8 +34,8 @@ def restitution(damping: Tensor) -> Tensor:
         https://arxiv.org/abs/0709.4405.
 
     Example:
-        >>> restitution(torch.tensor([0.001, 0.999, 1.001])).round(decimals=2).tolist()
-        [1.0, 0.14, 0.14]
+        >>> restitution(torch.tensor([0.001, 0.999, 1.001])).round(decimals=2)
+        tensor([1.0000, 0.1400, 0.1400])
     """
     root = torch.sqrt((1 - damping.square()).abs())
     below = torch.atan2(2 * damping * root, 2 * damping.square() - 1)
@@ -57,11 +53,11 @@ def restitution_damping(value: Tensor) -> Tensor:
         ζ, at most 2 [1].
 
     Example:
-        >>> restitution_damping(torch.tensor([0.0, 0.5])).round(decimals=3).tolist()
-        [2.0, 0.254]
+        >>> restitution_damping(torch.tensor([0.0, 0.5])).round(decimals=2)
+        tensor([2.0000, 0.2600])
     """
-    damping = _DAMPING.to(value)
-    found = restitution(_DAMPING).to(value)  # falls with the damping
+    damping = torch.linspace(0.003, 2.0, 400, dtype=value.dtype, device=value.device)  # 1 is not among them
+    found = restitution(damping)  # falls with the damping
     above = torch.searchsorted(-found, -value.contiguous()).clamp(1, len(found) - 1)
     left, right = found[above - 1], found[above]
     share = ((left - value) / (left - right)).clamp(0, 1)
@@ -84,8 +80,8 @@ def restitution_solref(solref: Tensor, value: Tensor) -> Tensor:
         MuJoCo documentation, Solver parameters.
 
     Example:
-        >>> restitution_solref(torch.tensor([0.02, 1.0]), torch.tensor(0.5)).round(decimals=4).tolist()
-        [0.0788, 0.2538]
+        >>> restitution_solref(torch.tensor([0.02, 1.0]), torch.tensor(0.5)).round(decimals=2)
+        tensor([0.0800, 0.2600])
     """
     damping = restitution_damping(value)
     return torch.stack((solref[..., 0] * solref[..., 1] / damping, damping), -1)

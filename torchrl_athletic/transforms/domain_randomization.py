@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
 from torchrl_athletic.functional import randomization, streams
+from torchrl_athletic.transforms.simulated import once_per_model, simulated_env
 from torchrl_athletic.transforms.stateful import (
     Joints,
     RandomTransform,
@@ -69,6 +70,19 @@ _FIELDS = {
     "mass_scale": ("body_mass", "body_inertia"),
     "com_offset": ("body_ipos",),
 }
+
+
+@dataclass(frozen=True, eq=False)
+class _OfModel:
+    """What the draws are about, on the physics' device."""
+
+    bodies: Tensor
+    ground: Tensor
+    mass: Tensor
+    inertia: Tensor
+    com: Tensor
+    friction: Tensor
+    solref: Tensor
 
 
 class DomainRandomization(RandomTransform):
@@ -149,9 +163,8 @@ class DomainRandomization(RandomTransform):
         return self.draw(self._streams(episode), tensordict_reset)
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
-        widths = self._widths()
-        drawn = streams.uniform(key, sum(widths.values()), -1.0, 1.0)
-        parts = dict(zip(widths, drawn.split(list(widths.values()), -1), strict=True))
+        drawn = streams.uniform(key, sum(self._widths().values()), -1.0, 1.0)
+        parts = self._parts(drawn)
         first = {self.drawn_key: drawn}
         for name, entry in self.scales.items():
             scale = torch.ones_like(tensordict_reset.get(self.position_key), dtype=drawn.dtype)
@@ -176,55 +189,69 @@ class DomainRandomization(RandomTransform):
 
     def _change_model(self, drawn: Tensor, rows: Tensor | None) -> None:
         """Write the fields of some rows. Drawn numbers have shape (N, D)."""
-        physics, ranges = base_env_of(self.parent).physics, self.ranges
-        widths = self._widths()
-        parts = dict(zip(widths, drawn.to(physics.dtype).split(list(widths.values()), -1), strict=True))
-        bodies, ground = self._bodies(physics.model), self._ground(physics.model)
+        physics, ranges = simulated_env(self).physics, self.ranges
+        given = once_per_model(self, self._of_model)
+        parts = self._parts(drawn.to(physics.dtype))
 
-        def change(field: str, at: list[int], value: Tensor) -> None:
+        def change(field: str, at: Tensor, value: Tensor) -> None:
             new = physics.field(field).clone()
             new[:, at] = value
             physics.set_field(field, new, envs=rows)
 
-        def given(field: str, at: list[int]) -> Tensor:
-            return torch.as_tensor(getattr(physics.model, field)[at], dtype=physics.dtype, device=physics.device)
-
         if ranges.friction is not None:
-            value = given("geom_friction", ground).expand(len(drawn), -1, -1).clone()
+            value = given.friction.expand(len(drawn), -1, -1).clone()
             value[..., 0] = randomization.in_range(parts["friction"], *ranges.friction)
-            change("geom_friction", ground, value)
+            change("geom_friction", given.ground, value)
         if ranges.restitution is not None:
-            bounce = randomization.in_range(parts["restitution"], *ranges.restitution)
-            solref = given("geom_solref", ground).expand(len(drawn), -1, -1)
-            change("geom_solref", ground, randomization.restitution_solref(solref, bounce.expand(-1, len(ground))))
+            bounce = randomization.in_range(parts["restitution"], *ranges.restitution).expand(-1, len(given.ground))
+            solref = given.solref.expand(len(drawn), -1, -1)
+            change("geom_solref", given.ground, randomization.restitution_solref(solref, bounce))
         if ranges.mass_scale is not None:
             scale = randomization.in_range(parts["mass_scale"], *ranges.mass_scale)
-            change("body_mass", bodies, given("body_mass", bodies) * scale)
-            change("body_inertia", bodies, given("body_inertia", bodies) * scale.unsqueeze(-1))
+            change("body_mass", given.bodies, given.mass * scale)
+            change("body_inertia", given.bodies, given.inertia * scale.unsqueeze(-1))
         if ranges.com_offset is not None:
             offset = randomization.in_range(parts["com_offset"], *ranges.com_offset)
-            change("body_ipos", bodies, given("body_ipos", bodies) + offset.unflatten(-1, (len(bodies), 3)))
+            change("body_ipos", given.bodies, given.com + offset.unflatten(-1, (-1, 3)))
+
+    def _parts(self, drawn: Tensor) -> dict[str, Tensor]:
+        """Drawn numbers by what they are for."""
+        widths = self._widths()
+        return dict(zip(widths, drawn.split(list(widths.values()), -1), strict=True))
 
     def _widths(self) -> dict[str, int]:
         """How many numbers each quantity takes."""
-        env = base_env_of(self.parent)
-        model = env.physics.model if self.fields else None
-        joints = len(range(env.observation_spec[self.position_key].shape[-1])[joint_index(self, self.joints)])
+        position = self.parent.full_observation_spec[self.position_key]
+        joints = position.zero()[..., joint_index(self, self.joints)].shape[-1]
         width = {"friction": 1, "restitution": 1}
         width |= dict.fromkeys(("stiffness_scale", "damping_scale", "torque_limit_scale"), joints)
-        if model is not None:
-            bodies = len(self._bodies(model))
+        if self.fields:
+            bodies = len(once_per_model(self, self._of_model).bodies)
             width |= {"mass_scale": bodies, "com_offset": 3 * bodies}
         return {name: count for name, count in width.items() if getattr(self.ranges, name) is not None}
 
-    def _bodies(self, model: Any) -> list[int]:
-        if self.bodies is not None:
-            return [int(model.body(name).id) for name in self.bodies]
-        return [body for body in range(1, model.nbody) if model.body_mass[body] > 0]
+    def _of_model(self, env: Any) -> _OfModel:
+        physics, model = env.physics, env.physics.model
+        if self.bodies is None:
+            bodies = [body for body in range(1, model.nbody) if model.body_mass[body] > 0]
+        else:
+            bodies = [int(model.body(name).id) for name in self.bodies]
+        on_ground = self.ranges.friction is not None or self.ranges.restitution is not None
+        names = (env.robot.ground if self.ground is None else self.ground) if on_ground else ()
+        ground = [int(model.geom(name).id) for name in names]
 
-    def _ground(self, model: Any) -> list[int]:
-        names = base_env_of(self.parent).robot.ground if self.ground is None else self.ground
-        return [int(model.geom(name).id) for name in names]
+        def tensor(values: Any, dtype: torch.dtype = physics.dtype) -> Tensor:
+            return torch.tensor(values, dtype=dtype, device=physics.device)
+
+        return _OfModel(
+            bodies=tensor(bodies, torch.int64),
+            ground=tensor(ground, torch.int64),
+            mass=tensor(model.body_mass[bodies]),
+            inertia=tensor(model.body_inertia[bodies]),
+            com=tensor(model.body_ipos[bodies]),
+            friction=tensor(model.geom_friction[ground]),
+            solref=tensor(model.geom_solref[ground]),
+        )
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
         self._check_fields()

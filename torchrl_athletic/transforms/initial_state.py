@@ -12,7 +12,8 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 
 from torchrl_athletic.functional import randomization, rotations, streams
-from torchrl_athletic.transforms.stateful import RandomTransform, base_env_of
+from torchrl_athletic.transforms.simulated import once_per_model, simulated_env
+from torchrl_athletic.transforms.stateful import RandomTransform
 
 Axes = tuple[float, float, float]
 
@@ -41,6 +42,28 @@ class StartRanges:
         for name, size in vars(self).items():
             if min(size if isinstance(size, tuple) else (size,)) < 0:
                 raise ValueError(f"{name} is {size}: it is a distance to both sides. Give 0 or more.")
+
+
+@dataclass(frozen=True, eq=False)
+class _OfModel:
+    """What the draws need of the model, on its device."""
+
+    qpos: Tensor
+    qvel: Tensor
+    joints: Tensor
+    """Columns of the joints in ``qpos``."""
+    dofs: Tensor
+    """And in ``qvel``."""
+    limit: Tensor
+    size: Tensor
+    """How far each drawn number reaches."""
+    base: tuple[int, int] | None
+    """First column of the base in ``qpos``, and in ``qvel``."""
+
+    @property
+    def numbers(self) -> int:
+        """That a start takes."""
+        return len(self.size)
 
 
 class InitialState(RandomTransform):
@@ -84,45 +107,57 @@ class InitialState(RandomTransform):
         self.qpos_key, self.qvel_key = qpos_key, qvel_key
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
-        env = base_env_of(self.parent)
+        env, model = simulated_env(self), once_per_model(self, self._of_model)
         if tensordict is None:
             tensordict = TensorDict(batch_size=env.batch_size, device=env.device)
         key = self.upcoming(tensordict)
-        robot, physics = env.robot, env.physics
-        default = physics.model.key(robot.keyframe)
-        qpos, qvel = (
-            torch.as_tensor(start, dtype=physics.dtype, device=physics.device).expand(*env.batch_size, -1)
-            if given is None
-            else given.to(physics.dtype)
-            for start, given in (
-                (default.qpos, tensordict.get(self.qpos_key, None)),
-                (default.qvel, tensordict.get(self.qvel_key, None)),
-            )
-        )
-        qpos, qvel = self._near(qpos.clone(), qvel.clone(), key.to(physics.device), robot, physics.model)
+        qpos, qvel = tensordict.get(self.qpos_key, None), tensordict.get(self.qvel_key, None)
+        qpos = model.qpos if qpos is None else qpos.to(model.qpos)
+        qvel = model.qvel if qvel is None else qvel.to(model.qvel)
+        qpos, qvel = (state.expand(*env.batch_size, -1).clone() for state in (qpos, qvel))
+        self._move(qpos, qvel, streams.uniform(key, model.numbers, -1.0, 1.0).to(qpos), model)
         return tensordict.set(self.qpos_key, qpos).set(self.qvel_key, qvel)
 
-    def _near(self, qpos: Tensor, qvel: Tensor, key: Tensor, robot: Any, model: Any) -> tuple[Tensor, Tensor]:
-        ranges, joints = self.ranges, len(robot.joint_names)
-        drawn = streams.uniform(key, 2 * joints + 12, -1.0, 1.0).to(qpos.dtype)
-        angle, speed, place, turn, linear, angular = drawn.split([joints, joints, 3, 3, 3, 3], -1)
-        at = [int(model.joint(name).qposadr[0]) for name in robot.joint_names]
-        dof = [int(model.joint(name).dofadr[0]) for name in robot.joint_names]
-        low, high = qpos.new_tensor(robot.position_limit).unbind(-1)
-        qpos[:, at] = torch.clamp(qpos[:, at] + ranges.joint_position * angle, low, high)
-        qvel[:, dof] += ranges.joint_velocity * speed
-        if robot.base is None:
-            return qpos, qvel
-        free = model.body(robot.base).jntadr[0]
-        pose, motion = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])
-        qpos[:, pose : pose + 3] += place * qpos.new_tensor(ranges.base_position)
-        tilt = turn * qpos.new_tensor((*ranges.base_turn[:2], 0.0))
-        heading = rotations.yaw_quaternion(ranges.base_turn[2] * turn[:, 2:])
-        attitude = rotations.multiply(qpos[:, pose + 3 : pose + 7], randomization.turn(tilt))
-        qpos[:, pose + 3 : pose + 7] = rotations.multiply(heading, attitude)
-        qvel[:, motion : motion + 3] += linear * qpos.new_tensor(ranges.base_linear_velocity)
-        qvel[:, motion + 3 : motion + 6] += angular * qpos.new_tensor(ranges.base_angular_velocity)
-        return qpos, qvel
+    def _move(self, qpos: Tensor, qvel: Tensor, drawn: Tensor, model: _OfModel) -> None:
+        """In place. Drawn numbers are within [-1, 1]."""
+        joints = len(model.joints)
+        angle, speed, place, turn, linear, angular = (drawn * model.size).split([joints, joints, 3, 3, 3, 3], -1)
+        moved = qpos[:, model.joints] + angle
+        qpos[:, model.joints] = torch.minimum(torch.maximum(moved, model.limit[:, 0]), model.limit[:, 1])
+        qvel[:, model.dofs] += speed
+        if model.base is None:
+            return
+        at, dof = model.base
+        qpos[:, at : at + 3] += place
+        tilt = randomization.turn(torch.cat((turn[:, :2], torch.zeros_like(turn[:, 2:])), -1))
+        attitude = rotations.multiply(qpos[:, at + 3 : at + 7], tilt)
+        qpos[:, at + 3 : at + 7] = rotations.multiply(rotations.yaw_quaternion(turn[:, 2:]), attitude)
+        qvel[:, dof : dof + 3] += linear
+        qvel[:, dof + 3 : dof + 6] += angular
+
+    def _of_model(self, env: Any) -> _OfModel:
+        physics, robot, ranges = env.physics, env.robot, self.ranges
+        model, joints = physics.model, len(robot.joint_names)
+        sizes = [*[ranges.joint_position] * joints, *[ranges.joint_velocity] * joints, *ranges.base_position]
+        sizes += [*ranges.base_turn, *ranges.base_linear_velocity, *ranges.base_angular_velocity]
+        base = None
+        if robot.base is not None:
+            free = model.body(robot.base).jntadr[0]
+            base = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])
+
+        def tensor(values: Any, dtype: torch.dtype = physics.dtype) -> Tensor:
+            return torch.tensor(values, dtype=dtype, device=physics.device)
+
+        at = [model.joint(name) for name in robot.joint_names]
+        return _OfModel(
+            qpos=tensor(model.key(robot.keyframe).qpos),
+            qvel=tensor(model.key(robot.keyframe).qvel),
+            joints=tensor([int(joint.qposadr[0]) for joint in at], torch.int64),
+            dofs=tensor([int(joint.dofadr[0]) for joint in at], torch.int64),
+            limit=tensor(robot.position_limit),
+            size=tensor(sizes),
+            base=base,
+        )
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         return {}  # all of it happens before the reset
