@@ -187,7 +187,7 @@ def iterate(learner: Learner) -> TensorDict:
     Raises:
         NonFiniteError: If a NaN or an infinity was collected, or an update made one.
     """
-    if learner.iteration == 0:
+    if learner.iteration == 0 and learner.normalizer is not None:
         _learn_scale(learner, collect(learner))
     batch = collect(learner)
     estimate_advantage(learner, batch)
