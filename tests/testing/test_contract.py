@@ -57,7 +57,7 @@ class Travelled(Transform):
         return state_spec
 
     def forward(self, tensordict):
-        raise RuntimeError("Travelled needs an environment.")
+        raise RuntimeError(f"{type(self).__name__} needs an environment.")
 
 
 class Breaks(Travelled):
@@ -90,6 +90,18 @@ class Hoards(Travelled):
         next_tensordict = super()._step(tensordict, next_tensordict)
         self.memory = next_tensordict.get(self.out_keys[0]).clone()
         return next_tensordict
+
+
+class Confuses(Hoards):
+    """Goes on from that buffer, and clears all of it when one row starts anew."""
+
+    def _step(self, tensordict, next_tensordict):
+        tensordict = tensordict.copy().set(self.out_keys[0], self.memory.reshape(tensordict.get(self.in_keys[0]).shape))
+        return super()._step(tensordict, next_tensordict)
+
+    def _reset(self, tensordict, tensordict_reset):
+        self.memory = torch.zeros_like(tensordict_reset.get(self.in_keys[0]))
+        return super()._reset(tensordict, tensordict_reset)
 
 
 class Clings(Travelled):
@@ -181,7 +193,7 @@ OFFLINE = {"transform_no_env", "transform_model", "transform_rb"}
         (Travelled, set()),
         (Breaks, {"no_graph_breaks"}),
         (Looks, {"no_graph_breaks", "no_host_sync"}),
-        (Forgets, {"manual_reset", "native_autoreset"}),
+        (Forgets, {"native_autoreset"}),
         (Hoards, {"state_dict"}),
         (Clings, {"copies"}),
         (Misplaces, {"device"}),
@@ -197,6 +209,7 @@ def test_a_broken_transform_fails_the_clauses_that_are_meant_for_it_and_no_other
 @pytest.mark.parametrize(
     ("broken", "clauses"),
     [
+        (Confuses, {"partial_reset", "manual_reset", "trans_serial_env_check", "state_dict"}),
         (Peers, {"partial_reset", "manual_reset"}),
         (Misnames, {"single_trans_env_check", "transform_env"}),
         (Scribbles, {"partial_reset", "transform_env"}),
