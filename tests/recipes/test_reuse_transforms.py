@@ -1,6 +1,7 @@
 """Our transforms on environments that are not ours."""
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 
@@ -8,7 +9,8 @@ import pytest
 import torch
 from torchrl.envs import ParallelEnv, SerialEnv
 
-RECIPE = Path(__file__).parents[2] / "recipes" / "reuse_transforms.py"
+ROOT = Path(__file__).parents[2]
+RECIPE = ROOT / "recipes" / "reuse_transforms.py"
 
 
 @pytest.fixture(scope="module")
@@ -83,3 +85,11 @@ def test_transforms_inside_of_workers_do_what_those_around_them_do(recipe, batch
 
 def make_row(recipe, number):
     return lambda: recipe.pendulum(recipe.GymEnv("Pendulum-v1"), seed=5, first_row=number)
+
+
+def test_the_page_prints_what_it_says(recipe, capsys):
+    page = (ROOT / "docs" / "reuse.md").read_text(encoding="utf-8")
+    scope: dict[str, object] = {}
+    for code, printed in re.findall(r"^```python\n(.*?)^```\s*^```text\n(.*?)^```", page, re.S | re.M):
+        exec(compile(code, "docs/reuse.md", "exec"), scope)
+        assert capsys.readouterr().out.endswith(printed)

@@ -347,10 +347,11 @@ class ActionDelay(RandomTransform):
     ) -> None:
         if not 0 <= min_steps <= max_steps:
             raise ValueError(f"a delay of {min_steps} to {max_steps} steps is none: give 0 <= min_steps <= max_steps.")
-        self.age_key = (*queue_key[:-1], f"{queue_key[-1]}_age") if isinstance(queue_key, tuple) else f"{queue_key}_age"
+        age_key = (*queue_key[:-1], f"{queue_key[-1]}_age") if isinstance(queue_key, tuple) else f"{queue_key}_age"
+        self.age_key = age_key if before is None else None  # with something to act before, age makes no difference
         super().__init__(
             in_keys=[],
-            out_keys=[delay_key, queue_key, self.age_key],
+            out_keys=[delay_key, queue_key] if self.age_key is None else [delay_key, queue_key, self.age_key],
             in_keys_inv=[action_key],
             out_keys_inv=[action_key],
             seed=seed,
@@ -366,22 +367,21 @@ class ActionDelay(RandomTransform):
         if queue is None:
             raise _nothing_remembered(self, self.queue_key)
         queue = history.push(queue, tensordict.get(self.action_key))
-        steps, age = tensordict.get(self.delay_key), tensordict.get(self.age_key)
-        if self.before is None:
+        steps = tensordict.get(self.delay_key)
+        if self.age_key is not None:
+            age = tensordict.get(self.age_key)
+            tensordict.set(self.age_key, torch.clamp(age + 1, max=self.max_steps))
             steps = torch.minimum(steps, age)
         tensordict.set(self.action_key, history.look_back(queue, steps))
-        tensordict.set(self.age_key, torch.clamp(age + 1, max=self.max_steps))
         return tensordict.set(self.queue_key, queue)
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         action = self._action_spec()
         before = action.zero() if self.before is None else self.before.to(action.dtype).expand(action.shape)
         steps = self.min_steps + streams.integers(key, 1, self.max_steps - self.min_steps + 1)
-        return {
-            self.delay_key: steps,
-            self.queue_key: history.tile(before, self.max_steps + 1).to(key.device),
-            self.age_key: torch.zeros_like(steps),
-        }
+        queue = history.tile(before, self.max_steps + 1).to(key.device)
+        first: dict[NestedKey, Tensor] = {self.delay_key: steps, self.queue_key: queue}
+        return first if self.age_key is None else first | {self.age_key: torch.zeros_like(steps)}
 
     def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
         for key in self.out_keys:
@@ -391,7 +391,8 @@ class ActionDelay(RandomTransform):
         action = self._action_spec()
         steps = Unbounded(shape=(*action.shape[:-1], 1), dtype=torch.int64, device=action.device)
         queue = (*action.shape[:-1], self.max_steps + 1, action.shape[-1])
-        return {self.delay_key: steps, self.queue_key: unbounded_like(action, queue), self.age_key: steps.clone()}
+        specs: dict[NestedKey, TensorSpec] = {self.delay_key: steps, self.queue_key: unbounded_like(action, queue)}
+        return specs if self.age_key is None else specs | {self.age_key: steps.clone()}
 
     def _action_spec(self) -> TensorSpec:
         return self.parent.full_action_spec[self.action_key]
