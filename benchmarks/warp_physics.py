@@ -230,7 +230,11 @@ def bare_graph(physics: WarpPhysics, torque: Tensor) -> tuple[Callable[[], None]
             steps()
 
     synchronize()
-    return partial(wp.capture_launch, capture.graph), states
+
+    def replay(held: Any = (model, data)) -> None:  # the graph does not keep alive what it works on
+        wp.capture_launch(capture.graph)
+
+    return replay, states
 
 
 def seconds(call: Callable[[], Any], repeats: int) -> float:

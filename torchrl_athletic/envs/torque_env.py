@@ -56,8 +56,6 @@ class TorqueEnv(EnvBase):
         torch.Size([3, 5, 7])
     """
 
-    supports_partial_step = True
-
     def __init__(
         self,
         robot: Robot,
@@ -80,10 +78,15 @@ class TorqueEnv(EnvBase):
         self.robot, self.physics, self.terminate = robot, physics, terminate
         model = physics.model
         self._base_qpos, self._base_dof = _free_joint(model, robot.base)
-        self._sensors = {key: _columns(model, names) for key, names in robot.sensors.items()}
+        self._sensors = {key: _columns(model, names, physics.device) for key, names in robot.sensors.items()}
         self._keyframe = model.key(robot.keyframe).id
         self._make_specs()
         self.set_seed(seed)
+
+    @property
+    def supports_partial_step(self) -> bool:
+        """Whether to be told of rows that are done: on a GPU a mask costs more than stepping them in vain."""
+        return self.physics.device.type == "cpu"
 
     @property
     def joint_groups(self) -> dict[str, tuple[int, ...]]:
@@ -195,7 +198,9 @@ def _free_joint(model: mujoco.MjModel, base: str | None) -> tuple[slice | None, 
     return slice(position, position + 7), slice(dof, dof + 6)
 
 
-def _columns(model: mujoco.MjModel, names: Sequence[str]) -> tuple[slice | list[int], tuple[int, ...]]:
+def _columns(
+    model: mujoco.MjModel, names: Sequence[str], device: torch.device
+) -> tuple[slice | Tensor, tuple[int, ...]]:
     """Where the sensors' readings are, and the shape they take: (S,) for scalars, (D,) for one, (S, D) for several."""
     columns: list[int] = []
     for name in names:
@@ -204,4 +209,4 @@ def _columns(model: mujoco.MjModel, names: Sequence[str]) -> tuple[slice | list[
     width = len(columns) // len(names)
     shape = (len(columns),) if width == 1 or len(names) == 1 else (len(names), width)
     one_block = columns == list(range(columns[0], columns[-1] + 1))
-    return slice(columns[0], columns[-1] + 1) if one_block else columns, shape
+    return slice(columns[0], columns[-1] + 1) if one_block else torch.tensor(columns, device=device), shape

@@ -100,6 +100,7 @@ class WarpPhysics(Physics):
         )
         self._state = {name: view for name in _STATE if (view := self._view(name)).numel()}
         self._views |= self._state
+        self._derived_rows: dict[int, dict[str, Tensor]] = {}
         self._initial = [self._keyframe(key) for key in range(-1, model.nkey)]  # the default state is the last: -1 + 1
         self._late = torch.from_numpy(late_columns(model)).to(self.device)
         self._full_refresh = sensors_need_constraints(model)
@@ -147,7 +148,7 @@ class WarpPhysics(Physics):
 
     @property
     def diverged(self) -> Tensor:
-        return ~(self._largest() < _LARGEST)  # also of what is not a number
+        return ~(self._peak < _LARGEST)  # also of what is not a number
 
     @property
     def overflow(self) -> Tensor:
@@ -198,7 +199,11 @@ class WarpPhysics(Physics):
             if value is not None:
                 self._write(self._state[name], value, mask, name)
         self._write(self._peak, 0.0, mask, "peak")
-        self._run(("refresh",), lambda _: self._refresh())
+        if qpos is None and qvel is None and not self.fields:  # what follows from the state is known already
+            for name, rows in self._follows_from(key).items():
+                self._write(self._views[name], rows, mask, name)
+        else:
+            self._run(("refresh",), lambda _: self._refresh())
 
     def apply_torque(self, torque: Tensor) -> None:
         check_shape("torque", torque, (self.num_envs, len(self.joint_names)), self.joint_names)
@@ -476,13 +481,30 @@ class WarpPhysics(Physics):
 
     def _keyframe(self, key: int) -> dict[str, Tensor]:
         """State after a reset to a keyframe, or to the default state for -1: one row, on the device."""
-        data = mujoco.MjData(self.model)
-        if key == -1:
-            mujoco.mj_resetData(self.model, data)
-        else:
-            mujoco.mj_resetDataKeyframe(self.model, data, key)
-        rows = {name: torch.as_tensor(np.array(getattr(data, name))) for name in self._state}
-        return {name: row.to(self.device, self._state[name].dtype) for name, row in rows.items()}
+        data = _data_at(self.model, key)
+        return {name: self._row(data, name, state) for name, state in self._state.items()}
+
+    def _follows_from(self, key: int) -> dict[str, Tensor]:
+        """What is looked at besides the state, after such a reset: computed by MuJoCo when first asked for."""
+        known = self._derived_rows.setdefault(key, {})
+        shown = {name: view for name, view in self._views.items() if name not in self._state}
+        if missing := [name for name in shown if name not in known]:
+            data = _data_at(self.model, key)
+            mujoco.mj_forward(self.model, data)
+            known |= {name: self._row(data, name, shown[name]) for name in missing}
+        return {name: known[name] for name in shown}
+
+    def _row(self, data: mujoco.MjData, name: str, like: Tensor) -> Tensor:
+        return torch.as_tensor(np.array(getattr(data, name))).to(self.device, like.dtype)
+
+
+def _data_at(model: mujoco.MjModel, key: int) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    if key == -1:
+        mujoco.mj_resetData(model, data)
+    else:
+        mujoco.mj_resetDataKeyframe(model, data, key)
+    return data
 
 
 def _import_warp() -> tuple[Any, Any]:

@@ -240,14 +240,14 @@ def joint_index(transform: Transform, joints: Joints) -> slice | Tensor:
         return slice(None)
     if isinstance(joints, slice):
         return joints
-    parent = transform.parent
+    parent, chosen = transform.parent, joints
     if isinstance(joints, str):
         groups = getattr(base_env_of(parent), "joint_groups", {})
         if joints not in groups:
             known = f"it has {sorted(groups)}" if groups else "it has none: give the joints' numbers"
             raise ValueError(f"{type(transform).__name__}: the environment has no group of joints {joints!r}; {known}.")
-        joints = groups[joints]
-    columns = tuple(joints)
+        chosen = groups[joints]
+    columns = tuple(int(joint) for joint in chosen)
     if columns and columns == tuple(range(columns[0], columns[-1] + 1)):
         return slice(columns[0], columns[-1] + 1)
     return _index(columns, None if parent is None else parent.device)
