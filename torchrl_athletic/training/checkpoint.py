@@ -41,7 +41,7 @@ class Checkpoints:
         False
         >>> net.iteration = 7
         >>> checkpoints.save(net).name
-        'checkpoint_...7'
+        'checkpoint-...7'
         >>> checkpoints.resume(torch.nn.Linear(2, 1))
         True
     """
