@@ -21,9 +21,7 @@ def test_the_entry_that_came_first_in_time_is_named():
     broken = batch()
     broken["observation"][0, 2:] = torch.nan
     broken["next", "reward"][1, 1:] = torch.inf
-    with pytest.raises(
-        NonFiniteError, match=r"\('next', 'reward'\) of the batch is inf in row 1 at step 1; then also"
-    ):
+    with pytest.raises(NonFiniteError, match=r"\('next', 'reward'\) of the batch is inf in row 1 at step 1; then also"):
         check_finite(broken)
 
 
