@@ -3,9 +3,9 @@
     taskset -c 0,1 python benchmarks/transform_cost.py
 
 Five minutes. The environment is the package's toy, pure torch, whose episodes end now and then, so that masked resets
-are part of what is timed. All variants take turns within a round, in an order drawn anew; a cost is the difference of the
-medians with and without the transform, in CPU time of one thread. The stock transforms are ``CatFrames``, of the same
-entry and length, for ``ObservationHistory``, and ``StepCounter`` with a limit for the others, whatever they compute.
+are part of what is timed. All variants take turns within a round, in an order drawn anew; a cost is the difference of
+the medians with and without the transform, in CPU time of one thread. The stock transforms are ``CatFrames``, of the
+same entry and length, for ``ObservationHistory``, and ``StepCounter`` with a limit for the others, whatever they do.
 """
 
 from __future__ import annotations
