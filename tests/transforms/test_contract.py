@@ -108,16 +108,46 @@ class TestDecimation(TransformContract):
     def test_two_instances(self) -> None: ...
 
 
+# Stock transforms, as a control
+
+
+def known(reason: str, *clauses: str) -> Callable[[type], type]:
+    """Mark clauses that a stock transform is known to fail; one that it keeps after all fails the run."""
+
+    def mark(contract: type) -> type:
+        for clause in clauses:
+            inherited = getattr(contract, f"test_{clause}")
+
+            def expected(self: TransformContract, *args: bool, run: Callable = inherited, **cases: bool) -> None:
+                run(self, *args, **cases)
+
+            setattr(contract, f"test_{clause}", pytest.mark.xfail(reason=reason, strict=True)(expected))
+        return contract
+
+    return mark
+
+
 class TestStepCounter(TransformContract):
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         return StepCounter()
 
 
+@known("its refusal of data without a reward at the root does not name it", "transform_no_env", "transform_model")
+@known("its refusal of data without a named dimension does not name it", "transform_rb")
 class TestRewardSum(TransformContract):
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         return RewardSum()
 
+    @pytest.mark.parametrize("done_in_groups", [False])
+    def test_nested_keys(self, done_in_groups: bool) -> None:
+        """With flags beside the root's reward, RewardSum asks for reset_keys, as it should."""
+        super().test_nested_keys(done_in_groups)
 
+
+@known("its buffer is sized by one batch dimension", "trans_serial_env_check", "trans_parallel_env_check")
+@known("its buffer is no tensor before the first step, and copies share it later", "copies")
+@known("its buffer is as large as the batch", "state_dict")
+@known("it asks whether all rows are reset", "no_graph_breaks", "no_host_sync")
 class TestCatFrames(TransformContract):
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         return CatFrames(3, -1, in_keys=[key("joint_position")], out_keys=[key("seen")])

@@ -1,8 +1,10 @@
 """One action, several steps: against the same steps by hand, one row at a time."""
 
+from functools import partial
+
 import pytest
 import torch
-from torchrl.envs import Compose, FrameSkipTransform, StepCounter, Transform, TransformedEnv
+from torchrl.envs import Compose, FrameSkipTransform, SerialEnv, StepCounter, Transform, TransformedEnv
 
 from torchrl_athletic.testing import ToyEnv, difference, make_actions, play, rows_together
 from torchrl_athletic.transforms import Decimation, ObservationHistory, PDControl
@@ -72,6 +74,21 @@ def test_a_batch_does_what_each_row_does_by_hand_through_several_episodes():
     assert steps["next", "done"].any()
     alone = rows_together([by_hand(row, actions[:, row : row + 1], 3) for row in range(4)])
     assert difference(steps["next"].select(*OURS), alone.select(*OURS)) is None
+
+
+@pytest.mark.parametrize("rows", [None, 2], ids=["one row each", "two rows each"])
+def test_around_workers_it_does_what_it_does_within_them(rows):
+    def workers(*, inside):
+        def make(first_row):
+            env = ToyEnv(rows, first_row=first_row, shortest=4)
+            return TransformedEnv(env, Decimation(3)) if inside else env
+
+        env = SerialEnv(2, [partial(make, first_row) for first_row in (0, 2)])
+        return env if inside else TransformedEnv(env, Decimation(3))
+
+    around, within = workers(inside=False), workers(inside=True)
+    actions = make_actions(around, 8)
+    assert difference(play(around, actions)[0], play(within, actions)[0]) is None
 
 
 def test_every_step_of_the_physics_gets_the_policy_s_action_through_the_chain_once():

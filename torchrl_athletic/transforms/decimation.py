@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs import EnvBase, Transform, TransformedEnv
+from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, Transform, TransformedEnv
 
 _HELD = "_held_action"
 
@@ -20,7 +20,8 @@ class Decimation(Transform):
 
     An environment may help, by two conventions. It may leave out of a step whose tensordict holds ``_substep`` what
     only the policy looks at: what it left out is shown at the last step. And one whose ``supports_partial_step`` is
-    true is told by the mask ``_step`` which rows go on; the state behind the others stays as it was.
+    true is told by the mask ``_step`` which rows go on; the state behind the others stays as it was. One that resets
+    itself in the step needs the second: otherwise its next episode would begin within the action that ended the last.
 
     Args:
         steps: Of the environment per action.
@@ -61,10 +62,10 @@ class Decimation(Transform):
             if remaining == 0:
                 del current["_substep"]
             anyone_stops = _may_stop(done)
-            if anyone_stops and getattr(base_env, "supports_partial_step", False):
-                current.set("_step", ~done.reshape(*base_env.batch_size, -1).any(-1))
-            elif anyone_stops and done.numel() == 1 and not _traced(done):
-                break  # a single environment need not know how to be stepped past its end
+            if anyone_stops and _all_stop(done) and not _supports_partial_step(base_env):
+                break  # an environment need not know how to be stepped past its end
+            if anyone_stops and (goes := _rows_to_step(base_env, done)) is not None:
+                current.set("_step", goes)
             following = _step_once(base_env, chain, current)
             if anyone_stops:
                 _freeze(done, next_tensordict, following)
@@ -106,6 +107,26 @@ def _traced(tensor: torch.Tensor) -> bool:
 
 def _may_stop(done: torch.Tensor) -> bool:
     return _traced(done) or bool(done.any())
+
+
+def _all_stop(done: torch.Tensor) -> bool:
+    return not _traced(done) and bool(done.all())
+
+
+def _supports_partial_step(env: EnvBase) -> bool:
+    """Of this environment itself: those that hold others pass the question on to them."""
+    return getattr(env, "supports_partial_step", False) is True
+
+
+def _rows_to_step(env: EnvBase, done: torch.Tensor) -> torch.Tensor | None:
+    """The mask ``_step``, or None for an environment that has no use for it."""
+    goes = ~done.reshape(*env.batch_size, -1).any(-1)
+    if _supports_partial_step(env):
+        return goes
+    if isinstance(env, SerialEnv | ParallelEnv):  # they can leave out whole workers
+        works = goes.reshape(env.num_workers, -1).any(-1)
+        return works.reshape(-1, *(1,) * (goes.ndim - 1)).expand(goes.shape)
+    return None
 
 
 def _freeze(done: torch.Tensor, last: TensorDictBase, following: TensorDictBase) -> None:
