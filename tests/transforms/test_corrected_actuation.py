@@ -170,11 +170,10 @@ def test_rows_that_start_anew_forget_what_was_on_its_way_and_the_others_do_not()
         td = env.step(td.set("action", torque))["next"]
     before = td.clone()
     td = env.reset(td.set("_reset", torch.tensor([[True], [False], [False]])))
-    state = td["corrected_actuation"]
-    assert state["fresh"].flatten().tolist() == [True, False, False]
-    assert (state["queue"][0] == 0).all()
-    for key in ("queue", "lag"):
-        assert torch.equal(state[key][1:], before["corrected_actuation", key][1:])
+    assert td["corrected_actuation_fresh"].flatten().tolist() == [True, False, False]
+    assert (td["corrected_actuation_queue"][0] == 0).all()
+    for key in ("corrected_actuation_queue", "corrected_actuation_lag"):
+        assert torch.equal(td[key][1:], before[key][1:])
     assert torch.equal(td["joint_position"][1:], before["joint_position"][1:])
     assert td["joint_position"][0].item() == pytest.approx(VALUES["encoder_offset"][0])
 

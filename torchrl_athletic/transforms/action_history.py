@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
 from torchrl_athletic.functional import history
+from torchrl_athletic.transforms.keys import beside
 from torchrl_athletic.transforms.stateful import StatefulTransform, unbounded_like
 
 
@@ -51,9 +52,7 @@ class ActionHistory(StatefulTransform):
     ) -> None:
         if length < 1:
             raise ValueError(f"length is {length}, needed is at least 1: a history of no actions tells nothing.")
-        self.fresh_key = (
-            f"{history_key}_fresh" if isinstance(history_key, str) else (*history_key[:-1], f"{history_key[-1]}_fresh")
-        )
+        self.fresh_key = beside(history_key, "fresh")
         super().__init__([], [history_key, self.fresh_key], reset_key=reset_key)
         self.length, self.action_key, self.history_key = length, action_key, history_key
         self.register_buffer("before", None if before is None else torch.as_tensor(before, dtype=torch.float32).clone())

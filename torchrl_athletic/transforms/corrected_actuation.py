@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import torch
-from tensordict import NestedKey, TensorDictBase, unravel_key
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs.batched_envs import BatchedEnvBase
 
 from torchrl_athletic.functional import actuation, history
 from torchrl_athletic.functional import actuator_dynamics as dynamics
 from torchrl_athletic.transforms.actuation import PerJoint
+from torchrl_athletic.transforms.keys import beside
 from torchrl_athletic.transforms.stateful import StatefulTransform, base_env_of, unbounded_like
 
 SCHEMA = "torchrl_athletic/corrected/1"
@@ -76,8 +78,9 @@ class CorrectedActuation(StatefulTransform):
         velocity_key: [rad/s]. Shape (*B, J).
         target_key: Where to note the target that acts.
         scale_keys: As of :class:`PDControl`.
-        state_key: Under it stand the commands on their way, shape (*B, L, J), the state of the lag, (*B, J), and
-            whether an episode has yet to get its first command, (*B, 1). What came before is taken to be that one.
+        state_key: Begins the keys of what is remembered, as far as needed: ``_queue``, commands on their way, shape
+            (*B, L, J); ``_lag``, the state of the lag, (*B, J); ``_fresh``, whether an episode has yet to get its first
+            command, (*B, 1). What came before is taken to be that one.
         reset_key: As of :class:`StatefulTransform`.
 
     Raises:
@@ -96,7 +99,7 @@ class CorrectedActuation(StatefulTransform):
         ...     found, timestep=0.005, joint_names=robot.joint_names,
         ...     kp=robot.kp, kd=robot.kd, torque_limit=robot.torque_limit)
         >>> env = TransformedEnv(TorqueEnv(robot, num_envs=2), chain)
-        >>> env.rollout(3)["corrected_actuation", "queue"].shape
+        >>> env.rollout(3)["corrected_actuation_queue"].shape
         torch.Size([2, 3, 4, 7])
     """
 
@@ -141,7 +144,7 @@ class CorrectedActuation(StatefulTransform):
                 f"the correction holds gain_mismatch of {odd[0][1]!r}, but without kp and kd there are no gains to "
                 "correct. Give CorrectedActuation the gains that the drive is told."
             )
-        queue, lag, fresh = (unravel_key((state_key, name)) for name in ("queue", "lag", "fresh"))
+        queue, lag, fresh = (beside(state_key, name) for name in ("queue", "lag", "fresh"))
         delays, lags = self._column("actuation_delay"), self._column("actuation_lag")
         self.queue_key, self.lag_key = queue if any(delays) else None, lag if any(lags) else None
         self.fresh_key = fresh if self.queue_key or self.lag_key else None
@@ -279,8 +282,9 @@ class CorrectedActuation(StatefulTransform):
                 f"CorrectedActuation is for {len(self.joint_names)} joints, the environment has {joints}. Give it "
                 "joint_names of all of them; those that the diagnosis did not look at stay as they are."
             )
-        physics = getattr(base_env_of(self.parent), "physics", None)
-        if physics is None:
+        env = base_env_of(self.parent)
+        physics = None if isinstance(env, BatchedEnvBase) else getattr(env, "physics", None)
+        if physics is None:  # an environment in another process cannot be asked
             return
         if tuple(physics.joint_names) != self.joint_names:
             raise ValueError(

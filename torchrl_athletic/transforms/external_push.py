@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
 from torchrl_athletic.functional import randomization, streams
+from torchrl_athletic.transforms.keys import beside
 from torchrl_athletic.transforms.simulated import once_per_model, simulated_env
 from torchrl_athletic.transforms.stateful import RandomTransform
 
@@ -97,7 +98,7 @@ class ExternalPush(RandomTransform):
                 f"dt {dt} s, rest {rest} s, duration {duration} s and {len(pushes)} groups make no pushes: give times "
                 "(least, greatest) that are not negative, and at least one group."
             )
-        left, stream, on = (_beside(push_key, name) for name in ("steps_left", "stream", "on"))
+        left, stream, on = (beside(push_key, name) for name in ("steps_left", "stream", "on"))
         keys = [push_key, left, stream, on]
         super().__init__([], keys, seed=seed, first_row=first_row, reset_key=reset_key)
         self.pushes, self.dt, self.rest, self.duration = tuple(pushes), dt, rest, duration
@@ -174,7 +175,3 @@ class ExternalPush(RandomTransform):
             self.stream_key: Unbounded((*batch, 1), dtype=torch.int64, device=device),
             self.on_key: Unbounded((*batch, 1), dtype=torch.bool, device=device),
         }
-
-
-def _beside(key: NestedKey, name: str) -> NestedKey:
-    return f"{key}_{name}" if isinstance(key, str) else (*key[:-1], f"{key[-1]}_{name}")

@@ -8,9 +8,9 @@ from typing import Any, TypeAlias
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor, nn
-from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.data import Composite, TensorSpec
 
-from torchrl_athletic.transforms.stateful import StatefulTransform
+from torchrl_athletic.transforms.stateful import StatefulTransform, unbounded_like
 
 RewardTerm: TypeAlias = Callable[[TensorDictBase, TensorDictBase], Tensor]
 """Of what a step started from and what it led to, one value per row: shape (*B, 1) or (*B,)."""
@@ -141,15 +141,14 @@ class RewardTerms(StatefulTransform):
         return torch.cat(columns, -1)
 
     def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
-        zero = torch.zeros(self._shape, device=self.scales.device)
-        return {key: zero.clone() for key in (*self.shown, *self.sums)}
+        return {key: self._reward_spec().zero() for key in (*self.shown, *self.sums)}
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
-        return {key: Unbounded(self._shape, device=observation_spec.device) for key in (*self.shown, *self.sums)}
+        reward = self._reward_spec()
+        return {key: unbounded_like(reward, reward.shape) for key in (*self.shown, *self.sums)}
 
-    @property
-    def _shape(self) -> torch.Size:
-        return self.parent.full_reward_spec[self.reward_key].shape
+    def _reward_spec(self) -> TensorSpec:
+        return self.parent.full_reward_spec[self.reward_key]
 
 
 def _under(key: NestedKey, names: Sequence[str]) -> list[tuple[str, ...]]:
