@@ -225,7 +225,7 @@ def gymnasium_run(num_envs: int) -> Run:
 
 
 def gymnasium_own_run(num_envs: int) -> Run:
-    same = {"xml_file": str(MODEL), "frame_skip": FRAME_SKIP, "reset_noise_scale": 0.0}
+    same: dict[str, Any] = {"xml_file": str(MODEL), "frame_skip": FRAME_SKIP, "reset_noise_scale": 0.0}
     envs = gymnasium.make_vec("Hopper-v5", num_envs, "async", vector_kwargs={"context": "fork"}, **same)
     envs.reset()
     action = envs.action_space.sample()

@@ -3,9 +3,10 @@
     taskset -c 0,1 python benchmarks/transform_cost.py
 
 Five minutes. The environment is the package's toy, pure torch, whose episodes end now and then, so that masked resets
-are part of what is timed. All variants take turns within a round, in an order drawn anew; a cost is the difference of
-the medians with and without the transform, in CPU time of one thread. The stock transforms are ``CatFrames``, of the
-same entry and length, for ``ObservationHistory``, and ``StepCounter`` with a limit for the others, whatever they do.
+are part of what is timed. All variants take turns, a step each, in an order drawn anew; a cost is the difference of
+medians over rounds with and without the transform, in CPU time of one thread. The stock transforms are ``CatFrames``,
+of the same entry and length, for ``ObservationHistory``, and ``StepCounter`` with a limit for the others, whatever they
+do.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class Config:
     rounds: int = 40
     """Measurements of each variant."""
     steps: int = 54
-    """Of the environment in one measurement."""
+    """Of each environment in a round: an episode."""
     episode: int = 50
     """Least length of an episode [steps]; rows differ by up to 4."""
     only: tuple[str, ...] = ()
@@ -83,29 +84,31 @@ def measure(num_envs: int, names: list[str], cfg: Config) -> dict[str, list[floa
     for run in runs.values():
         run()
     for _ in trange(cfg.rounds, desc=f"{num_envs} envs", unit="round"):
-        random.shuffle(order)
-        for name in order:
-            start = time.process_time()
-            runs[name]()
-            times[name].append((time.process_time() - start) / cfg.steps)
+        took = dict.fromkeys(runs, 0.0)
+        for _ in range(cfg.steps):
+            random.shuffle(order)
+            for name in order:
+                start = time.process_time()
+                runs[name]()
+                took[name] += time.process_time() - start
+        for name, total in took.items():
+            times[name].append(total / cfg.steps)
     return times
 
 
 class Run:
-    """Steps an environment with one transform, from where the last call left it."""
+    """One more step of an environment with one transform."""
 
     def __init__(self, transform: Transform, num_envs: int, cfg: Config) -> None:
         toy = ToyEnv(num_envs=num_envs, joints=JOINTS, shortest=cfg.episode)
         self.env: EnvBase = TransformedEnv(toy, transform)
         self.current = self.env.reset()
         self.action = self.env.full_action_spec.rand()
-        self.steps = cfg.steps
 
     @torch.no_grad()
     def __call__(self) -> None:
-        for _ in range(self.steps):
-            self.current.update(self.action)
-            _, self.current = self.env.step_and_maybe_reset(self.current)
+        self.current.update(self.action)
+        _, self.current = self.env.step_and_maybe_reset(self.current)
 
 
 def table(num_envs: int, times: dict[str, list[float]], names: list[str]) -> list[str]:
