@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeAlias
 
 import torch
@@ -83,8 +83,6 @@ class RewardTerms(StatefulTransform):
                 [1., 1., 1.]])
     """
 
-    scales: Tensor
-
     def __init__(
         self,
         terms: Mapping[str, RewardTerm],
@@ -102,43 +100,49 @@ class RewardTerms(StatefulTransform):
                 f"terms are {sorted(terms)}, scales are of {sorted(scales)}: a term without a scale, or a scale "
                 "without a term, would be left out of the reward. Give both the same names, and at least one."
             )
-        self.names = tuple(terms)
-        self.shown = _under(terms_key, self.names) if show else []
-        self.sums = [] if sums_key is None else _under(sums_key, self.names)
+        self.shown = _under(terms_key, terms) if show else []
+        self.sums = [] if sums_key is None else _under(sums_key, terms)
         super().__init__([], [*self.shown, *self.sums], reset_key=reset_key)
-        self.terms, self.reward_key = tuple(terms.values()), reward_key
-        self.modules_of_terms = nn.ModuleList(term for term in self.terms if isinstance(term, nn.Module))
-        self.register_buffer("scales", torch.tensor([scales[name] * (dt or 1.0) for name in self.names]))
+        self.terms, self.reward_key = dict(terms), reward_key
+        self.scales = {name: scales[name] * (dt or 1.0) for name in terms}
+        self.modules_of_terms = nn.ModuleList(term for term in terms.values() if isinstance(term, nn.Module))
 
     def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
         reward = next_tensordict.get(self.reward_key)
-        values = self._values(tensordict, next_tensordict, reward) * self.scales
-        next_tensordict.set(self.reward_key, reward + values.sum(-1, keepdim=True))
-        _set_columns(next_tensordict, self.shown, values)
+        values = []
+        for name, term in self.terms.items():
+            values.append(self.scales[name] * self._value(name, term, tensordict, next_tensordict, reward.shape))
+            reward = reward + values[-1]  # one after the other: in one sum the order would depend on the batch
+        next_tensordict.set(self.reward_key, reward)
+        _set_group(next_tensordict, self.shown, values)
         if self.sums:
-            before = torch.cat([tensordict.get(key) for key in self.sums], -1)
-            _set_columns(next_tensordict, self.sums, before + values)
+            sums = [tensordict.get(key) + value for key, value in zip(self.sums, values, strict=True)]
+            _set_group(next_tensordict, self.sums, sums)
 
-    def _values(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, reward: Tensor) -> Tensor:
-        """Unscaled. Shape (*B, K)."""
-        columns = []
-        for name, term in zip(self.names, self.terms, strict=True):
-            try:
-                value = term(tensordict, next_tensordict)
-            except KeyError as error:
-                raise KeyError(
-                    f"reward term {name!r} asks for an entry that the step does not have: {error}. Put the transform "
-                    "that writes it before RewardTerms in Compose."
-                ) from error
-            if value.shape == reward.shape[:-1]:
-                value = value.unsqueeze(-1)
-            elif value.shape != reward.shape:
-                raise ValueError(
-                    f"reward term {name!r} has shape {tuple(value.shape)}, needed is one value per row, "
-                    f"{tuple(reward.shape)}: broadcasting would mix rows. Reduce it over its last dims."
-                )
-            columns.append(value)
-        return torch.cat(columns, -1)
+    def _value(
+        self,
+        name: str,
+        term: RewardTerm,
+        tensordict: TensorDictBase,
+        next_tensordict: TensorDictBase,
+        shape: torch.Size,
+    ) -> Tensor:
+        """Unscaled, in the shape of the reward."""
+        try:
+            value = term(tensordict, next_tensordict)
+        except KeyError as error:
+            raise KeyError(
+                f"reward term {name!r} asks for an entry that the step does not have: {error}. Put the transform that "
+                "writes it before RewardTerms in Compose."
+            ) from error
+        if value.shape == shape:
+            return value
+        if value.shape == shape[:-1]:
+            return value.unsqueeze(-1)
+        raise ValueError(
+            f"reward term {name!r} has shape {tuple(value.shape)}, needed is one value per row, {tuple(shape)}: "
+            "broadcasting would mix rows. Reduce it over its last dims."
+        )
 
     def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         return {key: self._reward_spec().zero() for key in (*self.shown, *self.sums)}
@@ -151,14 +155,14 @@ class RewardTerms(StatefulTransform):
         return self.parent.full_reward_spec[self.reward_key]
 
 
-def _under(key: NestedKey, names: Sequence[str]) -> list[tuple[str, ...]]:
+def _under(key: NestedKey, names: Iterable[str]) -> list[tuple[str, ...]]:
     return [unravel_key((key, name)) for name in names]
 
 
-def _set_columns(tensordict: TensorDictBase, keys: list[tuple[str, ...]], values: Tensor) -> None:
-    """Write columns under the keys, all of which are entries of one group."""
+def _set_group(tensordict: TensorDictBase, keys: list[tuple[str, ...]], values: list[Tensor]) -> None:
+    """Write values under the keys, all of which are entries of one group."""
     if keys:
         group = tensordict.empty()
-        for key, column in zip(keys, values.split(1, -1), strict=True):
-            group.set(key[-1], column)
+        for key, value in zip(keys, values, strict=True):
+            group.set(key[-1], value)
         tensordict.set(keys[0][:-1], group)
