@@ -104,7 +104,7 @@ class RewardTerms(StatefulTransform):
         self.sums = [] if sums_key is None else _under(sums_key, terms)
         super().__init__([], [*self.shown, *self.sums], reset_key=reset_key)
         self.terms, self.reward_key = dict(terms), reward_key
-        self.scales = {name: scales[name] * (dt or 1.0) for name in terms}
+        self.scales = {name: scales[name] * (1.0 if dt is None else dt) for name in terms}
         self.modules_of_terms = nn.ModuleList(term for term in terms.values() if isinstance(term, nn.Module))
 
     def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
