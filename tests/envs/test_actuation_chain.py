@@ -1,0 +1,51 @@
+"""The chain in its order, against the same written as a loop."""
+
+import torch
+from torchrl.envs import TransformedEnv
+
+from torchrl_athletic.envs import TorqueEnv, actuation_chain
+from torchrl_athletic.functional import actuation
+from torchrl_athletic.networks import uan
+from torchrl_athletic.robots import z1
+
+ARM = z1()
+
+
+def column(values):
+    return torch.tensor(values, dtype=torch.float32)
+
+
+def test_the_chain_is_a_pd_law_a_net_and_two_clips_at_every_physics_step():
+    torch.manual_seed(0)
+    net = uan()
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.mul_(3.0)  # so that its torque matters
+    env = TransformedEnv(TorqueEnv(ARM, num_envs=2), actuation_chain(ARM, net=net, arm_power=2.0))
+    plain = TorqueEnv(ARM, num_envs=2)
+    shown, seen = env.reset(), plain.reset()
+    errors = torch.zeros(2, 6, 2, 20)
+    power_met = False
+    for k in range(5):
+        target = column(ARM.default_pose) + 0.4 * torch.sin(torch.tensor(float(k))) * torch.ones(2, 7)
+        shown = env.step(shown.set("action", target))["next"]
+        for _ in range(4):
+            position, velocity = seen["joint_position"], seen["joint_velocity"]
+            torque = actuation.pd_torque(target, position, velocity, column(ARM.kp), column(ARM.kd))
+            new = torch.stack((target - position, -velocity), -1)[:, :6]
+            errors = torch.cat((errors[..., 1:], new.unsqueeze(-1)), -1)
+            with torch.no_grad():
+                torque[:, :6] += net(errors.flatten(-2)).squeeze(-1)
+            power = (torque[:, :6] * velocity[:, :6]).abs().sum(-1, keepdim=True)
+            power_met |= bool((power > 2.0).any())
+            torque[:, :6] *= torch.clamp(2.0 / power.clamp(min=1e-9), max=1.0)
+            torque = actuation.clip_torque_speed(torque, velocity, column(ARM.torque_limit), column(ARM.velocity_limit))
+            seen = plain.step(seen.set("torque", torque))["next"]
+    torch.testing.assert_close(shown["joint_position"], seen["joint_position"], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(shown["applied_torque"], seen["applied_torque"], atol=1e-3, rtol=1e-4)
+    assert power_met
+
+
+def test_what_is_not_asked_for_is_not_there():
+    names = [type(transform).__name__ for transform in actuation_chain(ARM).transforms]
+    assert names == ["TorqueSpeedClip", "PDControl", "Decimation"]

@@ -1,0 +1,144 @@
+"""One step of the environment is one step of MuJoCo, and what it shows is the state that the step led to."""
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import check_env_specs
+
+from torchrl_athletic.envs import TorqueEnv
+from torchrl_athletic.physics import BatchPhysics
+from torchrl_athletic.robots import b2z1, z1
+
+ARM, DOG = z1(), b2z1()
+
+
+def torques(env, steps, size=5.0, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    return size * torch.randn(steps, env.numel(), len(env.robot.joint_names), generator=generator)
+
+
+def roll(env, actions, tensordict=None):
+    tensordict = env.reset() if tensordict is None else tensordict
+    shown = []
+    for torque in actions:
+        tensordict = env.step(tensordict.set("torque", torque))["next"]
+        shown.append(tensordict)
+    return shown
+
+
+@pytest.mark.parametrize("robot", [ARM, DOG], ids=["z1", "b2z1"])
+def test_specs_match_data(robot):
+    check_env_specs(TorqueEnv(robot, num_envs=2))
+
+
+@pytest.mark.parametrize("robot", [ARM, DOG], ids=["z1", "b2z1"])
+def test_a_row_moves_as_a_loop_of_mj_step_does(robot):
+    env = TorqueEnv(robot, num_envs=3)
+    actions = torques(env, 20)
+    shown = roll(env, actions)
+    model = robot.model()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key(robot.keyframe).id)
+    dofs = [model.joint(name).dofadr[0] for name in robot.joint_names]
+    for action, seen in zip(actions, shown, strict=True):
+        data.qfrc_applied[dofs] = action[1].double()
+        mujoco.mj_step(model, data)
+        position = [data.joint(name).qpos[0] for name in robot.joint_names]
+        velocity = [data.joint(name).qvel[0] for name in robot.joint_names]
+        np.testing.assert_array_equal(seen["joint_position"][1], np.float32(position))
+        np.testing.assert_array_equal(seen["joint_velocity"][1], np.float32(velocity))
+
+
+def test_sensors_and_base_describe_the_state_after_the_step():
+    env = TorqueEnv(DOG, num_envs=2)
+    seen = roll(env, torques(env, 30, size=20.0))[-1][0]
+    model = DOG.model()
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = env.physics.qpos[0], env.physics.qvel[0]
+    mujoco.mj_forward(model, data)
+    at = {name: data.sensor(names[0]).data for name, names in DOG.sensors.items()}
+    for key in ("end_effector_position", "end_effector_quaternion", "end_effector_linear_velocity"):
+        np.testing.assert_allclose(seen[key], at[key], atol=1e-6, rtol=1e-5)
+    base = data.body("base")
+    turned = base.xmat.reshape(3, 3)
+    np.testing.assert_allclose(seen["base_position"], base.xpos, atol=1e-6)
+    np.testing.assert_allclose(seen["base_linear_velocity"], turned.T @ data.qvel[:3], atol=1e-5)
+    np.testing.assert_allclose(seen["projected_gravity"], turned.T @ [0, 0, -1], atol=1e-5)
+    spin = np.zeros(6)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, base.id, spin, 1)
+    np.testing.assert_allclose(seen["base_angular_velocity"], spin[:3], atol=1e-5)
+
+
+def test_a_dropped_robot_falls_freely_in_its_base_s_axes():
+    env = TorqueEnv(DOG, num_envs=1)
+    qpos = env.physics.qpos.clone()
+    qpos[:, 2] += 2.0
+    env.reset()
+    dropped = env._reset(TensorDict(reset_qpos=qpos, batch_size=[1]))
+    seen = roll(env, torch.zeros(20, 1, 19), dropped)[-1]
+    assert seen["base_linear_velocity"][0, 2] == pytest.approx(-9.81 * 0.1, rel=2e-2)
+    assert seen["foot_force"].abs().max() == 0
+
+
+def test_a_masked_reset_leaves_the_other_rows_to_the_last_bit():
+    env = TorqueEnv(ARM, num_envs=3)
+    last = roll(env, torques(env, 10))[-1]
+    before = env.physics.qpos.clone()
+    shown = env.reset(TensorDict({"_reset": torch.tensor([[False], [True], [False]])}, [3]))
+    assert (env.physics.qpos[[0, 2]] == before[[0, 2]]).all()
+    assert shown["joint_position"][1].tolist() == pytest.approx(ARM.default_pose)
+    assert last["joint_position"][1].tolist() != pytest.approx(ARM.default_pose)
+
+
+def test_an_episode_starts_where_the_reset_is_told_to():
+    env = TorqueEnv(ARM, num_envs=2)
+    env.reset()
+    qpos, qvel = env.physics.qpos + 0.1, torch.full((2, env.physics.model.nv), 0.3, dtype=torch.float64)
+    shown = env._reset(TensorDict({"reset_qpos": qpos, "reset_qvel": qvel}, [2]))
+    assert shown["joint_position"][0].tolist() == pytest.approx([x + 0.1 for x in ARM.default_pose])
+    assert shown["joint_velocity"].unique().tolist() == pytest.approx([0.3])
+
+
+def test_rows_left_out_of_a_step_stay_as_they_are():
+    env = TorqueEnv(ARM, num_envs=2)
+    env.reset()
+    before = env.physics.qpos.clone()
+    env._step(TensorDict({"torque": torch.ones(2, 7), "_step": torch.tensor([True, False])}, [2]))
+    assert (env.physics.qpos[1] == before[1]).all()
+    assert (env.physics.qpos[0] != before[0]).any()
+
+
+def test_a_substep_shows_joints_only():
+    env = TorqueEnv(DOG, num_envs=1)
+    env.reset()
+    shown = env._step(TensorDict({"torque": torch.zeros(1, 19), "_substep": torch.zeros(1, 1)}, [1]))
+    assert set(shown.keys()) == {"joint_position", "joint_velocity", "reward", "done", "terminated", "truncated"}
+
+
+def test_an_episode_ends_where_it_is_told_to():
+    env = TorqueEnv(ARM, num_envs=2, terminate=lambda shown: shown["joint_position"][..., :1] > 0.05)
+    push = torch.zeros(40, 2, 7)
+    push[:, 1, 0] = 10.0
+    shown = roll(env, push)[-1]
+    assert shown["terminated"].tolist() == shown["done"].tolist() == [[False], [True]]
+
+
+def test_a_simulation_that_diverges_ends_its_episode_and_no_other():
+    env = TorqueEnv(ARM, num_envs=2)
+    env.reset()
+    env.physics.qvel[1] = 1e12
+    shown = env.step(TensorDict(torque=torch.zeros(2, 7), batch_size=[2]))["next"]
+    assert shown["terminated"].tolist() == [[False], [True]]
+
+
+def test_groups_name_columns_of_the_joints():
+    env = TorqueEnv(DOG, num_envs=1)
+    assert [DOG.joint_names[j] for j in env.joint_groups["gripper"]] == [DOG.joint_names[-1]]
+
+
+def test_physics_of_other_joints_is_refused():
+    physics = BatchPhysics(ARM.model(), 1, joint_names=ARM.joint_names[::-1])
+    with pytest.raises(ValueError, match=r"joint_names=robot\.joint_names"):
+        TorqueEnv(ARM, physics)

@@ -1,0 +1,55 @@
+"""Without a GPU a captured rollout is a rollout; compiled transforms do what plain ones do."""
+
+import pytest
+import torch
+from torchrl.envs import Compose, GymEnv, StepCounter, TransformedEnv
+
+from torchrl_athletic.envs import TorqueEnv, actuation_chain
+from torchrl_athletic.robots import z1
+from torchrl_athletic.training import Rollout, control_step
+from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
+from torchrl_athletic.transforms import ObservationHistory
+
+ARM = z1()
+POSE = torch.tensor(ARM.default_pose)
+
+
+def make_env(num_envs=3):
+    return TransformedEnv(
+        TorqueEnv(ARM, num_envs=num_envs),
+        Compose(
+            actuation_chain(ARM, arm_power=50.0, max_delay=3, seed=1),
+            StepCounter(4),
+            ObservationHistory(["joint_position"], 3),
+        ),
+    )
+
+
+def swing(tensordict):
+    return tensordict.set("action", POSE + 0.3 * torch.sin(tensordict["step_count"].float() + 1))
+
+
+def test_on_the_cpu_it_collects_what_a_rollout_collects():
+    captured, plain = CapturedRollout(make_env(), swing, 6)(), Rollout(make_env(), swing, 6)()
+    assert set(captured.keys(True, True)) == set(plain.keys(True, True))
+    assert all((captured[key] == plain[key]).all() for key in plain.keys(True, True))
+
+
+def test_an_environment_without_physics_of_ours_is_refused():
+    with pytest.raises(ValueError, match="Collect with Rollout"):
+        CapturedRollout(GymEnv("Pendulum-v1"), swing, 3)
+
+
+@pytest.mark.slow
+def test_compiled_transforms_lead_to_the_same_steps_and_resets():
+    compiled, plain = make_env(), make_env()
+    fuse_transforms(compiled, backend="aot_eager")
+    ours, theirs = compiled.reset(), plain.reset()
+    assert (ours["action_delay"] == theirs["action_delay"]).all()
+    for _ in range(9):
+        (step, ours), (other, theirs) = control_step(compiled, swing, ours), control_step(plain, swing, theirs)
+        for key in other["next"].keys(True, True):
+            torch.testing.assert_close(
+                step["next", key] if isinstance(key, str) else step["next"][key], other["next"][key]
+            )
+    assert ours["step_count"].unique().tolist() == [1]
