@@ -4,7 +4,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
-from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs import Compose, SerialEnv, TransformedEnv
 
 from torchrl_athletic.functional.actuation import torque_speed_limits
 from torchrl_athletic.testing import ToyEnv, make_actions, play
@@ -62,7 +62,7 @@ def test_randomised_gains_multiply_the_nominal_ones():
 
 
 def test_a_target_that_is_missing_is_asked_for():
-    with pytest.raises(KeyError, match="no 'action'.*policy's side"):
+    with pytest.raises(KeyError, match=r"no 'action'.*policy's side"):
         PDControl(20.0, 0.5).inv(TensorDict(torque=torch.zeros(1, 3), batch_size=[1]))
 
 
@@ -97,6 +97,13 @@ def test_a_group_that_the_environment_does_not_have_is_refused_with_those_it_has
     env = TransformedEnv(ToyEnv(2, action="torque"), PowerClip(1.0, "arm"))
     with pytest.raises(ValueError, match=r"no group of joints 'arm'; it has \['apart', 'neighbours'\]"):
         env.rollout(1)
+
+
+def test_around_workers_joints_are_named_by_their_numbers():
+    env = TransformedEnv(SerialEnv(2, lambda: ToyEnv(2, action="torque")), PowerClip(1.0, "apart"))
+    with pytest.raises(ValueError, match="give the joints' numbers"):
+        env.rollout(1)
+    assert TransformedEnv(SerialEnv(2, lambda: ToyEnv(2, action="torque")), PowerClip(1.0, [0, 2])).rollout(1).numel()
 
 
 @pytest.mark.parametrize("limits", [([0.0, 1.0], 1.0), (1.0, [-1.0, 1.0])])

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
 
 import pytest
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor, nn
-from torchrl.envs import ActionScaling, CatFrames, Compose, RewardSum, StepCounter, Transform
+from torchrl.envs import ActionScaling, CatFrames, Compose, EnvBase, RewardSum, StepCounter, Transform
 
+from torchrl_athletic.envs import TorqueEnv
+from torchrl_athletic.robots import z1
 from torchrl_athletic.testing import TransformContract
 from torchrl_athletic.transforms import (
     ActionDelay,
     Decimation,
+    DomainRandomization,
+    ExternalPush,
+    InitialState,
     ObservationHistory,
     PDControl,
     PowerClip,
+    Push,
+    RandomizationRanges,
     TorqueSpeedClip,
     UANCorrection,
 )
@@ -34,28 +43,28 @@ class TestFlatObservationHistory(TransformContract):
 
 
 class TestPDControl(TransformContract):
-    env_settings = {"action": "torque"}
+    env_settings: ClassVar = {"action": "torque"}
 
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         return PDControl(20.0, [0.5, 0.4, 0.3], **_keys(key, "torque", "action", "position", "velocity", "target"))
 
 
 class TestTorqueSpeedClip(TransformContract):
-    env_settings = {"action": "torque"}
+    env_settings: ClassVar = {"action": "torque"}
 
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         return TorqueSpeedClip([0.5, 1.0, 2.0], 3.0, **_keys(key, "torque", "velocity"))
 
 
 class TestPowerClip(TransformContract):
-    env_settings = {"action": "torque"}
+    env_settings: ClassVar = {"action": "torque"}
 
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         return PowerClip(0.1, [0, 2], **_keys(key, "torque", "velocity"))
 
 
 class TestPowerClipOfAll(TransformContract):
-    env_settings = {"action": "torque"}
+    env_settings: ClassVar = {"action": "torque"}
 
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         return PowerClip(0.1, **_keys(key, "torque", "velocity"))
@@ -80,7 +89,7 @@ class SmallNet(nn.Module):
 
 
 class TestUANCorrection(TransformContract):
-    env_settings = {"action": "torque"}
+    env_settings: ClassVar = {"action": "torque"}
 
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         common = _keys(key, "torque", "position", "velocity", "target")
@@ -90,15 +99,15 @@ class TestUANCorrection(TransformContract):
             PDControl(20.0, 0.5, **common, **_keys(key, "action")),
         )
 
-    joints = None
+    joints: ClassVar = None
 
 
 class TestUANCorrectionOfSome(TestUANCorrection):
-    joints = [0, 2]
+    joints: ClassVar = [0, 2]
 
 
 class TestDecimation(TransformContract):
-    env_settings = {"shortest": 6}
+    env_settings: ClassVar = {"shortest": 6}
     steps = 8
 
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
@@ -106,6 +115,53 @@ class TestDecimation(TransformContract):
 
     @pytest.mark.skip(reason="it holds every action of the environment: two of it hold for 9 steps, as they should")
     def test_two_instances(self) -> None: ...
+
+
+# Those that act on a simulation
+
+
+def fast(shown: TensorDictBase) -> Tensor:
+    """Ends an episode, at another time in each row."""
+    return shown["joint_velocity"].abs().amax(-1, keepdim=True) > 6
+
+
+class OnARobot(TransformContract):
+    """There the entries' names and types are given, and rows differ by their torques and by what is drawn."""
+
+    fields: ClassVar[Sequence[str]] = ()
+
+    def make_env(self, num_envs: int | None = 3, first_row: int = 0, shortest: int = 2, **settings: Any) -> EnvBase:
+        if num_envs is None or settings.keys() - {"device"} or settings.get("device", "cpu") != "cpu":
+            raise NotImplementedError("TorqueEnv is a batch, with plain keys, of single precision")
+        return TorqueEnv(z1(), num_envs=num_envs, terminate=fast, fields=self.fields)
+
+    @pytest.mark.skip(reason="a simulation cannot be copied in the midst of an episode")
+    def test_copies_in_use(self) -> None: ...
+
+    @pytest.mark.skip(reason="it acts on the simulation, which it does not reach from outside of the workers")
+    def test_trans_serial_env_check(self) -> None: ...
+
+    @pytest.mark.skip(reason="it acts on the simulation, which it does not reach from outside of the workers")
+    def test_trans_parallel_env_check(self) -> None: ...
+
+
+class TestInitialState(OnARobot):
+    def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
+        return InitialState(first_row=first_row)
+
+
+class TestDomainRandomization(OnARobot):
+    ranges = RandomizationRanges(friction=None, restitution=None)
+    fields = DomainRandomization(ranges, joints="arm").fields
+
+    def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
+        return DomainRandomization(self.ranges, joints="arm", first_row=first_row)
+
+
+class TestExternalPush(OnARobot):
+    def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
+        pushes = [Push(("link03", "link06")), Push(("link04",))]
+        return ExternalPush(pushes, dt=0.005, rest=(0.0, 0.02), duration=(0.005, 0.02), first_row=first_row)
 
 
 # Stock transforms, as a control

@@ -57,5 +57,5 @@ def test_a_history_of_nothing_is_refused():
 
 def test_on_a_buffer_it_says_where_the_history_is():
     steps = played()
-    with pytest.raises(RuntimeError, match="joint_position_history.*from the buffer"):
+    with pytest.raises(RuntimeError, match=r"joint_position_history.*from the buffer"):
         ObservationHistory(["joint_position"], 3)(steps)

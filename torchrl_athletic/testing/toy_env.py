@@ -39,7 +39,7 @@ class ToyEnv(EnvBase):
     Example:
         >>> env = ToyEnv(num_envs=2)
         >>> env.rollout(8, break_when_any_done=False)["next", "done"].sum(1).squeeze(-1).tolist()
-        [3, 1]
+        [1, 2]
     """
 
     supports_partial_step = True

@@ -12,6 +12,7 @@ from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase, Transform, TransformedEnv
+from torchrl.envs.batched_envs import BatchedEnvBase
 
 from torchrl_athletic.functional.streams import stream
 
@@ -242,7 +243,8 @@ def joint_index(transform: Transform, joints: Joints) -> slice | Tensor:
         return joints
     parent, chosen = transform.parent, joints
     if isinstance(joints, str):
-        groups = getattr(base_env_of(parent), "joint_groups", {})
+        env = base_env_of(parent)
+        groups = {} if isinstance(env, BatchedEnvBase) else getattr(env, "joint_groups", {})  # workers answer for all
         if joints not in groups:
             known = f"it has {sorted(groups)}" if groups else "it has none: give the joints' numbers"
             raise ValueError(f"{type(transform).__name__}: the environment has no group of joints {joints!r}; {known}.")
@@ -253,8 +255,13 @@ def joint_index(transform: Transform, joints: Joints) -> slice | Tensor:
     return _index(columns, None if parent is None else parent.device)
 
 
-@cache
+@torch.compiler.assume_constant_result
 def _index(columns: tuple[int, ...], device: torch.device | None) -> Tensor:
+    return _made_index(columns, device)
+
+
+@cache
+def _made_index(columns: tuple[int, ...], device: torch.device | None) -> Tensor:
     return torch.tensor(columns, dtype=torch.int64, device=device)
 
 
