@@ -195,7 +195,7 @@ OFFLINE = {"transform_no_env", "transform_model", "transform_rb"}
         (Looks, {"no_graph_breaks", "no_host_sync"}),
         (Forgets, {"native_autoreset"}),
         (Hoards, {"state_dict"}),
-        (Clings, {"copies"}),
+        (Clings, {"copies", "copies_in_use"}),
         (Misplaces, {"device"}),
         (Halves, {"dtype"}),
         (Mumbles, OFFLINE),
