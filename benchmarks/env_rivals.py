@@ -7,8 +7,8 @@ observation, reward and end of episode, from one start without noise. The rivals
 single environments in processes; TorchRL also in one process. Every library first looks for its own best batch size,
 then the best ones are timed in turn, in wall time. All must show what ours shows, or the benchmark stops.
 
-Gymnasium's own hopper imports imageio, for pictures. It takes part where that is installed, on TorchRL's model; a lean
-one takes part in any case: MuJoCo's bindings alone, no ``info``, no wrappers.
+Gymnasium's own hopper imports imageio and glfw, for pictures. It takes part where they are installed, on TorchRL's
+model; a lean one takes part in any case: MuJoCo's bindings alone, no ``info``, no wrappers.
 """
 
 from __future__ import annotations
@@ -267,7 +267,7 @@ VARIANTS: dict[str, Callable[[int], Run]] = OURS | {
     "TorchRL SerialEnv": lambda n: torchrl_run(SerialEnv(n, stock_hopper)),
     "Gymnasium AsyncVectorEnv, lean env": gymnasium_run,
 }
-if find_spec("imageio"):
+if find_spec("imageio") and find_spec("glfw"):
     VARIANTS["Gymnasium make_vec, its Hopper-v5"] = gymnasium_own_run
 
 

@@ -298,7 +298,9 @@ def check_all(cfg: Config) -> int:
 
 
 def made(cfg: Config, model: mujoco.MjModel, **options: Any) -> WarpPhysics:
-    return WarpPhysics(model, cfg.num_envs, device=cfg.device, **options)
+    physics = WarpPhysics(model, cfg.num_envs, device=cfg.device, **options)
+    physics.data("sensordata")  # computed at first sight, which would tell a captured step from others
+    return physics
 
 
 def half(cfg: Config) -> Tensor:

@@ -1,7 +1,7 @@
 """The chain in its order, against the same written as a loop."""
 
 import torch
-from torchrl.envs import TransformedEnv
+from torchrl.envs import Compose, TransformedEnv
 
 from torchrl_athletic.envs import TorqueEnv, actuation_chain
 from torchrl_athletic.functional import actuation
@@ -21,7 +21,7 @@ def test_the_chain_is_a_pd_law_a_net_and_two_clips_at_every_physics_step():
     with torch.no_grad():
         for parameter in net.parameters():
             parameter.mul_(3.0)  # so that its torque matters
-    env = TransformedEnv(TorqueEnv(ARM, num_envs=2), actuation_chain(ARM, net=net, arm_power=2.0))
+    env = TransformedEnv(TorqueEnv(ARM, num_envs=2), Compose(*actuation_chain(ARM, net=net, arm_power=2.0)))
     plain = TorqueEnv(ARM, num_envs=2)
     shown, seen = env.reset(), plain.reset()
     errors = torch.zeros(2, 6, 2, 20)
@@ -36,10 +36,10 @@ def test_the_chain_is_a_pd_law_a_net_and_two_clips_at_every_physics_step():
             errors = torch.cat((errors[..., 1:], new.unsqueeze(-1)), -1)
             with torch.no_grad():
                 torque[:, :6] += net(errors.flatten(-2)).squeeze(-1)
+            torque = actuation.clip_torque_speed(torque, velocity, column(ARM.torque_limit), column(ARM.velocity_limit))
             power = (torque[:, :6] * velocity[:, :6]).abs().sum(-1, keepdim=True)
             power_met |= bool((power > 2.0).any())
             torque[:, :6] *= torch.clamp(2.0 / power.clamp(min=1e-9), max=1.0)
-            torque = actuation.clip_torque_speed(torque, velocity, column(ARM.torque_limit), column(ARM.velocity_limit))
             seen = plain.step(seen.set("torque", torque))["next"]
     torch.testing.assert_close(shown["joint_position"], seen["joint_position"], atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(shown["applied_torque"], seen["applied_torque"], atol=1e-3, rtol=1e-4)
@@ -47,5 +47,5 @@ def test_the_chain_is_a_pd_law_a_net_and_two_clips_at_every_physics_step():
 
 
 def test_what_is_not_asked_for_is_not_there():
-    names = [type(transform).__name__ for transform in actuation_chain(ARM).transforms]
+    names = [type(transform).__name__ for transform in actuation_chain(ARM)]
     assert names == ["TorqueSpeedClip", "PDControl", "Decimation"]

@@ -18,7 +18,7 @@ def make_env(num_envs=3):
     return TransformedEnv(
         TorqueEnv(ARM, num_envs=num_envs),
         Compose(
-            actuation_chain(ARM, arm_power=50.0, max_delay=3, seed=1),
+            *actuation_chain(ARM, arm_power=50.0, max_delay=3, seed=1),
             StepCounter(4),
             ObservationHistory(["joint_position"], 3),
         ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from torch import nn
-from torchrl.envs import Compose
+from torchrl.envs import Transform
 
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.transforms import ActionDelay, Decimation, PDControl, PowerClip, TorqueSpeedClip, UANCorrection
@@ -17,8 +17,11 @@ def actuation_chain(
     max_delay: int = 0,
     decimation: int = 4,
     seed: int = 0,
-) -> Compose:
+) -> list[Transform]:
     """The chain that runs at the physics rate, from the motor outwards, ready to be followed by other transforms.
+
+    Power is limited after torque and speed are, as in the paper: that of torques which no motor gives would throttle
+    the whole arm. Scaled torques stay within the first limits.
 
     Args:
         robot: Gives gains, limits and the joints of its arm.
@@ -32,20 +35,20 @@ def actuation_chain(
         Fey et al. 2025, section II.
 
     Example:
-        >>> from torchrl.envs import TransformedEnv
+        >>> from torchrl.envs import Compose, TransformedEnv
         >>> from torchrl_athletic.envs import TorqueEnv
         >>> from torchrl_athletic.robots import z1
         >>> robot = z1()
-        >>> env = TransformedEnv(TorqueEnv(robot, num_envs=2), actuation_chain(robot, arm_power=200.0, max_delay=6))
+        >>> chain = Compose(*actuation_chain(robot, arm_power=200.0, max_delay=6))
+        >>> env = TransformedEnv(TorqueEnv(robot, num_envs=2), chain)
         >>> env.rollout(3)["action"].shape
         torch.Size([2, 3, 7])
     """
-    chain = [TorqueSpeedClip(robot.torque_limit, robot.velocity_limit)]
-    if arm_power is not None:
-        chain.append(PowerClip(arm_power, joints="arm"))
+    chain: list[Transform] = [] if arm_power is None else [PowerClip(arm_power, joints="arm")]
+    chain.append(TorqueSpeedClip(robot.torque_limit, robot.velocity_limit))
     if net is not None:
         chain.append(UANCorrection(net, joints="arm"))
     chain.append(PDControl(robot.kp, robot.kd))
     if max_delay:
         chain.append(ActionDelay(max_delay, before=robot.default_pose, seed=seed))
-    return Compose(*chain, Decimation(decimation))
+    return [*chain, Decimation(decimation)]

@@ -121,7 +121,11 @@ class PoseGoal(RandomTransform):
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         row = torch.arange(key.numel(), device=key.device).reshape(key.shape)
-        drawn = row % len(self.poses) if self.by_row else streams.integers(key, 1, len(self.poses)).squeeze(-1)
+        drawn = (
+            (row + self.first_row) % len(self.poses)
+            if self.by_row
+            else streams.integers(key, 1, len(self.poses)).squeeze(-1)
+        )
         return self._shown(self.poses[drawn], tensordict_reset)
 
     def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:

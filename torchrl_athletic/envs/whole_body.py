@@ -53,6 +53,7 @@ def whole_body_env(
     history: int = 10,
     max_steps: int = 1000,
     task_width: int = 4,
+    sensing: tuple[Transform, ...] = (),
     extra: tuple[Transform, ...] = (),
     seed: int = 0,
 ) -> TransformedEnv:
@@ -71,7 +72,9 @@ def whole_body_env(
         history: Frames that the policy sees.
         max_steps: Length of an episode [policy steps]: 20 s.
         task_width: Places kept for the embedding of tasks to come, zero here.
-        extra: More transforms, put before the observation: a reference trajectory, say.
+        sensing: Transforms between the robot and the chain: an encoder's offset, say.
+        extra: More transforms, put before the observation: a reference trajectory, or
+            :class:`~torchrl_athletic.transforms.DomainRandomization`.
         seed: Of commands and delays.
 
     Source:
@@ -85,10 +88,12 @@ def whole_body_env(
     """
     dt = 4 * robot.model().opt.timestep
     commands = CommandRanges()
+    fields = {field for transform in (*sensing, *extra) for field in getattr(transform, "fields", ())}
     return TransformedEnv(
-        TorqueEnv(robot, num_envs=num_envs, device=device, terminate=fallen),
+        TorqueEnv(robot, num_envs=num_envs, device=device, terminate=fallen, fields=sorted(fields)),
         Compose(
-            actuation_chain(robot, net=net, arm_power=arm_power, max_delay=max_delay, seed=seed),
+            *sensing,
+            *actuation_chain(robot, net=net, arm_power=arm_power, max_delay=max_delay, seed=seed),
             StepCounter(max_steps),
             CommandSampler(commands, dt, seed=seed + 1),
             GaitClock(dt),

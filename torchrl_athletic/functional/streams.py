@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 _GOLDEN = 0x9E3779B97F4A7C15 - (1 << 64)  # as a signed 64-bit integer; products wrap, as they should
+_INVERSE = 0xF1DE83E19937733D - (1 << 64)  # of _GOLDEN, modulo 2**64
 _MIX_1 = 0xBF58476D1CE4E5B9 - (1 << 64)
 _MIX_2 = 0x94D049BB133111EB - (1 << 64)
 
@@ -86,7 +87,7 @@ def integers(key: Tensor, size: int, high: int) -> Tensor:
 
 def _bits(key: Tensor, size: int) -> Tensor:
     index = torch.arange(1, size + 1, device=key.device)
-    return _mix(_mix(key).unsqueeze(-1) + _GOLDEN * index)
+    return _mix((_mix(key).unsqueeze(-1) * _INVERSE + index) * _GOLDEN)  # Triton would take _GOLDEN * index for 32 bits
 
 
 def _mix(x: Tensor) -> Tensor:

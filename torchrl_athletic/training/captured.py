@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
@@ -75,6 +76,13 @@ class CapturedRollout(Rollout):
             for _ in range(self.horizon):
                 replay()
         return self._batch()
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on from there. What was recorded reads the memory that it was recorded with, so that is written to."""
+        recorded = self.current
+        super().load_state_dict(state_dict)
+        if self._replay is not None:
+            self.current = recorded.update_(self.current.select(*recorded.keys(True, True)))
 
     def _record(self) -> Callable[[], None]:
         if self.fuse:

@@ -117,7 +117,11 @@ def restore_env(env: EnvBase, current: TensorDict, state: dict[str, Any]) -> Ten
     modules = dict(env.transform.named_modules()) if isinstance(env, TransformedEnv) else {}
     for name, value in state["buffers"].items():
         owner, _, leaf = name.rpartition(".")
-        setattr(modules[owner], leaf, value.to(env.device))
+        buffer = getattr(modules[owner], leaf)
+        if buffer.shape == value.shape:
+            buffer.copy_(value)  # in place: a captured step goes on with the same memory
+        else:
+            setattr(modules[owner], leaf, value.to(env.device))
     return current
 
 

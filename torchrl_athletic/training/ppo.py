@@ -278,6 +278,8 @@ def train(
             shown = {name: f"{metrics[name]:.3g}" for name in show if name in metrics}
             bar.set_postfix({"samples": f"{learner.samples:,}", "samples/s": f"{rate:,.0f}", **shown}, refresh=False)
             bar.update(share - bar.n)
+    if not metrics and evaluate is not None:  # an earlier run had come to its end
+        return dict(evaluate())
     return metrics
 
 

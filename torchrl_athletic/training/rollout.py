@@ -162,7 +162,7 @@ class Rollout:
         """Where the episodes stand; empty with TorchRL's collector, which starts new ones."""
         if self._collector is not None:
             return {}
-        return {"current": self.current.to_dict(), "env": env_state(self.env)}
+        return {"current": self.current.clone().to_dict(), "env": env_state(self.env)}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Go on from there, or with new episodes where :func:`~.checkpoint.restore_env` cannot."""

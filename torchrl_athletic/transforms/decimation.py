@@ -93,8 +93,11 @@ def _step_once(base_env: EnvBase, chain: Transform, tensordict: TensorDictBase) 
 
 
 def _done(env: TransformedEnv, tensordict: TensorDictBase) -> torch.Tensor:
-    """Rows at their end, by any of their flags. Shape (*B, 1)."""
-    done, *others = (tensordict.get(key) for key in env.done_keys)
+    """Rows at their end, by any of their flags; one that is not there counts as down. Shape (*B, 1)."""
+    flags = [flag for key in env.done_keys if (flag := tensordict.get(key, None)) is not None]
+    if not flags:
+        return torch.zeros(*tensordict.batch_size, 1, dtype=torch.bool, device=tensordict.device)
+    done, *others = flags
     for flag in others:
         done = done | flag
     return done

@@ -162,7 +162,7 @@ def _under(key: NestedKey, names: Iterable[str]) -> list[tuple[str, ...]]:
 def _set_group(tensordict: TensorDictBase, keys: list[tuple[str, ...]], values: list[Tensor]) -> None:
     """Write values under the keys, all of which are entries of one group."""
     if keys:
-        group = tensordict.empty()
+        group = tensordict.get(keys[0][:-1], tensordict.empty())  # of another RewardTerms, maybe
         for key, value in zip(keys, values, strict=True):
             group.set(key[-1], value)
         tensordict.set(keys[0][:-1], group)
