@@ -32,7 +32,7 @@ from torchrl_athletic.networks import actor, critic, uan
 from torchrl_athletic.physics import Physics
 from torchrl_athletic.robots import Robot, b2z1
 from torchrl_athletic.training import PPO, Learner, iterate
-from torchrl_athletic.training.captured import CapturedRollout
+from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
 from torchrl_athletic.transforms import ReferenceTrajectory
 
 DECIMATION = 4
@@ -54,6 +54,8 @@ class Config:
     """Control steps of a measurement."""
     noise: float = 0.3
     """Standard deviation of the actions about the default pose [rad]: keeps the robots in motion."""
+    fuse: bool = False
+    """Compile the transforms on the CPU too; on a GPU they are in any case."""
     learn: bool = False
     """Also time PPO iterations with nets of 3 x 512."""
     iterations: int = 20
@@ -75,7 +77,7 @@ def main(cfg: Config) -> None:
     text = f"# Control step\n\n{table}\n\n{origin(cfg)}\n"
     print(text)
     cfg.output.mkdir(parents=True, exist_ok=True)
-    (cfg.output / f"control_step_{cfg.device}.md").write_text(text)
+    (cfg.output / f"control_step_{cfg.device}{'_fused' if cfg.fuse else ''}.md").write_text(text)
 
 
 def make_env(robot: Robot, cfg: Config) -> EnvBase:
@@ -95,6 +97,8 @@ def explore(robot: Robot, cfg: Config) -> Callable[[TensorDictBase], TensorDictB
 
 
 def compare(robot: Robot, env: Any, cfg: Config) -> list[tuple[str, str]]:
+    if cfg.fuse and cfg.device == "cpu":
+        fuse_transforms(env)
     rollout = CapturedRollout(env, explore(robot, cfg), cfg.steps, keys=["observation"])
     rival = make_physics(robot, cfg.num_envs, cfg.device)
     physics: Physics = env.base_env.physics
@@ -169,6 +173,7 @@ def origin(cfg: Config) -> str:
     )
     where = torch.cuda.get_device_name() if cfg.device != "cpu" else f"{len(os.sched_getaffinity(0))} cores"
     flags = f"--device {cfg.device} --num-envs {cfg.num_envs} --cone {cfg.cone}{' --learn' if cfg.learn else ''}"
+    flags += " --fuse" if cfg.fuse else ""
     machine = f"{where} of {platform.machine()}, torch {torch.__version__}"
     return f"`python benchmarks/control_step.py {flags}`, commit {commit}, {machine}."
 
