@@ -15,6 +15,27 @@ settings.register_profile(
 )
 settings.load_profile("repeatable")
 
+# Compiling a step, or starting processes, takes seconds for each of thirty transforms: half of the time of their tests.
+# Transforms seldom fail these clauses alone: what breaks a graph mostly syncs with the host too, and what goes wrong in
+# a ParallelEnv mostly does so in a SerialEnv. So few stand for all by default: those with memory, with draws, with
+# several steps in one and with shorter episodes. -m slow asks the others.
+SLOW_CLAUSES = {"test_no_graph_breaks", "test_parallel_trans_env_check", "test_trans_parallel_env_check"}
+REPRESENTATIVES = {
+    ("test_contract.py", "TestActionDelay"),
+    ("test_contract.py", "TestObservationHistory"),
+    ("test_contract.py", "TestDecimation"),
+    ("test_command_sampler.py", "TestContract"),
+}
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest deselects what is slow
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the contract's clauses that take long, but for some transforms."""
+    for item in items:
+        contract = item.parent.name if item.parent else ""
+        if item.name in SLOW_CLAUSES and (item.path.name, contract) not in REPRESENTATIVES:
+            item.add_marker(pytest.mark.slow)
+
 
 @pytest.fixture(scope="session")
 def real_recordings() -> Path:
