@@ -94,7 +94,8 @@ def _step_once(base_env: EnvBase, chain: Transform, tensordict: TensorDictBase) 
 
 def _done(env: TransformedEnv, tensordict: TensorDictBase) -> torch.Tensor:
     """Rows at their end, by any of their flags; one that is not there counts as down. Shape (*B, 1)."""
-    flags = [flag for key in env.done_keys if (flag := tensordict.get(key, None)) is not None]
+    found = [tensordict.get(key, None) for key in env.done_keys]
+    flags = [flag for flag in found if flag is not None]  # no walrus: torch.compile cannot trace it here
     if not flags:
         return torch.zeros(*tensordict.batch_size, 1, dtype=torch.bool, device=tensordict.device)
     done, *others = flags
