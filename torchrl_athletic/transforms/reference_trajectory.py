@@ -41,7 +41,8 @@ class ReferenceTrajectory(RandomTransform):
         random_start: Start at any step of the reference, drawn anew for each episode.
         probability: Of each reference, shape (R,); None makes them equally likely.
         reset_state: From what the environment reads at its reset to the table that holds it, such as
-            ``{"reset_qpos": "qpos", "reset_qvel": "qvel"}``.
+            ``{"reset_qpos": "qpos", "reset_qvel": "qvel"}``. Around a ParallelEnv, which drops what its workers' specs
+            do not name, this does nothing: there the transform belongs within the workers.
         reference_key: Where to show. Shape (*B, K * D) if flat; otherwise an entry (reference_key, name) for each
             table, of shape (*B, D), or (*B, K, D) with K > 1 times.
         id_key: Number of the reference. int64, shape (*B, 1).
