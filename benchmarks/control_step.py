@@ -148,9 +148,12 @@ def learn(env: Any, cfg: Config) -> list[tuple[str, str]]:
         ("of which collecting", f"{collect:.3f} s"),
     ]
     if cfg.device != "cpu":
+        peak = torch.cuda.max_memory_allocated()
+        torch.cuda.empty_cache()
         free, total = torch.cuda.mem_get_info()
-        rows.append(("memory of the GPU in use", f"{(total - free) / 2**30:.2f} GiB"))
-        rows.append(("of which torch's peak", f"{torch.cuda.max_memory_allocated() / 2**30:.2f} GiB"))
+        others = total - free - torch.cuda.memory_reserved()
+        rows.append(("peak memory: torch's tensors, and all else", f"{peak / 2**30:.2f} + {others / 2**30:.2f} GiB"))
+        rows.append(("held with caches emptied", f"{(total - free) / 2**30:.2f} GiB"))
     return rows
 
 

@@ -99,7 +99,8 @@ class CapturedRollout(Rollout):
             self._allocate(step)
         for key, buffer in self._storage:
             buffer.index_copy_(1, self._time, step.get(key).unsqueeze(1))
-        self.current.update_(following.select(*self.current.keys(True, True)))
+        keys = list(self.current.keys(True, True))
+        torch._foreach_copy_([self.current.get(key) for key in keys], [following.get(key) for key in keys])
         self._time.add_(1).remainder_(self.horizon)
 
 
@@ -146,6 +147,7 @@ def fuse_transforms(env: EnvBase, backend: str = "inductor") -> None:
     outer._inv_call = torch.compile(outer._inv_call, backend=backend, dynamic=False)
     outer._reset = torch.compile(outer._reset, backend=backend, dynamic=False)
     chain._inv_call = torch.compile(chain._inv_call, backend=backend, dynamic=False)
+    decimation.merge = torch.compile(decimation.merge, backend=backend, dynamic=False)
 
 
 def _place_of_decimation(compose: Compose) -> list[Transform] | None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, Transform, TransformedEnv
 
 _HELD = "_held_action"
@@ -41,6 +43,7 @@ class Decimation(Transform):
             raise ValueError(f"steps is {steps}, needed is at least 1: without a step nothing would follow an action.")
         super().__init__(in_keys=[], out_keys=[])
         self.steps = steps
+        self.merge = merge
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.parent is None:  # in a buffer: nothing to hold
@@ -67,13 +70,7 @@ class Decimation(Transform):
             if anyone_stops and (goes := _rows_to_step(base_env, done)) is not None:
                 current.set("_step", goes)
             following = _step_once(base_env, chain, current)
-            if anyone_stops:
-                _freeze(done, next_tensordict, following)
-            for key in reward_keys:
-                reward = following.get(key)
-                gained = torch.where(_expand(done, reward), 0, reward) if anyone_stops else reward
-                following.set(key, next_tensordict.get(key) + gained)
-            next_tensordict = following
+            next_tensordict = self.merge(done if anyone_stops else None, next_tensordict, following, reward_keys)
         return next_tensordict
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -133,13 +130,28 @@ def _rows_to_step(env: EnvBase, done: torch.Tensor) -> torch.Tensor | None:
     return None
 
 
-def _freeze(done: torch.Tensor, last: TensorDictBase, following: TensorDictBase) -> None:
-    """Rows that were done keep what they showed then."""
-    for key in following.keys(True, True):
-        old = last.get(key, None)
-        if old is not None:
-            new = following.get(key)
-            following.set(key, torch.where(_expand(done, new), old, new))
+def merge(
+    done: torch.Tensor | None, last: TensorDictBase, following: TensorDictBase, reward_keys: Sequence[NestedKey]
+) -> TensorDictBase:
+    """Two steps as one: rewards are summed, and rows that were done keep what they showed then.
+
+    Args:
+        done: Rows that were done after the first step, shape (*B, 1); None if none was.
+        last: What the first step showed.
+        following: What the second one showed; is changed.
+        reward_keys: Entries to sum.
+    """
+    gained = {key: following.get(key) for key in reward_keys}
+    if done is not None:
+        for key in following.keys(True, True):
+            old = last.get(key, None)
+            if old is not None:
+                new = following.get(key)
+                following.set(key, torch.where(_expand(done, new), old, new))
+    for key, reward in gained.items():
+        gain = reward if done is None else torch.where(_expand(done, reward), 0, reward)
+        following.set(key, last.get(key) + gain)
+    return following
 
 
 def _expand(mask: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
