@@ -1,10 +1,12 @@
 """The README and the pages of the documentation say what is true."""
 
 import ast
+import doctest
 import importlib
 import re
 import subprocess
 import sys
+import textwrap
 import tomllib
 from pathlib import Path
 
@@ -18,6 +20,12 @@ RUNNABLE = ["docs/recordings.md", "docs/composition.md", "docs/losses.md"]  # ot
 
 def blocks(text: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.S | re.M)
+
+
+def source_of(block: str) -> str:
+    """Python code, whether it is shown as a session, as a part of a class, or as it is."""
+    session = "".join(example.source for example in doctest.DocTestParser().get_examples(block))
+    return session or textwrap.dedent(block)
 
 
 def commands(text: str) -> list[str]:
@@ -78,8 +86,8 @@ def test_extras_that_are_named_exist(path):
 @having("^```python")
 def test_names_that_are_imported_exist(path):
     for block in blocks(path.read_text(), "python"):
-        for node in ast.walk(ast.parse(block)):
-            if isinstance(node, ast.ImportFrom) and node.module != "my_project":  # the reader's own
+        for node in ast.walk(ast.parse(source_of(block))):
+            if isinstance(node, ast.ImportFrom):
                 module = importlib.import_module(node.module)
                 assert [alias.name for alias in node.names if not hasattr(module, alias.name)] == []
 
