@@ -4,8 +4,8 @@ python recipes/reach_z1.py                                   # five minutes, num
 python recipes/reach_z1.py --logger csv --output out/reach   # the same command goes on after Ctrl-C or a crash
 
 Goals are poses of the end effector at random joint positions within 1 rad of the default, so that all can be reached.
-Distance to the goal in the last half second of two, mean of 512 goals that training never saw, after five minutes on two
-cores, seeds 0, 1, 2: 0.52, 0.71, 0.70 cm; control, joint minibatches: 0.43, 0.54, 0.78 cm. Curves: docs/reach.md.
+Distance to the goal in the last half second of two, mean of 512 goals never trained on, after 5 minutes on two cores,
+seeds 0, 1, 2: 0.52, 0.71, 0.70 cm; control, joint minibatches: 0.43, 0.54, 0.78 cm. Curves: docs/reach.md.
 """
 
 from dataclasses import dataclass, field, replace

@@ -1,5 +1,6 @@
 """Training in a corrected simulation: collection, advantages, updates, evaluation, checkpoints, logging."""
 
+from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
 from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.evaluation import play, record_video
 from torchrl_athletic.training.finite import NonFiniteError, check_finite
@@ -13,6 +14,7 @@ __all__ = [
     "PRE_TRAIN",
     "UAN",
     "CSVTable",
+    "CapturedRollout",
     "Checkpoints",
     "Learner",
     "LoggerName",
@@ -21,6 +23,7 @@ __all__ = [
     "Rollout",
     "check_finite",
     "control_step",
+    "fuse_transforms",
     "iterate",
     "make_logger",
     "play",
