@@ -22,7 +22,9 @@ Axes = tuple[float, float, float]
 class StartRanges:
     """How far a start may lie from the keyframe, either way, each number being drawn by itself.
 
-    The paper randomises the initial joint and body states and states no figures: the defaults are ours.
+    The paper randomises the initial joint and body states and states no figures: the defaults are ours. A robot that
+    stands on legs may start with feet some centimetres in the ground, from where it is pushed out: take 0.1 rad
+    where that matters.
     """
 
     joint_position: float = 0.2
