@@ -51,7 +51,8 @@ class RewardTerms(StatefulTransform):
 
     Outside :class:`~.Decimation` (after it in Compose) a term is taken once for each action, inside it at each physics
     step: the reward is then their sum, while what is shown is the last step's, and terms can see only what the
-    environment shows at every physics step, joints say. Terms see what transforms before this one wrote, such as :class:`~.ActionHistory`.
+    environment shows at every physics step, joints say. Terms see what transforms before this one wrote, such as
+    :class:`~.ActionHistory`.
 
     Args:
         terms: By name; see :data:`RewardTerm` and :class:`Term`.
