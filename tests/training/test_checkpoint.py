@@ -108,3 +108,22 @@ def test_an_environment_of_another_library_starts_new_episodes():
     env = TransformedEnv(CountingEnv(max_steps=9, batch_size=[2]), StepCounter())
     seen = env.rollout(3, break_when_any_done=False)[:, -1]["next"]
     assert restore_env(env, seen, env_state(env))["step_count"].sum() == 0
+
+
+class RunOfItsOwn:
+    """A logger as wandb's is: every process starts a run of its own, which refuses the state of another."""
+
+    def state_dict(self):
+        return {"run": id(self)}
+
+    def load_state_dict(self, state):
+        raise ValueError("this is another run")
+
+
+def test_a_run_goes_on_although_its_logger_starts_a_new_one(tmp_path):
+    saved = torch.nn.Linear(2, 1)
+    saved.iteration = 3
+    Checkpoints(tmp_path).save(saved, RunOfItsOwn())
+    resumed = torch.nn.Linear(2, 1)
+    assert Checkpoints(tmp_path).resume(resumed, RunOfItsOwn())
+    assert (resumed.weight == saved.weight).all()

@@ -10,6 +10,8 @@ from torch import Tensor
 from torchrl.checkpoint import Checkpoint, CheckpointRotation, GlobalRNGState, StateDictCheckpointAdapter
 from torchrl.envs import EnvBase, TransformedEnv
 
+from torchrl_athletic.training.logging import CSVTable
+
 FORMAT = StateDictCheckpointAdapter(payload_format="torch")
 """One file a component, read with ``weights_only``: no code of a checkpoint is run."""
 
@@ -54,7 +56,7 @@ class Checkpoints:
 
         Args:
             learner: With ``state_dict`` and ``iteration``, which names the checkpoint.
-            logger: Whose position is kept if it has ``state_dict``.
+            logger: Whose position is kept if it is a :class:`~.CSVTable`; others start a new run when training goes on.
         """
         return self.rotation.save(_checkpoint(learner, logger), step=learner.iteration)
 
@@ -72,7 +74,7 @@ class Checkpoints:
 
 def _checkpoint(learner: HasState, logger: Any) -> Checkpoint:
     parts: dict[str, Any] = {"learner": learner, "generators": GlobalRNGState()}
-    if hasattr(logger, "load_state_dict"):
+    if isinstance(logger, CSVTable):  # other loggers start a new run, which refuses the state of an old one
         parts["logger"] = logger
     checkpoint = Checkpoint()
     for name, part in parts.items():

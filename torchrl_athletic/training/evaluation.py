@@ -132,7 +132,7 @@ def renderer(model: mujoco.MjModel, size: tuple[int, int], camera: int | str = -
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, target)
     view, option = mujoco.MjvCamera(), mujoco.MjvOption()
     mujoco.mjv_defaultFreeCamera(model, view)
-    view.distance *= 1.4
+    view.lookat[:], view.distance = _centre_and_distance(model)
     if camera != -1:
         view.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
         view.fixedcamid = model.camera(camera).id
@@ -152,6 +152,16 @@ def renderer(model: mujoco.MjModel, size: tuple[int, int], camera: int | str = -
     finally:
         target.free()
         context.free()
+
+
+def _centre_and_distance(model: mujoco.MjModel) -> tuple[NDArray[np.float64], float]:
+    """Where to look from how far [m], to see all bodies of the first keyframe with room to move about."""
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_kinematics(model, data)
+    low, high = data.xpos[1:].min(0), data.xpos[1:].max(0)
+    return (low + high) / 2, 1.0 + float(np.linalg.norm(high - low))
 
 
 def _gl_context(width: int, height: int) -> Any:
