@@ -161,7 +161,8 @@ def _centre_and_distance(model: mujoco.MjModel) -> tuple[NDArray[np.float64], fl
         mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_kinematics(model, data)
     low, high = data.xpos[1:].min(0), data.xpos[1:].max(0)
-    return (low + high) / 2, 1.0 + float(np.linalg.norm(high - low))
+    size = float(np.linalg.norm(high - low))
+    return (low + high) / 2 + [0, 0, 0.25 * size], 1.2 + size
 
 
 def _gl_context(width: int, height: int) -> Any:
