@@ -12,8 +12,13 @@ def batch():
     return TensorDict({**shown, "loc": torch.zeros(2, 4, 2), "action": torch.zeros(2, 4, 2), "next": after}, [2, 4])
 
 
-def test_finite_numbers_pass():
-    check_finite(batch())
+def test_numbers_pass_however_large_until_one_is_infinite():
+    large = batch()
+    large["loc"].fill_(torch.finfo(torch.float32).max)
+    check_finite(large)
+    large["loc"][0, 0] *= 2
+    with pytest.raises(NonFiniteError, match="loc"):
+        check_finite(large)
 
 
 def test_the_entry_that_came_first_in_time_is_named():

@@ -118,7 +118,7 @@ class TorqueEnv(EnvBase):
             qpos, qvel = tensordict.get("reset_qpos", None), tensordict.get("reset_qvel", None)
         self.physics.reset(starts, self._keyframe, qpos, qvel)
         flag = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
-        shown = self._observe(torch.zeros_like(self._joints(self.physics.joint_position)))
+        shown = self._observe(torch.zeros_like(self._copied(self.physics.joint_position)))
         return self._tensordict(shown, done=flag, terminated=flag.clone(), truncated=flag.clone())
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -139,8 +139,8 @@ class TorqueEnv(EnvBase):
 
     def _show_joints(self) -> dict[str, Tensor]:
         return {
-            "joint_position": self._joints(self.physics.joint_position),
-            "joint_velocity": self._joints(self.physics.joint_velocity),
+            "joint_position": self._copied(self.physics.joint_position),
+            "joint_velocity": self._copied(self.physics.joint_velocity),
         }
 
     def _observe(self, torque: Tensor) -> dict[str, Tensor]:
@@ -148,15 +148,15 @@ class TorqueEnv(EnvBase):
         if self._base_qpos is not None:
             shown |= self._show_base()
         if self._sensors:
-            readings = self._joints(self.physics.data("sensordata"))
+            readings = self._copied(self.physics.data("sensordata"))
             for key, (columns, shape) in self._sensors.items():
                 shown[key] = readings[:, columns].unflatten(-1, shape)
         return shown
 
     def _show_base(self) -> dict[str, Tensor]:
         """MuJoCo's free joint: position and attitude in the world, linear velocity there too, angular in the body."""
-        pose = self._joints(self.physics.qpos[:, self._base_qpos])
-        velocity = self._joints(self.physics.qvel[:, self._base_dof])
+        pose = self._copied(self.physics.qpos[:, self._base_qpos])
+        velocity = self._copied(self.physics.qvel[:, self._base_dof])
         attitude = pose[:, 3:]
         shown = {
             "base_position": pose[:, :3],
@@ -169,7 +169,7 @@ class TorqueEnv(EnvBase):
         return shown
 
     @staticmethod
-    def _joints(live: Tensor) -> Tensor:
+    def _copied(live: Tensor) -> Tensor:
         """A copy, since the physics writes its tensors anew."""
         return live.to(torch.float32, copy=True)
 

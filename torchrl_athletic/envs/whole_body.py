@@ -86,11 +86,12 @@ def whole_body_env(
         >>> env.rollout(2)["observation"].shape
         torch.Size([2, 2, 770])
     """
-    dt = 4 * robot.model().opt.timestep
     commands = CommandRanges()
     fields = {field for transform in (*sensing, *extra) for field in getattr(transform, "fields", ())}
+    base = TorqueEnv(robot, num_envs=num_envs, device=device, terminate=fallen, fields=sorted(fields))
+    dt = 4 * base.physics.timestep
     return TransformedEnv(
-        TorqueEnv(robot, num_envs=num_envs, device=device, terminate=fallen, fields=sorted(fields)),
+        base,
         Compose(
             *sensing,
             *actuation_chain(robot, net=net, arm_power=arm_power, max_delay=max_delay, seed=seed),

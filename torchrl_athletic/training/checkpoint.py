@@ -11,6 +11,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation, GlobalRNGState, S
 from torchrl.envs import EnvBase, TransformedEnv
 
 from torchrl_athletic.training.logging import CSVTable
+from torchrl_athletic.transforms.stateful import base_env_of
 
 FORMAT = StateDictCheckpointAdapter(payload_format="torch")
 """One file a component, read with ``weights_only``: no code of a checkpoint is run."""
@@ -89,7 +90,7 @@ def env_state(env: EnvBase) -> dict[str, Any]:
         Tensors by name; without ``physics`` if the environment has none of this library's.
     """
     state: dict[str, Any] = {"buffers": {name: buffer.clone() for name, buffer in _unsaved_buffers(env).items()}}
-    physics = getattr(_base(env), "physics", None)
+    physics = getattr(base_env_of(env), "physics", None)
     if physics is not None:
         state["physics"] = {name: physics.data(name).clone() for name in ("qpos", "qvel", "time", "qacc_warmstart")}
         state["fields"] = {name: physics.field(name).clone() for name in physics.fields}
@@ -108,7 +109,7 @@ def restore_env(env: EnvBase, current: TensorDict, state: dict[str, Any]) -> Ten
         What the policy sees next: ``current``; or the start of new episodes, if the number of environments is another
         or the environment is not one of this library's, whose inner state nobody can set.
     """
-    physics = getattr(_base(env), "physics", None)
+    physics = getattr(base_env_of(env), "physics", None)
     if physics is None or "physics" not in state or current.batch_size != env.batch_size:
         return env.reset()
     physics.reset(qpos=state["physics"]["qpos"], qvel=state["physics"]["qvel"])
@@ -125,10 +126,6 @@ def restore_env(env: EnvBase, current: TensorDict, state: dict[str, Any]) -> Ten
         else:
             setattr(modules[owner], leaf, value.to(env.device))
     return current
-
-
-def _base(env: EnvBase) -> EnvBase:
-    return _base(env.base_env) if isinstance(env, TransformedEnv) else env
 
 
 def _unsaved_buffers(env: EnvBase) -> dict[str, Tensor]:

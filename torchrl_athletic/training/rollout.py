@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from torchrl_athletic.training.checkpoint import env_state, restore_env
+from torchrl_athletic.transforms.stateful import spread
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 
@@ -63,7 +64,7 @@ def start_anew(env: EnvBase, tensordict: TensorDictBase) -> TensorDictBase:
     fresh = env._reset(reset)
     for key in fresh.keys(include_nested=True, leaves_only=True):
         value, old = fresh.get(key), tensordict.get(key, None)
-        tensordict.set(key, value if old is None else torch.where(_like(starts, value), value, old))
+        tensordict.set(key, value if old is None else torch.where(spread(starts, value), value, old))
     return tensordict.exclude(*reset.keys())
 
 
@@ -198,8 +199,3 @@ class Rollout:
 
 def _path(key: NestedKey) -> tuple[str, ...]:
     return (key,) if isinstance(key, str) else key
-
-
-def _like(mask: Tensor, value: Tensor) -> Tensor:
-    """The mask, shape (N, 1), for a value of shape (N, ...)."""
-    return mask.reshape(mask.shape[:1] + (1,) * (value.ndim - 1))

@@ -8,6 +8,8 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, Transform, TransformedEnv
 
+from torchrl_athletic.transforms.stateful import spread
+
 _HELD = "_held_action"
 
 
@@ -147,14 +149,8 @@ def merge(
             old = last.get(key, None)
             if old is not None:
                 new = following.get(key)
-                following.set(key, torch.where(_expand(done, new), old, new))
+                following.set(key, torch.where(spread(done, new), old, new))
     for key, reward in gained.items():
-        gain = reward if done is None else torch.where(_expand(done, reward), 0, reward)
+        gain = reward if done is None else torch.where(spread(done, reward), 0, reward)
         following.set(key, last.get(key) + gain)
     return following
-
-
-def _expand(mask: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
-    while mask.ndim > value.ndim:
-        mask = mask.any(-1)
-    return mask.reshape(mask.shape + (1,) * (value.ndim - mask.ndim))

@@ -107,7 +107,7 @@ class StatefulTransform(Transform):
             if starts is None or old is None:
                 tensordict_reset.set(key, first)
             else:
-                tensordict_reset.set(key, torch.where(_like(starts, first), first, old))
+                tensordict_reset.set(key, torch.where(spread(starts, first), first, old))
         return tensordict_reset
 
     def _reset_on_native_autoreset(
@@ -214,7 +214,7 @@ def reset_mask(tensordict: TensorDictBase, reset_key: NestedKey) -> Tensor | Non
     return tensordict.get(reset_key, None)
 
 
-def _like(mask: Tensor, value: Tensor) -> Tensor:
+def spread(mask: Tensor, value: Tensor) -> Tensor:
     """The mask, shape (*B, 1), for a value of shape (*B, ...)."""
     while mask.ndim > value.ndim:
         mask = mask.any(-1)
