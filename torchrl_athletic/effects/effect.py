@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -62,7 +62,14 @@ class Effect(ABC):
     excludes: ClassVar[frozenset[str]] = frozenset()
     """Effects that make no sense beside it on the same joint, since one contains the other."""
     shows_in: ClassVar[str] = "speed"
-    """Feature along which it shows: 'speed', 'acceleration', 'position' or 'load'."""
+    """Feature along which it shows: 'speed', 'acceleration', 'position', 'load' or 'time'."""
+    family: ClassVar[str] = ""
+    """Its class: 'friction', 'presliding', 'transmission', 'inertia', 'timing', 'torque', 'elastic', 'sensing',
+    'control' or 'change'."""
+    whole_robot: ClassVar[bool] = False
+    """Whether it belongs to no joint, as a tilt does. It is then asked for joint 0 alone, and its finding names none."""
+    identical_to: ClassVar[tuple[frozenset[str], ...]] = ()
+    """Sets of other effects that together state the same physics, so that no recording can tell which it is."""
     experiments: ClassVar[Mapping[str, str]] = {}
     """Rival -> the experiment that separates the two; ``{joint}`` is filled in."""
 
@@ -77,12 +84,20 @@ class Effect(ABC):
         ``[{}]`` if none does, ``[]`` if the joint cannot have the effect.
         """
 
+    def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
+        """The same for several takes; an effect confined to one of them looks through all."""
+        return self.grid(takes[0], joint)
+
     @abstractmethod
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         """Prediction of the missing torque y = ID - command, with the nonlinear parameters ``fixed``.
 
         The sign: y is the joint torque that the effect adds to the commanded one; friction predicts -Fc sign(v).
         """
+
+    def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
+        """:meth:`fingerprint` at each point of a grid; override it where the points share work."""
+        return [self.fingerprint(s, joint, fixed) for fixed in grid]
 
     def change(self, parameter: Parameter, value: float) -> float:
         """Coefficient of the fingerprint's column at a value of the parameter; zero at the nominal one."""
