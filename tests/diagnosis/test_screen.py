@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis.columns import NAMES, STEP, Given, Shifted, candidate, shifted, signals
+from diagnosis.columns import NAMES, Given, Shifted, candidate, shifted, signals
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
@@ -73,32 +73,53 @@ def test_bounds_are_those_of_the_change_and_values_those_of_the_parameter(rng, t
     np.testing.assert_allclose(fit.values(), [[6.5]])
 
 
-def test_blocks_of_a_second_can_decide_alone(rng, take):
-    columns = both(rng, 2)
-    bank = Bank([take], [candidate(Given("a", columns))], noise=NOISE)
-    assert bank.block.tolist() == [int(k * STEP + 1e-9) for k in range(N)]
-    rows = np.repeat(np.isin(bank.block, [1, 4]), 2)
-    matrix, target = stacked(take, columns)
-    expected = np.linalg.lstsq(matrix[rows], target[rows])[0]
-    np.testing.assert_allclose(bank.fit(bank.atoms, blocks=np.array([1, 4])).coefficients, expected, rtol=1e-6)
-    twice = bank.fit(bank.atoms, blocks=np.array([1, 1, 4, 4])).coefficients  # as a bootstrap draws
-    np.testing.assert_allclose(twice, expected, rtol=1e-6)
-
-
 def test_blocks_of_two_takes_are_not_mixed(rng):
     takes = [signals(rng.normal(size=(n, 2))) for n in (150, 230)]
     bank = Bank(takes, [], noise=NOISE)
     assert bank.block[149] == 1
     assert bank.block[150] == 2
-    np.testing.assert_allclose(bank.count, [[100, 50, 100, 100, 30]] * 2)
+    assert bank.block[-1] == 4
+    np.testing.assert_allclose(bank.count, [380, 380])
 
 
-def test_the_residual_is_what_is_left_in_each_block_of_each_joint(rng, take):
+def test_the_residual_is_what_is_left_on_each_joint(rng, take):
     bank = Bank([take], [candidate(Given("a", both(rng, 2)))], noise=NOISE)
-    for fit in (bank.fit(bank.atoms), bank.fit(bank.atoms, coefficients=np.array([0.4, -2.0])), bank.fit(())):
+    for fit in (bank.fit(bank.atoms), bank.fit(())):
         square = (bank.rows(fit) * take.valid / NOISE) ** 2
-        exact = [[square[bank.block == b, j].sum() for b in range(5)] for j in range(2)]
-        np.testing.assert_allclose(fit.residual, exact, rtol=1e-9)
+        np.testing.assert_allclose(fit.residual, square.sum(0), rtol=1e-9)
+
+
+def test_a_joint_of_which_less_is_left_weighs_more(rng, take):
+    columns = both(rng, 2)
+    bank = Bank([take], [candidate(Given("a", columns))], noise=NOISE)
+    level = np.array([1.0, 50.0])
+    matrix, target = stacked(take, columns, NOISE * np.sqrt(level))
+    np.testing.assert_allclose(bank.fit(bank.atoms, level).coefficients, np.linalg.lstsq(matrix, target)[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_the_gain_of_a_grid_point_is_what_a_fit_with_it_closes(rng, take, joint):
+    class Gridded(Given):
+        """The columns, each time turned by some rows."""
+
+        def grid(self, s, joint):
+            return [{"shift": float(k)} for k in range(5)]
+
+        def fingerprint(self, s, joint, fixed):
+            plain = super().fingerprint(s, joint, {})
+            return replace(plain, columns=np.roll(plain.columns, int(fixed["shift"]), axis=0))
+
+    base, one, two = (rng.normal(size=(N, k)) for k in (1, 1, 2))
+    linear = candidate(Given("linear", both(rng, 1)))
+    shelved = [candidate(Gridded("one", one, lower=0.0), joint), candidate(Gridded("two", two, -1.5, 0.02), joint)]
+    bank = Bank([take], [linear, *shelved], [candidate(Given("trim", base))], noise=NOISE)
+    level = np.array([2.0, 0.7])
+    before = bank.fit(bank.atoms[:1], level)
+    gained = bank.gains(before, level)
+    assert len(gained) == 10
+    for atom, gain in gained.items():
+        after = bank.fit([bank.atoms[0], atom], level)
+        assert gain == pytest.approx(float(((before.residual - after.residual) / level).sum()), rel=1e-5, abs=1e-5)
 
 
 def test_predictions_and_the_rest_are_the_missing_torque(rng, take):

@@ -103,7 +103,8 @@ class Simulation:
                     raise ValueError(
                         f"effect {entry['effect']!r} is not in the catalogue, which has {sorted(known)}. Pass yours."
                     )
-                effect, joint = known[entry["effect"]], names.index(entry["joint"])
+                effect = known[entry["effect"]]
+                joint = 0 if entry["joint"] is None else names.index(entry["joint"])
                 parameters = effect.parameters(model, address, joint)
                 candidates.append(Candidate(effect, joint, entry["joint"], parameters))
                 values.extend(entry["parameters"][p.name]["value"] for p in parameters)
@@ -142,7 +143,7 @@ def corrected_xml(xml: str, simulation: Simulation) -> str:
             link.ipos, link.iquat = plant.of("body_ipos")[0, body], simulation.model.body_iquat[body]
             link.explicitinertial = True
     spec.compile()
-    note = "".join(f"\n  not expressed here, see corrected.json: {c.effect.name} of {c.joint_name}" for c in beyond)
+    note = "".join(f"\n  not expressed here, see corrected.json: {c.effect.name} of {c.where}" for c in beyond)
     return f"<!-- corrected by torchrl_athletic{note.replace('--', '- -')} -->\n{spec.to_xml()}"
 
 

@@ -24,7 +24,7 @@ from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.remainder import remarks_on
 from torchrl_athletic.diagnosis.report import write_report
 from torchrl_athletic.diagnosis.result import Answer, Location, Overlay, RegimeMap, Score
-from torchrl_athletic.diagnosis.screen import FIT_TRIMS, SCREEN_TRIMS, Bank, Candidate, candidates_for, trims_for
+from torchrl_athletic.diagnosis.screen import FIT_TRIMS, SCREEN_TRIMS, Bank, Candidate, Key, candidates_for, trims_for
 from torchrl_athletic.diagnosis.search import OPEN, Judge, keys, predictable_share, search
 from torchrl_athletic.effects import CATALOGUE, Effect
 from torchrl_athletic.effects.effect import is_slide
@@ -282,7 +282,7 @@ class _Work:
             if k and (self._late() or option.best.evidence - self.options[0].best.evidence > CLOSE):
                 break
             hypothesis, start = _hypothesis(option, self.drive_evidence)
-            key = "fit " + " ".join("/".join(c.key) for c in (*hypothesis.terms, *hypothesis.trims))
+            key = "fit " + " ".join(f"{c.effect.name}/{c.where}" for c in (*hypothesis.terms, *hypothesis.trims))
 
             def compute(hypothesis: Hypothesis = hypothesis, start: Array = start) -> Fitted:
                 return fit(hypothesis, takes, start, self._rng("fit"), progress=self.progress.update)
@@ -421,7 +421,7 @@ def _search(
     signals: Sequence[Any],
     catalogue: Sequence[Effect],
     trims: Sequence[Candidate],
-    taken: set[tuple[str, str]] = frozenset(),  # type: ignore[assignment]
+    taken: set[Key] = frozenset(),  # type: ignore[assignment]
     progress: Progress | None = None,
 ) -> list[Evidence]:
     candidates = [c for c in candidates_for(signals, catalogue) if c.key not in taken]
@@ -462,7 +462,7 @@ def _trimmed(corrected: Simulation) -> tuple[str, ...]:
         for p, value in zip(trim.parameters, h.values_of(trim, corrected.values), strict=True):
             percent = 100 * (value / p.nominal - 1)
             if abs(percent) >= 1:
-                changes.append(f"{trim.effect.name.replace('_', ' ')} of {trim.joint_name} {percent:+.0f} %")
+                changes.append(f"{trim.effect.name.replace('_', ' ')} of {trim.where} {percent:+.0f} %")
     if not changes:
         return ()
     return (f"Beside the findings the corrected model was adjusted within its tolerances: {', '.join(changes)}.",)

@@ -17,7 +17,7 @@ from torchrl_athletic.diagnosis.compare import open_share
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score, Verdict
-from torchrl_athletic.diagnosis.screen import Atom
+from torchrl_athletic.diagnosis.screen import Atom, Key
 from torchrl_athletic.diagnosis.search import INVARIANT, Judge, Scored, alternatives, keys, scatter
 from torchrl_athletic.effects import Effect
 
@@ -41,10 +41,10 @@ class Evidence:
 
     judge: Judge
     best: Scored
-    simulated: Mapping[frozenset[tuple[str, str]], float] = field(default_factory=dict)
+    simulated: Mapping[frozenset[Key], float] = field(default_factory=dict)
     """Combination -> twice the log odds that the simulation gives against it, for those that were fitted."""
 
-    def without(self, dropped: Collection[tuple[str, str]]) -> Evidence:
+    def without(self, dropped: Collection[Key]) -> Evidence:
         """The same without some terms."""
         kept = [a for a in self.best.fit.terms if a.candidate.key not in dropped]
         return self if len(kept) == self.best.fit.size else replace(self, best=self.judge.score(kept))
@@ -131,7 +131,7 @@ def _finding(part: Evidence, term: Atom, values: Array, band: Array) -> Finding:
     holds = 1.0 / (1.0 + (varies / INVARIANT) ** 4)
     doubt = 1.0 - holds * (0.98 - 0.3 * float(part.left()[candidate.joint]))
     own = next(p for a, p in rated if a.candidate.key == candidate.key)
-    effect, joint = candidate.effect, candidate.joint_name
+    effect, joint = candidate.effect, candidate.where
     named = {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)}
     rivals = [
         Rival(
@@ -146,7 +146,7 @@ def _finding(part: Evidence, term: Atom, values: Array, band: Array) -> Finding:
     explained = bank.prediction(part.best.fit, term)
     return Finding(
         effect=effect.name,
-        joint=joint,
+        joint=candidate.joint_name,
         probability=float(own * (1 - doubt)),
         sentence=effect.sentence(joint, named, candidate.parameters)
         if varies <= INVARIANT

@@ -12,12 +12,24 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from torchrl_athletic.effects import CATALOGUE, Effect, LinkCom, LinkInertia, LinkMass, Parameter, Signals, TorqueScale
+from torchrl_athletic.diagnosis.products import Library, Products, gains
+from torchrl_athletic.effects import (
+    CATALOGUE,
+    Effect,
+    Fingerprint,
+    LinkCom,
+    LinkInertia,
+    LinkMass,
+    Parameter,
+    Signals,
+    TorqueScale,
+)
 from torchrl_athletic.effects.effect import torque_scale
 
 Array = NDArray[np.float64]
@@ -34,23 +46,35 @@ TORQUE_FLOOR = 1e-3
 """Missing torque that nobody needs explained, as a share of the joint's typical torque."""
 
 
+Key: TypeAlias = tuple[str, str | None]
+"""Effect and joint; no joint if the whole robot has it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """One effect on one joint."""
 
     effect: Effect
     joint: int
-    joint_name: str
+    """Index; 0 for an effect of the whole robot."""
+    joint_name: str | None
+    """None for an effect of the whole robot."""
     parameters: tuple[Parameter, ...]
 
     @property
-    def key(self) -> tuple[str, str]:
+    def where(self) -> str:
+        """The joint, in a sentence."""
+        return self.joint_name or "the robot"
+
+    @property
+    def key(self) -> Key:
         """(effect, joint)."""
         return self.effect.name, self.joint_name
 
     def allows(self, other: Candidate) -> bool:
         """Whether both may stand in one explanation."""
-        if self.joint != other.joint:
+        everywhere = self.joint_name is None or other.joint_name is None
+        if self.joint != other.joint and not everywhere:
             return True
         names = self.effect.name, other.effect.name
         return names[0] != names[1] and names[1] not in self.effect.excludes and names[0] not in other.effect.excludes
@@ -62,10 +86,10 @@ class Atom:
 
     candidate: Candidate
     fixed: Mapping[str, float]
-    columns: tuple[int, ...]
-    """Columns of the bank, one for each linear parameter that the data show."""
     linear: tuple[int, ...]
-    """Index of the parameter behind each column; -1 for a constant prediction."""
+    """Index of the parameter behind each column that the data show; -1 for a constant prediction."""
+    shown: tuple[int, ...]
+    """Which of the fingerprint's columns these are; the constant comes last."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +102,10 @@ class Fit:
     """How many of the atoms are no trims."""
     coefficients: Array
     """One for each column of the atoms, in order."""
+    bounds: tuple[Array, Array]
+    """Of the coefficients."""
     residual: Array
-    """Sum of squares per joint and block. Shape (J, B)."""
+    """Weighted sum of squares that is left, per joint. Shape (J,)."""
 
     @property
     def terms(self) -> tuple[Atom, ...]:
@@ -106,10 +132,10 @@ class Fit:
 
 
 class Bank:
-    """Predictions of every candidate for a set of recordings, as Gram matrices per joint and block.
+    """Predictions of every candidate for a set of recordings, and their products, which is all that a search needs.
 
     Rows are normalised by ``noise`` (J,), so that a joint with nothing missing has a mean square of one. ``trims`` are
-    fitted beside every combination that leaves room for them.
+    fitted beside every combination that leaves room for them. Time and memory grow linearly with the recordings.
     """
 
     def __init__(
@@ -122,12 +148,20 @@ class Bank:
         self.takes = list(takes)
         self.joints = takes[0].num_joints
         self.noise = row_noise(takes) if noise is None else noise
+        self.products = Products(self.joints, len(self.weight))
+        self.products.add(self.target * self.weight, -1)
+        self._numbers: dict[Atom, tuple[int, ...]] = {}
+        """Columns of the atoms that some fit asked for."""
+        self._whole: dict[Atom, Array] = {}
+        self._shelves: dict[tuple[int, int], _Shelf] = {}
+        """Per joint and number of columns, atoms of nonlinear grids, of which a search takes few."""
         self.atoms: list[Atom] = []
-        self._columns: list[Array] = []  # each (sum of N, J) or, for a local effect, zero elsewhere
         for candidate in candidates:
             if all(candidate.effect.applies(s) for s in takes):
-                for fixed in candidate.effect.grid(takes[0], candidate.joint):
-                    self.add(candidate, fixed)
+                grid = candidate.effect.grid_of(self.takes, candidate.joint)
+                self._add(candidate, grid, shelve=len(grid) > 1 and not candidate.effect.whole_robot)
+        for shelf in self._shelves.values():
+            shelf.close()
         atoms, self.atoms = self.atoms, []
         for trim in trims:
             self.add(trim, {})
@@ -138,28 +172,57 @@ class Bank:
 
         None if it predicts nothing that the noise would let through.
         """
-        prints = [candidate.effect.fingerprint(s, candidate.joint, fixed) for s in self.takes]
-        free = [k for k, p in enumerate(candidate.parameters) if p.name not in fixed]
-        columns = [np.concatenate([f.columns[:, :, k] for f in prints]) for k in range(prints[0].columns.shape[2])]
-        linear = list(free[: len(columns)])
-        if prints[0].constant is not None:
-            columns.append(np.concatenate([f.constant for f in prints if f.constant is not None]))
-            linear.append(-1)
-        reach = [
-            1.0 if k < 0 else max(abs(candidate.parameters[k].upper - candidate.parameters[k].nominal), 1e-12)
-            for k in linear
-        ]
-        seen = [
-            i for i, column in enumerate(columns) if np.abs(column * self.weight).max() * reach[i] > 1.0
-        ]  # otherwise even the bound would hide in the noise
-        if not seen:
-            return None
-        start = len(self._columns)
-        self._columns.extend(columns[i] for i in seen)
-        atom = Atom(candidate, dict(fixed), tuple(range(start, start + len(seen))), tuple(linear[i] for i in seen))
-        self.atoms.append(atom)
-        self.__dict__.pop("_gram", None)
-        return atom
+        added = self._add(candidate, [fixed], shelve=False)
+        return added[0] if added else None
+
+    def _add(self, candidate: Candidate, grid: Sequence[Mapping[str, float]], shelve: bool) -> list[Atom]:
+        effect, parameters = candidate.effect, candidate.parameters
+        prints = [effect.fingerprints(s, candidate.joint, grid) for s in self.takes] if grid else []
+        out = []
+        for fixed, of_takes in zip(grid, zip(*prints, strict=True), strict=True):
+            whole = _columns(of_takes) * self.weight[:, :, None]
+            free = [k for k, p in enumerate(parameters) if p.name not in fixed][: of_takes[0].columns.shape[2]]
+            linear = [*free, -1] if of_takes[0].constant is not None else free
+            reach = [1.0 if k < 0 else max(abs(parameters[k].upper - parameters[k].nominal), 1e-12) for k in linear]
+            # otherwise even the bound would hide in the noise
+            shown = tuple(i for i in range(whole.shape[2]) if np.abs(whole[:, :, i]).max() * reach[i] > 1.0)
+            if not shown:
+                continue
+            atom = Atom(candidate, dict(fixed), tuple(linear[i] for i in shown), shown)
+            self.atoms.append(atom)
+            out.append(atom)
+            if shelve:
+                shelf = self._shelves.setdefault((candidate.joint, len(shown)), _Shelf(candidate.joint))
+                shelf.put(atom, whole[:, candidate.joint, list(shown)])
+            else:
+                self._take(atom, whole[:, :, list(shown)])
+        return out
+
+    def _take(self, atom: Atom, columns: Array) -> tuple[int, ...]:
+        """Let fits use an atom. ``columns``: weighted, shape (rows, J, K)."""
+        joint = atom.candidate.joint
+        local = not np.delete(columns, joint, axis=1).any()
+        self._numbers[atom] = tuple(
+            self.products.add(columns[:, joint, k] if local else columns[:, :, k], joint if local else -1)
+            for k in range(columns.shape[2])
+        )
+        return self._numbers[atom]
+
+    def numbers(self, atom: Atom) -> tuple[int, ...]:
+        """The atom's columns in :attr:`products`."""
+        if atom in self._numbers:
+            return self._numbers[atom]
+        return self._take(atom, self.whole(atom) * self.weight[:, :, None])
+
+    def whole(self, atom: Atom) -> Array:
+        """What one unit of each coefficient of an atom predicts [N·m]. Shape (sum of N, J, K)."""
+        if atom not in self._whole:
+            c = atom.candidate
+            prints = [c.effect.fingerprint(s, c.joint, atom.fixed) for s in self.takes]
+            if len(self._whole) > 50:
+                self._whole.clear()
+            self._whole[atom] = _columns(prints)[:, :, list(atom.shown)]
+        return self._whole[atom]
 
     @cached_property
     def weight(self) -> Array:
@@ -183,88 +246,71 @@ class Bank:
 
     @cached_property
     def count(self) -> Array:
-        """Valid rows per joint and block. Shape (J, B)."""
-        ones = (self.weight > 0).astype(float)
-        return np.stack([np.bincount(self.block, ones[:, j]) for j in range(self.joints)])
+        """Valid rows per joint. Shape (J,)."""
+        return np.asarray((self.weight > 0).sum(0), dtype=np.float64)
 
-    @cached_property
-    def _gram(self) -> list[tuple[NDArray[np.intp], Array]]:
-        """Per joint: where each column stands (-1: not here), and Grams of [columns, target].
-
-        Shape (B, C + 1, C + 1).
-        """
-        starts = np.flatnonzero(np.diff(self.block, prepend=-1))
-        out = []
-        for j in range(self.joints):
-            here = [c for c, column in enumerate(self._columns) if column[:, j].any()]
-            place = np.full(len(self._columns), -1, dtype=np.intp)
-            place[here] = np.arange(len(here))
-            rows = (
-                np.stack([*(self._columns[c][:, j] for c in here), self.target[:, j]], -1) * self.weight[:, j : j + 1]
-            )
-            gram = np.stack([part.T @ part for part in np.split(rows, starts[1:])])
-            out.append((place, gram))
-        return out
-
-    def fit(
-        self, atoms: Sequence[Atom], blocks: NDArray[np.intp] | None = None, coefficients: Array | None = None
-    ) -> Fit:
+    def fit(self, atoms: Sequence[Atom], level: Array | None = None) -> Fit:
         """Bounded least squares of a combination, and of the trims that go with it.
 
         Args:
             atoms: The combination, without trims.
-            blocks: Blocks that decide the coefficients; all if None.
-            coefficients: Skip the fit and score these.
+            level: Mean square to expect of each joint's residual, whose inverse is its weight. Shape (J,); ones if
+                None.
         """
         chosen = tuple(atoms)
         atoms = (*chosen, *(t for t in self.trims if all(t.candidate.allows(a.candidate) for a in chosen)))
-        columns = [c for atom in atoms for c in atom.columns]
-        pieces = []
-        for place, gram in self._gram:
-            at = place[columns]
-            pieces.append(
-                (at >= 0, gram[:, [*at[at >= 0], gram.shape[1] - 1]][:, :, [*at[at >= 0], gram.shape[1] - 1]])
-            )
-        if coefficients is None:
-            normal, right = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
-            for inside, gram in pieces:
-                total = gram.sum(0) if blocks is None else gram[blocks].sum(0)
-                normal[np.ix_(inside, inside)] += total[:-1, :-1]
-                right[inside] += total[:-1, -1]
-            coefficients = bounded_least_squares(normal, right, *_bounds(atoms))
-        residual = np.empty((self.joints, len(pieces[0][1])))
-        for j, (inside, gram) in enumerate(pieces):
-            x = np.append(-coefficients[inside], 1.0)
-            residual[j] = np.einsum("i,bij,j->b", x, gram, x)
-        return Fit(atoms, len(chosen), coefficients, np.maximum(residual, 0.0))
+        gram = self.products.gram([0, *(n for atom in atoms for n in self.numbers(atom))])
+        low, high = _bounds(atoms)
+        total = gram.sum(0) if level is None else np.tensordot(1.0 / level, gram, 1)
+        coefficients = bounded_least_squares(total[1:, 1:], total[1:, 0], low, high)
+        x = np.append(1.0, -coefficients)
+        residual = np.einsum("i,jik,k->j", x, gram, x)
+        return Fit(atoms, len(chosen), coefficients, (low, high), np.maximum(residual, 0.0))
 
-    def gram(self, joint: int) -> Array:
-        """Gram matrices of all columns that touch a joint and, last, of the target, per block.
+    def gains(self, fit: Fit, level: Array) -> dict[Atom, float]:
+        """How much each shelved atom would lower the weighted sum of squares beside a fit, on its own joint alone.
 
-        Shape (B, C + 1, C + 1).
+        Args:
+            fit: Atoms that stay, with coefficients that move along unless they are at a bound.
+            level: Mean square of each joint's residual. Shape (J,).
         """
-        return self._gram[joint][1]
+        numbers = [n for atom in fit.atoms for n in self.numbers(atom)]
+        low, high = fit.bounds
+        margin = 1e-6 * (high - low)
+        free = (fit.coefficients > low + margin) & (fit.coefficients < high - margin)
+        moving = [n for n, f in zip(numbers, free, strict=True) if f]
+        active = np.tensordot(1.0 / level, self.products.gram(moving), 1) if moving else np.zeros((0, 0))
+        out: dict[Atom, float] = {}
+        for shelf in self._shelves.values():
+            j = shelf.joint
+            left = shelf.cross(self.products, 0)
+            for n, coefficient in zip(numbers, fit.coefficients, strict=True):
+                left = left - coefficient * shelf.cross(self.products, n)
+            shape = (len(shelf.atoms), -1)
+            cross = [shelf.cross(self.products, n).reshape(shape) for n in moving]
+            beside = np.stack(cross, -1) if cross else np.zeros((*left.reshape(shape).shape, 0))
+            gained = gains(
+                shelf.gram / level[j], beside / level[j], active, left.reshape(shape) / level[j], *shelf.bounds
+            )
+            out.update(zip(shelf.atoms, gained.tolist(), strict=True))
+        return out
 
     def reaches(self, atom: Atom, joint: int) -> bool:
         """Whether an atom predicts anything on a joint."""
-        return any(self._gram[joint][0][c] >= 0 for c in atom.columns)
+        return any(self.products.column(n, joint) is not None for n in self.numbers(atom))
 
     def rows(self, fit: Fit) -> Array:
         """What the combination leaves of the missing torque [N·m]. Shape (sum of N, J)."""
-        left = self.target.copy()
-        for column, coefficient in zip((c for a in fit.atoms for c in a.columns), fit.coefficients, strict=True):
-            left -= coefficient * self._columns[column]
+        left, at = self.target.copy(), 0
+        for atom in fit.atoms:
+            left -= self.whole(atom) @ fit.coefficients[at : at + len(atom.linear)]
+            at += len(atom.linear)
         return left
 
     def prediction(self, fit: Fit, atom: Atom) -> Array:
         """The part of the missing torque that one atom of a combination explains [N·m]. Shape (sum of N, J)."""
-        out, at = np.zeros_like(self.target), 0
-        for other in fit.atoms:
-            for column in other.columns:
-                if other is atom:
-                    out += fit.coefficients[at] * self._columns[column]
-                at += 1
-        return out
+        at = sum(len(other.linear) for other in fit.atoms[: fit.atoms.index(atom)])
+        return np.asarray(self.whole(atom) @ fit.coefficients[at : at + len(atom.linear)])
 
     def independent_samples(self, left: Array) -> Array:
         """Number of independent samples per joint: rows over the autocorrelation time of what is left. Shape (J,)."""
@@ -278,6 +324,41 @@ class Bank:
                 if good.any():
                     out[j] += good.sum() / correlation_time(np.where(good, left[rows, j], 0.0))
         return np.maximum(out, 2.0)
+
+
+class _Shelf:
+    """Atoms of one joint with equally many columns."""
+
+    def __init__(self, joint: int) -> None:
+        self.joint = joint
+        self.atoms: list[Atom] = []
+        self._columns: list[Array] = []
+
+    def put(self, atom: Atom, columns: Array) -> None:
+        """``columns``: weighted, shape (rows, K)."""
+        self.atoms.append(atom)
+        self._columns.extend(np.ascontiguousarray(columns.T))
+
+    def close(self) -> None:
+        """All atoms are in."""
+        columns = np.stack(self._columns)
+        self._columns.clear()
+        self._library = Library(columns, self.joint)
+        groups = columns.reshape(len(self.atoms), -1, columns.shape[1])
+        self.gram = groups @ groups.transpose(0, 2, 1)
+        bounds = [_bounds([atom]) for atom in self.atoms]
+        self.bounds = np.stack([b[0] for b in bounds]), np.stack([b[1] for b in bounds])
+
+    def cross(self, products: Products, number: int) -> Array:
+        """Inner products of all columns with one of the products' columns. Shape (columns,)."""
+        return self._library.cross(products, number)
+
+
+def _columns(prints: Sequence[Fingerprint]) -> Array:
+    """Of all takes, the constant last. Shape (sum of N, J, K)."""
+    return np.concatenate(
+        [f.columns if f.constant is None else np.concatenate([f.columns, f.constant[:, :, None]], 2) for f in prints]
+    )
 
 
 def row_noise(takes: Sequence[Signals]) -> Array:
@@ -309,10 +390,10 @@ def candidates_for(takes: Sequence[Signals], catalogue: Sequence[Effect] = CATAL
     s = takes[0]
     out = []
     for effect in catalogue:
-        for joint, name in enumerate(s.recording.joint_names):
+        for joint, name in enumerate(s.recording.joint_names[: 1 if effect.whole_robot else None]):
             parameters = effect.parameters(s.nominal, s.address, joint)
             if parameters:
-                out.append(Candidate(effect, joint, name, parameters))
+                out.append(Candidate(effect, joint, None if effect.whole_robot else name, parameters))
     return out
 
 

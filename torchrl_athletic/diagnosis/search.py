@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.screen import Atom, Bank, Fit
+from torchrl_athletic.diagnosis.screen import Atom, Bank, Fit, Key
 
 Array = NDArray[np.float64]
 
@@ -30,6 +30,10 @@ RICHER = 0.25
 """Share of what is open that an effect must close beyond a simpler one that it contains."""
 INVARIANT = 0.4
 """Relative scatter between stretches of the recordings up to which a term is the same physics everywhere."""
+REWEIGHTED = 2
+"""Rounds of least squares with the joints weighed by what the last one left."""
+SHORTLIST = 2
+"""Points of a nonlinear grid that are weighed for each candidate, the best by what they would close alone."""
 FOLDS = 5
 STRETCHES = 6
 """Parts that fewer than three takes are cut into to see whether a term holds everywhere."""
@@ -50,18 +54,23 @@ class Judge:
 
     def __init__(self, bank: Bank) -> None:
         self.bank, self.floor = bank, noise_level(bank)
-        self.total = np.maximum(bank.count.sum(1), 1.0)
+        self.total = np.maximum(bank.count, 1.0)
         take = bank.takes[0]
         rows = take.kernel / (take.fine_step * float(np.diff(take.keep[:2])[0]))
         self.independent = np.maximum(self.total / (KERNEL_CORRELATION * rows), 2.0)
 
     def mean_square(self, fit: Fit) -> Array:
         """Of the normalised residual, per joint. Shape (J,)."""
-        return fit.residual.sum(1) / self.total
+        return fit.residual / self.total
 
     def score(self, atoms: Sequence[Atom], independent: Array | None = None) -> Scored:
-        """Fit a combination and weigh it."""
+        """Fit a combination and weigh it.
+
+        Each joint weighs by what is left on it, so that a joint with something unknown does not bend what others say.
+        """
         fit = self.bank.fit(atoms)
+        for _ in range(REWEIGHTED if self.bank.joints > 1 else 0):
+            fit = self.bank.fit(atoms, np.maximum(self.mean_square(fit), self.floor))
         count = self.independent if independent is None else independent
         level = np.maximum(self.mean_square(fit), self.floor)
         penalty = np.log(max(count.sum(), 3.0)) * fit.freedom
@@ -81,7 +90,7 @@ def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: No
     beam, finished = [judge.score(())], []
     most = MOST_PER_JOINT * bank.joints
     for depth in range(most):
-        grown: dict[frozenset[tuple[str, str]], Scored] = {}
+        grown: dict[frozenset[Key], Scored] = {}
         for parent in beam:
             children = _extensions(judge, parent)
             if not children:
@@ -107,16 +116,19 @@ def noise_level(bank: Bank) -> Array:
     Shape (J,).
     """
     bias = np.concatenate([s.bias for s in bank.takes]) * bank.weight
-    return np.asarray(1.0 + (bias**2).sum(0) / np.maximum(bank.count.sum(1), 1.0), dtype=np.float64)
+    return np.asarray(1.0 + (bias**2).sum(0) / np.maximum(bank.count, 1.0), dtype=np.float64)
 
 
 def predictable_share(bank: Bank, joint: int) -> float:
     """Share of the missing torque that motion and command predict on blocks that were not fitted, 0..1.
 
-    All columns of the catalogue together are a rich basis. Where even that predicts nothing, what looks open is noise
+    All columns that the search has tried are a rich basis. Where even that predicts nothing, what looks open is noise
     with a memory.
     """
-    gram = bank.gram(joint)
+    columns = bank.products.touching(joint)
+    columns = np.concatenate([columns[1:], columns[:1]])  # the target is the products' first column
+    starts = np.flatnonzero(np.diff(bank.block, prepend=-1))
+    gram = np.stack([part @ part.T for part in np.split(columns, starts[1:], axis=1)])
     count = len(gram)
     if count < 2 * FOLDS:
         return 1.0
@@ -141,7 +153,7 @@ def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
     rest = [a for a in best.fit.terms if a is not term]
     own = judge.score(best.fit.terms, independent)
     out = {term.candidate.key: own}
-    for atom in _compatible(judge.bank, rest):
+    for atom in _shortlist(judge, judge.score(rest)):
         scored = judge.score([*rest, atom], independent)
         key = atom.candidate.key
         if _contains(atom, term) and judge.closes(best.fit, scored.fit) < RICHER:
@@ -155,8 +167,8 @@ def _extensions(judge: Judge, parent: Scored) -> list[Scored]:
     is_open = judge.mean_square(parent.fit) > OPEN * judge.floor
     if not is_open.any():
         return []
-    best: dict[tuple[str, str], Scored] = {}
-    for atom in _compatible(judge.bank, parent.fit.terms):
+    best: dict[Key, Scored] = {}
+    for atom in _shortlist(judge, parent):
         if not is_open[atom.candidate.joint] and not _coupled(judge.bank, atom, is_open):
             continue
         scored = judge.score([*parent.fit.terms, atom])
@@ -177,10 +189,12 @@ def _refine(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
     What a coarse delay leaves would otherwise be given other names.
     """
     for place, term in enumerate(scored.fit.terms):
-        for name in term.fixed:
+        own = {p.name for p in term.candidate.parameters}
+        for name in sorted(own & term.fixed.keys()):
             for _ in range(rounds):
                 here = scored.fit.terms[place]
-                grid = sorted({a.fixed[name] for a in judge.bank.atoms if a.candidate is here.candidate})
+                same = [a for a in judge.bank.atoms if a.candidate is here.candidate]
+                grid = sorted({a.fixed[name] for a in same})
                 at = grid.index(here.fixed[name])
                 near = [grid[k] for k in (at - 1, at + 1) if 0 <= k < len(grid)]
                 for value in near:
@@ -200,7 +214,7 @@ def _exchange(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
         better = scored
         for term in scored.fit.terms:
             rest = [a for a in scored.fit.terms if a is not term]
-            for atom in _compatible(judge.bank, rest):
+            for atom in _shortlist(judge, judge.score(rest)):
                 trial = judge.score([*rest, atom])
                 if trial.evidence < better.evidence - 1.0:
                     better = trial
@@ -219,7 +233,7 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
         rest = [a for a in scored.fit.terms if a is not term]
         simpler = [
             judge.score([*rest, atom])
-            for atom in _compatible(judge.bank, rest)
+            for atom in _shortlist(judge, judge.score(rest))
             if atom.candidate.joint == term.candidate.joint
             and len(atom.candidate.parameters) < len(term.candidate.parameters)
         ]
@@ -271,13 +285,20 @@ def _prune(judge: Judge, scored: Scored) -> Scored:
     return scored
 
 
-def _compatible(bank: Bank, terms: Iterable[Atom]) -> list[Atom]:
-    chosen = list(terms)
+def _shortlist(judge: Judge, parent: Scored) -> list[Atom]:
+    """What may stand beside a combination: of each nonlinear candidate the grid points that promise most."""
+    bank, chosen = judge.bank, [a.candidate for a in parent.fit.terms]
+    gained = bank.gains(parent.fit, np.maximum(judge.mean_square(parent.fit), judge.floor))
+    ranks: dict[Key, list[Atom]] = {}
+    for atom in sorted(gained, key=lambda a: -gained[a]):
+        ranks.setdefault(atom.candidate.key, []).append(atom)
+    promising = {atom for rank in ranks.values() for atom in rank[:SHORTLIST]}
     return [
         a
         for a in bank.atoms
-        if all(a.candidate.allows(b.candidate) for b in chosen)
-        and sum(b.candidate.joint == a.candidate.joint for b in chosen) < MOST_PER_JOINT
+        if (a in promising or a not in gained)
+        and all(a.candidate.allows(c) for c in chosen)
+        and sum(c.joint == a.candidate.joint for c in chosen) < MOST_PER_JOINT
     ]
 
 
@@ -296,6 +317,6 @@ def _contains(larger: Atom, smaller: Atom) -> bool:
     return a.joint == b.joint and b.effect.name in a.effect.excludes and len(a.parameters) > len(b.parameters)
 
 
-def keys(atoms: Iterable[Atom]) -> frozenset[tuple[str, str]]:
+def keys(atoms: Iterable[Atom]) -> frozenset[Key]:
     """Effects and joints of a combination."""
     return frozenset(a.candidate.key for a in atoms)
