@@ -11,6 +11,7 @@ from torchrl_athletic.diagnosis import replay
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
+from torchrl_athletic.effects.plant import Law
 from torchrl_athletic.recordings import Recording, sensor_noise
 
 NOTHING = np.zeros((1, 0))
@@ -82,7 +83,7 @@ def test_many_sets_at_once_give_what_each_gives_alone_bit_for_bit(monkeypatch, l
     def build(plant, values):
         five_parameters(plant, values)
         if laws:
-            plant.laws.append(lambda q, v: -0.02 * v * np.abs(v))
+            plant.laws.append(lambda now: -0.02 * now.velocity * np.abs(now.velocity))
 
     together = simulate(w, build, SETS)
     for k in range(len(SETS)):
@@ -97,7 +98,7 @@ def test_the_native_rollout_and_the_stepwise_one_agree():
 
     def stepwise(plant, values):
         five_parameters(plant, values)
-        plant.laws.append(lambda q, v: np.zeros_like(v))
+        plant.laws.append(lambda now: np.zeros_like(now.velocity))
 
     np.testing.assert_allclose(simulate(w, stepwise, SETS), simulate(w, five_parameters, SETS), rtol=0, atol=1e-12)
 
@@ -107,7 +108,7 @@ def test_a_law_adds_its_torque_at_every_step():
     w = windows_of(t, 0.5)
 
     def law(plant, values):
-        plant.laws.append(lambda q, v: -3.0 * q - 4.0 * v)
+        plant.laws.append(lambda now: -3.0 * now.position - 4.0 * now.velocity)
 
     for n, (start, found) in enumerate(zip(w.start, simulate(w, law, NOTHING)[0], strict=True)):
         data = mujoco.MjData(t.model)
@@ -216,6 +217,109 @@ def test_an_encoder_offset_shifts_the_reading_and_not_the_robot():
     true = simulate(w, as_given, NOTHING, start=start)[0]
     read = simulate(w, offset, np.array([[0.1]]), start=(start[0] + 0.1, start[1]))[0]
     np.testing.assert_allclose(read, true + 0.1, rtol=0, atol=1e-12)
+
+
+def test_an_encoder_scale_stretches_the_reading_and_not_the_robot():
+    t = take(pendulum(), record(pendulum(), smooth_torque(2.0), start=0.4))
+    w = windows_of(t, 0.5)
+    true = (t.position[w.start], t.velocity[w.start])
+
+    def stretched(plant, values):
+        plant.encoder_scale[:, 0], plant.encoder_offset[:, 0] = values.T
+
+    straight = simulate(w, as_given, NOTHING, start=true)[0]
+    read = simulate(w, stretched, np.array([[1.2, 0.1]]), start=(1.2 * true[0] + 0.1, 1.2 * true[1]))[0]
+    np.testing.assert_allclose(read, 1.2 * straight + 0.1, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.006])
+@pytest.mark.parametrize("pd", [{}, {"kp": np.array([8.0]), "kd": np.array([0.3])}])
+@pytest.mark.parametrize("offset", [0.02, -0.03])
+def test_a_clock_that_stamps_positions_late_shows_the_motion_late(offset, pd, delay):
+    wave = smooth_torque(3.0)
+    r = record(pendulum(), wave, **pd)
+    t = take(pendulum(), r)
+    sooner = np.interp(r.time + offset, r.time, wave[:, 0])[:, None]  # what acts at the instants that are stamped later
+    shifted = take(pendulum(), record(pendulum(), sooner, **pd))
+    w = windows_of(t, None)
+    w_shifted = type(w)(shifted, np.array([20]), 200)
+    w = type(w)(t, w_shifted.start, w_shifted.length)
+    start = (np.array([[0.1]]), np.array([[0.2]]))
+
+    def build(plant, values):
+        plant.clock_offset[:], plant.delay[:, 0] = values.T
+
+    found = simulate(w_shifted, build, np.array([[offset, delay]]), start=start)[0]
+    expected = simulate(w, build, np.array([[0.0, delay]]), start=start)[0]
+    np.testing.assert_allclose(found, expected, atol=2e-4)
+    assert np.abs(simulate(w_shifted, as_given, NOTHING, start=start)[0] - expected).max() > 2e-3
+
+
+def test_a_drive_acts_on_what_its_encoder_reads():
+    gains = {"kp": np.array([8.0]), "kd": np.array([0.3])}
+    t = take(pendulum(), record(pendulum(), smooth_torque(1.0), **gains))
+    w = windows_of(t, None)
+
+    def build(plant, values):
+        plant.encoder_scale[:], plant.encoder_offset[:] = 1.3, 0.05
+
+    data = mujoco.MjData(t.model)
+    data.qpos[:], data.qvel[:] = (t.position[0] - 0.05) / 1.3, t.velocity[0] / 1.3
+    found = simulate(w, build, NOTHING)[0, 0]
+    for i in range(w.length * t.substeps):
+        read, rate = 1.3 * data.qpos + 0.05, 1.3 * data.qvel
+        data.qfrc_applied[:] = 8.0 * (t.recording.position_target[i // t.substeps] - read) - 0.3 * rate
+        mujoco.mj_step(t.model, data)
+        if (i + 1) % t.substeps == 0:
+            np.testing.assert_allclose(found[i // t.substeps], 1.3 * data.qpos + 0.05, rtol=0, atol=1e-12)
+
+
+class Motor(Law):
+    """Notes what it is told, and squares the torque."""
+
+    def begin(self, start):
+        self.start, self.seen = start, []
+
+    def __call__(self, now):
+        self.seen.append((now.time.copy(), now.torque.copy(), now.position.copy()))
+        return now.torque**2
+
+
+def test_motor_laws_come_after_the_lag_and_before_the_scale_and_the_limit():
+    limited = slider().replace('<motor joint="carriage"/>', '<motor joint="carriage" forcerange="-0.5 0.5"/>')
+    r = record(slider(), 3 * smooth_torque(2.0))
+    w = windows_of(take(limited, r), 0.5)
+    law, beside = Motor(), []
+
+    def build(plant, values):
+        plant.delay[:], plant.lag[:], plant.torque_scale[:], plant.torque_offset[:] = 0.01, 0.02, 0.7, -0.1
+        plant.motor.append(law)
+        plant.laws.append(lambda now: beside.append(now.torque) or np.zeros_like(now.torque))
+
+    def chain_alone(plant, values):
+        plant.delay[:], plant.lag[:] = 0.01, 0.02
+        plant.laws.append(lambda now: reached.append(now.torque) or np.zeros_like(now.torque))
+
+    simulate(w, build, NOTHING)
+    reached: list[np.ndarray] = []
+    simulate(type(w)(take(slider(), r), w.start, w.length), chain_alone, NOTHING)
+    np.testing.assert_allclose([torque for _, torque, _ in law.seen], reached, atol=1e-12)
+    expected = np.clip(0.7 * np.square(reached) - 0.1, -0.5, 0.5)
+    np.testing.assert_allclose(beside, expected, atol=1e-12)
+    assert (expected == 0.5).any()
+
+
+def test_a_law_knows_the_sample_and_the_time_that_each_row_starts_from():
+    t = take(pendulum(), record(pendulum(), smooth_torque(2.0)))
+    w, law = windows_of(t, 0.5), Motor()
+    simulate(w, lambda plant, values: plant.motor.append(law), np.zeros((3, 0)))
+    np.testing.assert_array_equal(law.start.sample, np.tile(w.start, 3))
+    np.testing.assert_array_equal(law.start.position, t.position)
+    np.testing.assert_allclose(law.start.command, t.recording.torque_command, atol=1e-9)
+    time, _, position = law.seen[0]
+    np.testing.assert_allclose(time, np.tile(t.time[w.start], 3))
+    np.testing.assert_allclose(position, np.tile(t.position[w.start], (3, 1)))
+    np.testing.assert_allclose(law.seen[-1][0], time + (len(law.seen) - 1) * t.model.opt.timestep)
 
 
 @given(samples=st.integers(20, 300), seconds=st.floats(0.005, 4.0), rate=st.sampled_from([50.0, 100.0, 333.0]))

@@ -3,6 +3,7 @@ import pytest
 from effects.arm import address, arm
 
 from torchrl_athletic.effects import JointAddress, Plant
+from torchrl_athletic.effects.plant import Start
 
 
 def test_a_new_plant_is_the_given_model():
@@ -11,7 +12,8 @@ def test_a_new_plant_is_the_given_model():
     assert not plant.fields
     for name in ("delay", "lag", "torque_offset", "encoder_offset"):
         np.testing.assert_array_equal(getattr(plant, name), np.zeros((4, 2)))
-    for name in ("torque_scale", "kp_scale", "kd_scale"):
+    assert not plant.clock_offset.any()
+    for name in ("torque_scale", "kp_scale", "kd_scale", "encoder_scale"):
         np.testing.assert_array_equal(getattr(plant, name), np.ones((4, 2)))
 
 
@@ -39,7 +41,27 @@ def test_dry_friction_is_written_where_the_joint_is_in_the_model():
     assert (plant.fields["dof_solref"][:, 1, 0] == 2 * arm().opt.timestep).all()  # the stiffest that is stable
 
 
-def test_a_law_closes_the_loop():
+@pytest.mark.parametrize("way", ["motor", "laws", "gears"])
+def test_what_depends_on_the_state_closes_the_loop(way):
     plant = Plant(arm(), address(), 1)
-    plant.laws.append(lambda q, v: -q)
+    getattr(plant, way).append(lambda now: -now.position)
     assert not plant.open_loop
+
+
+def test_an_option_of_the_model_is_a_field_too():
+    plant = Plant(arm(), address(), 2)
+    plant.of("opt.gravity")[1, 2] = -1.6
+    np.testing.assert_array_equal(plant.fields["opt.gravity"], [[0, 0, -9.81], [0, 0, -1.6]])
+
+
+def test_a_hidden_state_is_found_once_for_rows_of_the_same_parameters():
+    samples, asked = np.arange(5.0), []
+    start = Start(samples, samples[:, None], samples[:, None], samples[:, None], np.array([0, 3, 0, 4]))
+
+    def history(width: float, level: float) -> np.ndarray:
+        asked.append((width, level))
+        return width * samples + level
+
+    width, level = np.array([2.0, 2.0, 1.0, 1.0]), np.array([0.0, 0.0, 0.5, 0.5])
+    np.testing.assert_array_equal(start.of(history, width, level), [0.0, 6.0, 0.5, 4.5])
+    assert sorted(asked) == [(1.0, 0.5), (2.0, 0.0)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -16,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter, savgol_coeffs, savgol_filter
 
-from torchrl_athletic.effects.plant import Plant
+from torchrl_athletic.effects.gear import LinkMotion
+from torchrl_athletic.effects.plant import Law, Now, Plant, Start
 from torchrl_athletic.effects.signals import (
     JointAddress,
     held_command,
@@ -66,6 +68,23 @@ class Take:
         """``commands(delay)``: mean command over each physics step, ``delay`` late. Shape (S * substeps, J)."""
         edges = self.time[0] + float(self.model.opt.timestep) * np.arange(len(self.time) * self.substeps + 1)
         return lambda delay: held_command(self.recording.time, self.recording.command, edges - delay)
+
+    @cached_property
+    def torque(self) -> Array:
+        """Torque commanded until the next sample; of the PD law where positions are. Shape (S, J)."""
+        command = self.commands(0.0).reshape(len(self.time), self.substeps, -1).mean(1)
+        r = self.recording
+        if r.position_target is None:
+            return command
+        assert r.kp is not None
+        assert r.kd is not None
+        q, v = _until_next(self.position), _until_next(self.velocity)
+        return np.asarray(r.kp * (command - q) - r.kd * v, dtype=np.float64)
+
+    @cached_property
+    def link(self) -> LinkMotion:
+        """What the measured motion asks of the links."""
+        return LinkMotion(self.model, self.address, self.period, self.position, self.velocity)
 
 
 def take_of(
@@ -156,16 +175,27 @@ def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array,
     rows, joints = sets * count, len(take.address.dof)
     plant = Plant(take.model, take.address, rows)
     build(plant, np.repeat(values, count, axis=0))
-    position, velocity = (take.position[windows.start], take.velocity[windows.start]) if start is None else start
+    measured = (take.position[windows.start], take.velocity[windows.start]) if start is None else start
+    position = (np.tile(measured[0], (sets, 1)) - plant.encoder_offset) / plant.encoder_scale
+    velocity = np.tile(measured[1], (sets, 1)) / plant.encoder_scale
+    sample = np.tile(windows.start, sets)
+    before = Start(take.time, take.position, take.velocity, take.torque, sample, take.link)
+    for gear in plant.gears:  # the encoder sits on the motor, MuJoCo simulates the link
+        lag_of_link, its_rate = gear.begin(before, plant, velocity[:, gear.joint])
+        position[:, gear.joint] -= lag_of_link
+        velocity[:, gear.joint] -= its_rate
+    for law in (*plant.motor, *plant.laws):
+        if isinstance(law, Law):
+            law.begin(before)
     physics = BatchPhysics(
         take.model, rows, fields=tuple(plant.fields), joint_names=[str(n) for n in take.recording.joint_names]
     )
     for name, value in plant.fields.items():
         physics.set_field(name, torch.from_numpy(value))
     qpos = np.repeat(take.model.qpos0[None], rows, axis=0)
-    qpos[:, take.address.qpos] = np.tile(position, (sets, 1)) - plant.encoder_offset
+    qpos[:, take.address.qpos] = position
     qvel = np.zeros((rows, take.model.nv))
-    qvel[:, take.address.dof] = np.tile(velocity, (sets, 1))
+    qvel[:, take.address.dof] = velocity
     physics.reset(qpos=qpos, qvel=qvel)
 
     steps = windows.length * take.substeps
@@ -175,49 +205,75 @@ def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array,
         out = physics.rollout(steps, torch.from_numpy(torque), into="torque", record=("qpos",))["qpos"].numpy()
         out = out[:, take.substeps - 1 :: take.substeps][:, :, take.address.qpos]
     else:
-        out = _closed_loop(physics, command, plant, windows, sets)
-    out = _hold_finite(out) + plant.encoder_offset[:, None]
+        with np.errstate(all="ignore"):  # of rows that diverge
+            out = _closed_loop(physics, command, plant, windows, sets)
+    out = _hold_finite(out * plant.encoder_scale[:, None] + plant.encoder_offset[:, None])
     return out.reshape(sets, count, windows.length, joints)
 
 
 def _closed_loop(physics: BatchPhysics, command: Array, plant: Plant, windows: Windows, sets: int) -> Array:
-    """Step by step, for torques that depend on the state."""
-    take = windows.take
+    """Step by step, for torques that depend on the state. Returns true positions where the encoders sit."""
+    take, step = windows.take, float(windows.take.model.opt.timestep)
     r = take.recording
-    qpos, qvel = physics.qpos.numpy(), physics.qvel.numpy()
-    applied = physics.qfrc_applied.numpy()
+    qpos, qvel, applied = physics.qpos.numpy(), physics.qvel.numpy(), physics.qfrc_applied.numpy()
     at, dof = take.address.qpos, take.address.dof
-    keep = np.where(plant.lag > 1e-6, np.exp(-take.model.opt.timestep / np.maximum(plant.lag, 1e-6)), 0.0)
-    open_loop = command if r.position_target is None else None
-    state = _lag_state(windows, plant, sets) if open_loop is None and keep.any() else None
+    keep = np.where(plant.lag > 1e-6, np.exp(-step / np.maximum(plant.lag, 1e-6)), 0.0)
+    servo = None if r.position_target is None else _servo(r, plant)
+    state = _lag_state(windows, plant, sets) if servo is not None and keep.any() else None
+    low, high = torque_range(take.model, take.address)
+    stamp = np.tile(take.time[windows.start], sets)
     out = np.empty((len(qpos), windows.length, len(dof)))
     for i in range(windows.length * take.substeps):
         q, v = qpos[:, at], qvel[:, dof]
-        if open_loop is not None:
-            torque = open_loop[:, i]
-        else:
-            assert r.kp is not None
-            assert r.kd is not None
-            error = command[:, i] - (q + plant.encoder_offset)
-            torque = r.kp * plant.kp_scale * error - r.kd * plant.kd_scale * v
+        motor_q, motor_v = _motor_side(plant, q, v)
+        torque = command[:, i]
+        if servo is not None:
+            torque = servo(torque, motor_q, motor_v)
             if state is not None:
                 state = torque + (state - torque) * keep
                 torque = state
-        torque = _drive(torque[:, None], plant, take)[:, 0]
+        now = Now(motor_q, motor_v, torque, stamp + i * step, step)
+        for law in plant.motor:
+            now.torque = law(now)
+        torque = np.minimum(np.maximum(now.torque * plant.torque_scale + plant.torque_offset, low), high)
+        if plant.gears:
+            torque = torque.copy()
+            for gear in plant.gears:
+                torque[:, gear.joint] = gear.step(torque[:, gear.joint], v[:, gear.joint], now)
+        now.position, now.velocity, now.torque = q, v, torque
         for law in plant.laws:
-            torque = torque + law(q, v)
+            torque = torque + law(now)
         applied[:, dof] = torque
         physics.step()
         if (i + 1) % take.substeps == 0:
-            out[:, i // take.substeps] = qpos[:, at]
+            out[:, i // take.substeps] = _motor_side(plant, qpos[:, at], v)[0]
     return out
+
+
+def _servo(r: Recording, plant: Plant) -> Callable[[Array, Array, Array], Array]:
+    """The PD law on what the encoders read: target, true position, true velocity to torque. Shapes (rows, J)."""
+    assert r.kp is not None
+    assert r.kd is not None
+    kp, kd = r.kp * plant.kp_scale, r.kd * plant.kd_scale * plant.encoder_scale
+    per_target, per_position, constant = kp, kp * plant.encoder_scale, kp * plant.encoder_offset
+    return lambda target, q, v: per_target * target - per_position * q - constant - kd * v
+
+
+def _motor_side(plant: Plant, q: Array, v: Array) -> tuple[Array, Array]:
+    """Positions and velocities where the encoders sit: at the joint, or before its gear. Shapes (rows, J)."""
+    if plant.gears:
+        q, v = q.copy(), v.copy()
+        for gear in plant.gears:
+            q[:, gear.joint] += gear.deflection
+            v[:, gear.joint] = gear.velocity
+    return q, v
 
 
 def _delayed_commands(windows: Windows, plant: Plant, sets: int) -> Array:
     """Each row's command over each physics step of its window; torques have passed the lag. Shape (rows, steps, J)."""
     take, count = windows.take, len(windows.start)
     first = windows.start[:, None] * take.substeps + np.arange(windows.length * take.substeps)
-    delay, lag = plant.delay[::count], plant.lag[::count]  # one a set
+    delay, lag = (plant.delay + plant.clock_offset[:, None])[::count], plant.lag[::count]  # one a set
     torques = take.recording.position_target is None
     out = np.empty((sets, count, first.shape[1], delay.shape[1]))
     for value in np.unique(delay):
@@ -239,17 +295,23 @@ def _lag_state(windows: Windows, plant: Plant, sets: int) -> Array:
     r = take.recording
     assert r.kp is not None
     assert r.kd is not None
-    q, v = ((x + np.vstack([x[1:], x[-1:]])) / 2 for x in (take.position, take.velocity))  # mean until the next sample
+    q, v = _until_next(take.position), _until_next(take.velocity)
+    late = plant.delay + plant.clock_offset[:, None]
     out = np.empty((sets, count, len(r.kp)))
     for k in range(sets):
         row = k * count
         for j in range(len(r.kp)):
-            target = take.commands(float(plant.delay[row, j]))[:, j].reshape(len(q), -1).mean(1)
+            target = take.commands(float(late[row, j]))[:, j].reshape(len(q), -1).mean(1)
             torque = r.kp[j] * plant.kp_scale[row, j] * (target - q[:, j]) - r.kd[j] * plant.kd_scale[row, j] * v[:, j]
             keep = np.exp(-take.period / max(plant.lag[row, j], 1e-6))
             state = lfilter([1 - keep], [1, -keep], torque, zi=[keep * torque[0]])[0]
             out[k, :, j] = np.append(torque[0], state)[windows.start]
     return out.reshape(sets * count, -1)
+
+
+def _until_next(samples: Array) -> Array:
+    """Mean until the next sample. Shape (S, J) in and out."""
+    return np.asarray((samples + np.vstack([samples[1:], samples[-1:]])) / 2, dtype=np.float64)
 
 
 def _drive(torque: Array, plant: Plant, take: Take) -> Array:

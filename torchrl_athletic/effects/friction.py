@@ -20,7 +20,7 @@ from torchrl_athletic.effects.effect import (
     torque_scale,
     torque_unit,
 )
-from torchrl_athletic.effects.plant import Plant
+from torchrl_athletic.effects.plant import Now, Plant
 from torchrl_athletic.effects.signals import (
     JointAddress,
     Signals,
@@ -180,12 +180,11 @@ class AsymmetricFriction(Effect):
         plant.set_dry_friction(joint, (coulomb_pos + coulomb_neg) / 2)
         plant.of("dof_damping")[:, plant.address.dof[joint]] = (viscous_pos + viscous_neg) / 2
         constant, slope = (coulomb_pos - coulomb_neg) / 2, (viscous_pos - viscous_neg) / 2
-        joints = len(plant.address.dof)
 
-        def even_part(q: Array, v: Array) -> Array:
+        def even_part(now: Now) -> Array:
             """What friction does the same to both directions; beside the motor, whose limit it does not share."""
-            torque = np.zeros((len(v), joints))
-            torque[:, joint] = -constant - slope * np.abs(v[:, joint])
+            torque = np.zeros_like(now.velocity)
+            torque[:, joint] = -constant - slope * np.abs(now.velocity[:, joint])
             return torque
 
         plant.laws.append(even_part)

@@ -1,9 +1,17 @@
-"""What an effect may change in a batch of simulations: fields of the model, and the way from command to torque."""
+"""What an effect may change in a batch of simulations: fields of the model, and the way from command to torque.
+
+The way of a torque, at every physics step and in every row: command (late by ``delay`` and ``clock_offset``), position
+controller (``kp_scale``, ``kd_scale``, on what the encoder reads), ``lag``, ``motor`` laws, ``torque_scale`` and
+``torque_offset``, the model's motor range, ``gears``, and beside the joint the torques of ``laws``.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from operator import attrgetter
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -11,9 +19,71 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.effects.signals import JointAddress
 
+if TYPE_CHECKING:
+    from torchrl_athletic.effects.gear import Gear, LinkMotion
+
 Array = NDArray[np.float64]
-Law = Callable[[Array, Array], Array]
-"""Joint torque added at each physics step, of position and velocity: (rows, J), (rows, J) -> (rows, J) [N·m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where the rows start: S samples of one take, measured before the first prediction and after."""
+
+    time: Array
+    """Stamps of the take's grid [s]. Shape (S,)."""
+    position: Array
+    """As the encoder reads, locally smoothed [rad, m]. Shape (S, J)."""
+    velocity: Array
+    """Shape (S, J)."""
+    command: Array
+    """Torque commanded, with the logged gains where positions are, until the next sample [N·m, N]. Shape (S, J)."""
+    sample: NDArray[np.intp]
+    """From which each row starts. Shape (rows,)."""
+    link: LinkMotion | None = None
+    """What the links ask for along the take; only gears need it."""
+
+    def of(self, history: Callable[..., Array], *parameters: Array) -> Array:
+        """A hidden state at each row's start, found along the whole take, once for rows with the same parameters.
+
+        Args:
+            history: Takes one number a parameter, returns the state at every sample. Shape (S, ...).
+            parameters: Shape (rows,) each.
+
+        Returns:
+            Shape (rows, ...).
+        """
+        distinct, row = np.unique(np.stack(parameters, -1), axis=0, return_inverse=True)
+        return np.stack([history(*values) for values in distinct])[row.ravel(), self.sample]
+
+
+@dataclass(eq=False)
+class Now:
+    """One physics step of all rows."""
+
+    position: Array
+    """Of the joints: of the motor for ``motor`` laws, of the link for ``laws`` [rad, m]. Shape (rows, J)."""
+    velocity: Array
+    """Shape (rows, J)."""
+    torque: Array
+    """So far on its way from the motor to the joint [N·m, N]. Shape (rows, J)."""
+    time: Array
+    """In the take's stamps [s]. Shape (rows,)."""
+    step: float
+    """[s]."""
+
+
+class Law(ABC):
+    """A torque law with a hidden state, such as a bristle's deflection. A function of :class:`Now` does without one.
+
+    Rows are independent: row k must not look at row n.
+    """
+
+    def begin(self, start: Start) -> None:  # noqa: B027  a law without a state has nothing to begin
+        """Set the hidden state of every row, from the motion measured before it. Called once, before the first step."""
+
+    @abstractmethod
+    def __call__(self, now: Now) -> Array:
+        """Torque [N·m, N]. Shape (rows, J)."""
 
 
 @dataclass(eq=False)
@@ -28,8 +98,12 @@ class Plant:
     rows: int
     fields: dict[str, Array] = field(default_factory=dict)
     """Per-row values of ``mjModel`` fields; see :meth:`of`."""
-    laws: list[Law] = field(default_factory=list)
-    """Torques that MuJoCo cannot express."""
+    motor: list[Callable[[Now], Array]] = field(default_factory=list)
+    """Each turns the motor's torque into another, in the order of the list."""
+    laws: list[Callable[[Now], Array]] = field(default_factory=list)
+    """Torques that MuJoCo cannot express, added at the joints, beside the motor and beyond its range."""
+    gears: list[Gear] = field(default_factory=list)
+    """Motors that do not sit rigidly on their joint."""
     delay: Array = field(init=False)
     """Of the command [s]."""
     lag: Array = field(init=False)
@@ -42,20 +116,25 @@ class Plant:
     """True gain per logged gain [1]."""
     kd_scale: Array = field(init=False)
     """True gain per logged gain [1]."""
+    encoder_scale: Array = field(init=False)
+    """Reading per true position [1]: reading = scale * true + offset, and its rate likewise."""
     encoder_offset: Array = field(init=False)
-    """Reading minus true position [rad]."""
+    """Reading at the true zero [rad]."""
+    clock_offset: Array = field(init=False)
+    """By which the stamps of positions are late against those of commands [s], either sign. Shape (rows,)."""
 
     def __post_init__(self) -> None:
         shape = (self.rows, len(self.address.dof))
         for name in ("delay", "lag", "torque_offset", "encoder_offset"):
             setattr(self, name, np.zeros(shape))
-        for name in ("torque_scale", "kp_scale", "kd_scale"):
+        for name in ("torque_scale", "kp_scale", "kd_scale", "encoder_scale"):
             setattr(self, name, np.ones(shape))
+        self.clock_offset = np.zeros(self.rows)
 
     def of(self, name: str) -> Array:
-        """Per-row values of a model field, to be written in place. Shape (rows, *field)."""
+        """Per-row values of a model field, also ``"opt.gravity"``, to be written in place. Shape (rows, *field)."""
         if name not in self.fields:
-            value = np.asarray(getattr(self.model, name), dtype=np.float64)
+            value = np.asarray(attrgetter(name)(self.model), dtype=np.float64)
             self.fields[name] = np.repeat(value[None], self.rows, axis=0)
         return self.fields[name]
 
@@ -71,5 +150,5 @@ class Plant:
 
     @property
     def open_loop(self) -> bool:
-        """True if no extra torque depends on the state."""
-        return not self.laws
+        """True if no torque depends on the state."""
+        return not (self.motor or self.laws or self.gears)
