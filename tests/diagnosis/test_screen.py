@@ -180,11 +180,11 @@ def test_trims_are_fitted_beside_a_combination_that_allows_them(rng, take):
 
 def test_trims_lie_within_a_share_of_the_given_numbers(take):
     trims = trims_for([take], FIT_TRIMS)
-    assert {t.joint_name for t in trims} == set(NAMES)
+    assert {t.joint_name for t in trims} == {*NAMES, None}
     for trim in trims:
-        (p,) = trim.parameters
-        assert p.upper - p.nominal == pytest.approx(FIT_TRIMS[trim.effect] * p.nominal)
-        assert p.nominal - p.lower == pytest.approx(FIT_TRIMS[trim.effect] * p.nominal)
+        for p in trim.parameters:
+            assert p.upper - p.nominal == pytest.approx(FIT_TRIMS[trim.effect] * p.scale)
+            assert p.nominal - p.lower == pytest.approx(FIT_TRIMS[trim.effect] * p.scale)
 
 
 def test_every_effect_is_a_candidate_on_every_joint(take):

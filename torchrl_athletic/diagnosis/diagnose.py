@@ -24,8 +24,17 @@ from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.remainder import remarks_on
 from torchrl_athletic.diagnosis.report import write_report
 from torchrl_athletic.diagnosis.result import Answer, Location, Overlay, RegimeMap, Score
-from torchrl_athletic.diagnosis.screen import FIT_TRIMS, SCREEN_TRIMS, Bank, Candidate, Key, candidates_for, trims_for
-from torchrl_athletic.diagnosis.search import OPEN, Judge, keys, predictable_share, search
+from torchrl_athletic.diagnosis.screen import (
+    FIT_TRIMS,
+    OWN_JOINT,
+    TRIMS,
+    Bank,
+    Candidate,
+    Key,
+    candidates_for,
+    trims_for,
+)
+from torchrl_athletic.diagnosis.search import Judge, keys, predictable_share, search
 from torchrl_athletic.effects import CATALOGUE, Effect
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.recordings import Recording
@@ -273,7 +282,7 @@ class _Work:
             signals = prepare(self.recordings, self.model, "measured", signals[0].kernel).signals
             catalogue = tuple(e for e in catalogue if e.name not in ("actuation_delay", "actuation_lag"))
         taken = {a.candidate.key for a in self.drive_evidence.best.fit.terms} if self.drive_evidence else set()
-        self.options = tuple(_search(signals, catalogue, trims_for(signals, SCREEN_TRIMS), taken, self.progress))
+        self.options = tuple(_search(signals, catalogue, trims_for(signals, TRIMS), taken, self.progress))
 
     def _fit(self) -> None:
         assert self.train is not None
@@ -379,7 +388,7 @@ class _Work:
         if not self.options:
             return False
         bank, judge = self.options[0].judge.bank, self.options[0].judge
-        above = judge.mean_square(bank.fit(())) > OPEN * judge.floor
+        above = judge.is_open(judge.score(()).fit)
         return any(predictable_share(bank, int(j)) > PREDICTABLE for j in np.flatnonzero(above))
 
     def _quality(self) -> dict[str, Any]:
@@ -424,9 +433,12 @@ def _search(
     taken: set[Key] = frozenset(),  # type: ignore[assignment]
     progress: Progress | None = None,
 ) -> list[Evidence]:
-    candidates = [c for c in candidates_for(signals, catalogue) if c.key not in taken]
-    bank = Bank(signals, candidates, [t for t in trims if t.key not in taken])
+    bank = Bank(signals, (), [t for t in trims if t.key not in taken])
     judge = Judge(bank)
+    is_open = judge.is_open(judge.score(()).fit)
+    if is_open.any():
+        candidates = [c for c in candidates_for(signals, catalogue) if c.key not in taken]
+        bank.extend(c for c in candidates if is_open[c.joint] or c.effect.family not in OWN_JOINT)
     return [Evidence(judge, s) for s in search(judge, progress.update if progress else lambda fraction: None)]
 
 

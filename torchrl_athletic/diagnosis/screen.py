@@ -8,7 +8,7 @@ by a little.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -21,9 +21,11 @@ from scipy.optimize import lsq_linear
 from torchrl_athletic.diagnosis.products import Library, Products, gains
 from torchrl_athletic.effects import (
     CATALOGUE,
+    ClockShift,
     Effect,
+    EncoderOffset,
     Fingerprint,
-    LinkCom,
+    LinkComShift,
     LinkInertia,
     LinkMass,
     Parameter,
@@ -36,12 +38,15 @@ Array = NDArray[np.float64]
 
 BLOCK = 1.0
 """Length of a block of samples that is resampled together [s]."""
-SCREEN_TRIMS: Mapping[Effect, float] = MappingProxyType({LinkMass(): 0.03})
-"""Relative trust in the given masses while naming: a smaller change is a trim, no finding."""
-FIT_TRIMS: Mapping[Effect, float] = MappingProxyType(
-    {LinkMass(): 0.05, LinkCom(): 0.05, LinkInertia(): 0.15, TorqueScale(): 0.05}
+TRIMS: Mapping[Effect, float] = MappingProxyType(
+    {LinkMass(): 1.0, LinkComShift(): 1.0, LinkInertia(): 1.5, EncoderOffset(): 0.3, ClockShift(): 1.0}
 )
-"""The same once the findings are known, wider: the numbers of a CAD model are adjusted before they are blamed."""
+"""What every model and every log is a little wrong in, and by how many of its parameters' units: 5 % of a mass, 5 % of
+a link's size, 15 % of an inertia, 3 mrad, 1 ms. A smaller change is a trim, no finding."""
+FIT_TRIMS: Mapping[Effect, float] = MappingProxyType({**TRIMS, TorqueScale(): 1.0})
+"""The same once the findings are known: 5 % of a torque constant, too."""
+OWN_JOINT = frozenset({"friction", "presliding", "transmission", "timing", "torque", "elastic", "control", "change"})
+"""Classes of effects that a joint which follows the model cannot have."""
 TORQUE_FLOOR = 1e-3
 """Missing torque that nobody needs explained, as a share of the joint's typical torque."""
 
@@ -153,50 +158,56 @@ class Bank:
         self._numbers: dict[Atom, tuple[int, ...]] = {}
         """Columns of the atoms that some fit asked for."""
         self._whole: dict[Atom, Array] = {}
-        self._shelves: dict[tuple[int, int], _Shelf] = {}
-        """Per joint and number of columns, atoms of nonlinear grids, of which a search takes few."""
+        self._shelves: list[_Shelf] = []
+        """Atoms of nonlinear grids, of which a search takes few."""
         self.atoms: list[Atom] = []
-        for candidate in candidates:
-            if all(candidate.effect.applies(s) for s in takes):
-                grid = candidate.effect.grid_of(self.takes, candidate.joint)
-                self._add(candidate, grid, shelve=len(grid) > 1 and not candidate.effect.whole_robot)
-        for shelf in self._shelves.values():
-            shelf.close()
-        atoms, self.atoms = self.atoms, []
         for trim in trims:
             self.add(trim, {})
-        self.trims, self.atoms = tuple(self.atoms), atoms
+        self.trims, self.atoms = tuple(self.atoms), []
+        self.extend(candidates)
+
+    def extend(self, candidates: Iterable[Candidate]) -> None:
+        """Predict candidates at every point of their grids."""
+        shelves: dict[tuple[int, int], _Shelf] = {}
+        for candidate in candidates:
+            effect, joint = candidate.effect, candidate.joint
+            if all(effect.applies(s) for s in self.takes):
+                grid = effect.grid_of(self.takes, joint)
+                for atom, columns in self._predict(candidate, grid):
+                    if len(grid) > 1 and not effect.whole_robot:
+                        shelf = shelves.setdefault((joint, columns.shape[2]), _Shelf(joint))
+                        shelf.put(atom, columns[:, joint])
+                    else:
+                        self._take(atom, columns)
+        for shelf in shelves.values():
+            shelf.close()
+        self._shelves += shelves.values()
 
     def add(self, candidate: Candidate, fixed: Mapping[str, float]) -> Atom | None:
         """Predict a candidate at one point of its grid.
 
         None if it predicts nothing that the noise would let through.
         """
-        added = self._add(candidate, [fixed], shelve=False)
-        return added[0] if added else None
+        for atom, columns in self._predict(candidate, [fixed]):
+            self._take(atom, columns)
+            return atom
+        return None
 
-    def _add(self, candidate: Candidate, grid: Sequence[Mapping[str, float]], shelve: bool) -> list[Atom]:
+    def _predict(self, candidate: Candidate, grid: Sequence[Mapping[str, float]]) -> Iterator[tuple[Atom, Array]]:
+        """Atoms that the noise lets through, with their weighted columns. Shapes (rows, J, K)."""
         effect, parameters = candidate.effect, candidate.parameters
         prints = [effect.fingerprints(s, candidate.joint, grid) for s in self.takes] if grid else []
-        out = []
         for fixed, of_takes in zip(grid, zip(*prints, strict=True), strict=True):
             whole = _columns(of_takes) * self.weight[:, :, None]
             free = [k for k, p in enumerate(parameters) if p.name not in fixed][: of_takes[0].columns.shape[2]]
             linear = [*free, -1] if of_takes[0].constant is not None else free
-            reach = [1.0 if k < 0 else max(abs(parameters[k].upper - parameters[k].nominal), 1e-12) for k in linear]
+            reach = [1.0 if k < 0 else _reach(effect, parameters[k]) for k in linear]
             # otherwise even the bound would hide in the noise
             shown = tuple(i for i in range(whole.shape[2]) if np.abs(whole[:, :, i]).max() * reach[i] > 1.0)
-            if not shown:
-                continue
-            atom = Atom(candidate, dict(fixed), tuple(linear[i] for i in shown), shown)
-            self.atoms.append(atom)
-            out.append(atom)
-            if shelve:
-                shelf = self._shelves.setdefault((candidate.joint, len(shown)), _Shelf(candidate.joint))
-                shelf.put(atom, whole[:, candidate.joint, list(shown)])
-            else:
-                self._take(atom, whole[:, :, list(shown)])
-        return out
+            if shown:
+                atom = Atom(candidate, dict(fixed), tuple(linear[i] for i in shown), shown)
+                self.atoms.append(atom)
+                yield atom, whole[:, :, list(shown)]
 
     def _take(self, atom: Atom, columns: Array) -> tuple[int, ...]:
         """Let fits use an atom. ``columns``: weighted, shape (rows, J, K)."""
@@ -281,7 +292,7 @@ class Bank:
         moving = [n for n, f in zip(numbers, free, strict=True) if f]
         active = np.tensordot(1.0 / level, self.products.gram(moving), 1) if moving else np.zeros((0, 0))
         out: dict[Atom, float] = {}
-        for shelf in self._shelves.values():
+        for shelf in self._shelves:
             j = shelf.joint
             left = shelf.cross(self.products, 0)
             for n, coefficient in zip(numbers, fit.coefficients, strict=True):
@@ -398,14 +409,21 @@ def candidates_for(takes: Sequence[Signals], catalogue: Sequence[Effect] = CATAL
 
 
 def trims_for(takes: Sequence[Signals], trust: Mapping[Effect, float]) -> list[Candidate]:
-    """What every model is a little wrong in, within a relative tolerance of the given numbers."""
+    """What every model is a little wrong in, within a tolerance of the given numbers."""
     out = []
     for candidate in candidates_for(takes, tuple(trust)):
-        (p,) = candidate.parameters
-        reach = trust[candidate.effect] * abs(p.nominal)
-        narrow = replace(p, lower=p.nominal - reach, upper=p.nominal + reach)
-        out.append(replace(candidate, parameters=(narrow,)))
+        reach = trust[candidate.effect]
+        narrow = tuple(
+            replace(p, lower=p.nominal - reach * p.scale, upper=p.nominal + reach * p.scale)
+            for p in candidate.parameters
+        )
+        out.append(replace(candidate, parameters=narrow))
     return out
+
+
+def _reach(effect: Effect, p: Parameter) -> float:
+    """Greatest coefficient that the bounds allow."""
+    return max(abs(effect.change(p, p.lower)), abs(effect.change(p, p.upper)), 1e-12)
 
 
 def _bounds(atoms: Sequence[Atom]) -> tuple[Array, Array]:

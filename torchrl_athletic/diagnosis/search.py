@@ -76,6 +76,10 @@ class Judge:
         penalty = np.log(max(count.sum(), 3.0)) * fit.freedom
         return Scored(fit, float(count @ np.log(level)) + float(penalty) + sum(_doubt(a) for a in fit.terms))
 
+    def is_open(self, fit: Fit) -> NDArray[np.bool_]:
+        """Which joints miss more torque than noise explains. Shape (J,)."""
+        return np.asarray(self.mean_square(fit) > OPEN * self.floor)
+
     def closes(self, before: Fit, after: Fit) -> float:
         """Share of what was open that the step closes, on the joint where it does most."""
         level = [np.maximum(self.mean_square(f), self.floor) for f in (before, after)]
@@ -164,7 +168,7 @@ def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
 
 
 def _extensions(judge: Judge, parent: Scored) -> list[Scored]:
-    is_open = judge.mean_square(parent.fit) > OPEN * judge.floor
+    is_open = judge.is_open(parent.fit)
     if not is_open.any():
         return []
     best: dict[Key, Scored] = {}

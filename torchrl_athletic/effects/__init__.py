@@ -8,6 +8,7 @@ from torchrl_athletic.effects.control import GainMismatch
 from torchrl_athletic.effects.effect import Effect, Fingerprint, Parameter
 from torchrl_athletic.effects.friction import AsymmetricFriction, CoulombFriction, ViscousFriction
 from torchrl_athletic.effects.inertia import LinkCom, LinkInertia, LinkMass, ReflectedInertia
+from torchrl_athletic.effects.nuisance import ClockShift, LinkComShift
 from torchrl_athletic.effects.plant import Plant
 from torchrl_athletic.effects.sensing import EncoderOffset
 from torchrl_athletic.effects.signals import JointAddress, Signals, project_recording
@@ -35,6 +36,7 @@ __all__ = [
     "ActuationDelay",
     "ActuationLag",
     "AsymmetricFriction",
+    "ClockShift",
     "CoulombFriction",
     "Effect",
     "EncoderOffset",
@@ -42,6 +44,7 @@ __all__ = [
     "GainMismatch",
     "JointAddress",
     "LinkCom",
+    "LinkComShift",
     "LinkInertia",
     "LinkMass",
     "Parameter",

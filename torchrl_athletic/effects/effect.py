@@ -67,7 +67,7 @@ class Effect(ABC):
     """Its class: 'friction', 'presliding', 'transmission', 'inertia', 'timing', 'torque', 'elastic', 'sensing',
     'control' or 'change'."""
     whole_robot: ClassVar[bool] = False
-    """Whether it belongs to no joint, as a tilt does. It is asked for joint 0 alone then, and its finding names none."""
+    """Whether it belongs to no joint, as a tilt does. It is asked for joint 0 only; its finding names none."""
     identical_to: ClassVar[tuple[frozenset[str], ...]] = ()
     """Sets of other effects that together state the same physics, so that no recording can tell which it is."""
     experiments: ClassVar[Mapping[str, str]] = {}

@@ -92,8 +92,8 @@ class LinkMass(Effect):
         step = 0.01 * model.body_mass[body]
         model.body_mass[body] *= 1.01
         model.body_inertia[body] *= 1.01
-        _recompute_constants(model)
-        return Fingerprint(-((s.inverse(model) - s.inverse()) / step)[:, :, None], fixed)
+        recompute_constants(model)
+        return Fingerprint(-((s.inverse(model) - s.rigid) / step)[:, :, None], fixed)
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         body = plant.address.body[joint]
@@ -141,9 +141,9 @@ class LinkCom(Effect):
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         lever, model = _lever(s.model, s.address, joint), s.model.__copy__()
         model.body_ipos[s.address.body[joint]] += 0.01 * lever
-        _recompute_constants(model)
+        recompute_constants(model)
         step = 0.01 * float(np.linalg.norm(lever))
-        return Fingerprint(-((s.inverse(model) - s.inverse()) / step)[:, :, None], fixed)
+        return Fingerprint(-((s.inverse(model) - s.rigid) / step)[:, :, None], fixed)
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         lever = _lever(plant.model, plant.address, joint)
@@ -158,7 +158,7 @@ class LinkCom(Effect):
         )
 
 
-def _recompute_constants(model: mujoco.MjModel) -> None:
+def recompute_constants(model: mujoco.MjModel) -> None:
     """MuJoCo takes the inertia of a simple body, such as a carriage, from constants that only this updates."""
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
@@ -200,8 +200,8 @@ class LinkInertia(Effect):
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         model = s.model.__copy__()
         model.body_inertia[s.address.body[joint]] *= 1.01
-        _recompute_constants(model)
-        return Fingerprint(-((s.inverse(model) - s.inverse()) / 0.01)[:, :, None], fixed)
+        recompute_constants(model)
+        return Fingerprint(-((s.inverse(model) - s.rigid) / 0.01)[:, :, None], fixed)
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         plant.of("body_inertia")[:, plant.address.body[joint]] *= values

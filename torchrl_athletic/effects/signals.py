@@ -211,6 +211,11 @@ class Signals:
         return inverse_dynamics(model or self.model, self.address, q, self.velocity, self.acceleration)
 
     @cached_property
+    def rigid(self) -> Array:
+        """Inverse dynamics of the given model along the projected motion [N·m]. Shape (N, J)."""
+        return self.inverse()
+
+    @cached_property
     def load(self) -> Array:
         """Torque that gravity and springs ask for at rest [N·m]. Shape (N, J)."""
         zero = np.zeros_like(self.velocity)
