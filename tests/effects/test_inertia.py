@@ -175,3 +175,12 @@ def test_a_link_without_mass_or_lever_has_none_to_be_wrong():
     assert LinkInertia().parameters(model, at, 0) == ()
     assert LinkCom().parameters(model, at, 1) == ()  # its centre of mass is on the axis
     assert [p.nominal for p in LinkMass().parameters(model, at, 1)] == [1.0]
+
+
+def test_a_link_with_two_joints_is_weighed_once():
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco><worldbody><body><joint name="x" type="slide" axis="1 0 0"/><joint name="turn" axis="0 1 0"/>
+      <geom size="0.1" pos="0 0 -0.3"/></body></worldbody></mujoco>""")
+    address = JointAddress.of(model, ("x", "turn"))
+    for effect in (LinkMass(), LinkCom(), LinkInertia()):
+        assert [bool(effect.parameters(model, address, joint)) for joint in (0, 1)] == [False, True]

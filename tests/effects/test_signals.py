@@ -214,6 +214,24 @@ def test_a_motors_range_counts_its_gear():
     assert (low[0], high[0]) == pytest.approx((-10.0, 15.0))
 
 
+@pytest.mark.parametrize(
+    ("motors", "expected"),
+    [
+        ('<motor joint="hinge" gear="-2" forcerange="-3 5" forcelimited="true"/>', (-10.0, 6.0)),
+        ('<motor joint="hinge" gear="7" ctrlrange="-1 1" ctrllimited="true"/>', (-7.0, 7.0)),
+        ('<motor joint="hinge" ctrlrange="-9 9"/><motor joint="hinge" gear="2" ctrlrange="-1 2"/>', (-11.0, 13.0)),
+        ('<motor joint="hinge" ctrlrange="-9 9"/><motor joint="hinge"/>', (-np.inf, np.inf)),
+        ('<position joint="hinge" kp="5" ctrlrange="-1 1"/>', (-np.inf, np.inf)),
+    ],
+)
+def test_the_torque_range_is_what_all_motors_of_a_joint_can_give(motors, expected):
+    model = mujoco.MjModel.from_xml_string(
+        PENDULUM.replace("</worldbody>", f"</worldbody><actuator>{motors}</actuator>")
+    )
+    low, high = torque_range(model, JointAddress.of(model, ("hinge",)))
+    assert (low[0], high[0]) == pytest.approx(expected)
+
+
 def test_a_joint_without_a_motor_has_no_range():
     low, high = torque_range(pendulum(), JointAddress.of(pendulum(), ("hinge",)))
     assert (low[0], high[0]) == (-np.inf, np.inf)

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 BINS = 10
 REPLICATES = 200
-FEATURES = ("speed", "position", "load", "acceleration", "time")
+FEATURES = ("speed", "position", "load", "acceleration", "command", "time")
 
 
 def feature(takes: Sequence[Signals], name: str, joint: int) -> Array:
@@ -26,6 +26,7 @@ def feature(takes: Sequence[Signals], name: str, joint: int) -> Array:
         "position": lambda s: s.position[:, joint],
         "load": lambda s: s.load[:, joint],
         "acceleration": lambda s: s.acceleration[:, joint],
+        "command": lambda s: s.command[:, joint],
         "time": lambda s: s.time - s.time[0],
     }[name]
     return np.concatenate([parts(s) for s in takes])
@@ -35,9 +36,14 @@ def feature_unit(s: Signals, name: str, joint: int) -> str:
     """Unit of a feature."""
     length = "m" if is_slide(s.nominal, s.address, joint) else "rad"
     torque = torque_unit(s.nominal, s.address, joint)
-    return {"speed": f"{length}/s", "position": length, "load": torque, "acceleration": f"{length}/s²", "time": "s"}[
-        name
-    ]
+    return {
+        "speed": f"{length}/s",
+        "position": length,
+        "load": torque,
+        "acceleration": f"{length}/s²",
+        "command": torque,
+        "time": "s",
+    }[name]
 
 
 def locate(bank: Bank, rng: np.random.Generator, most: int = 6) -> tuple[Location, ...]:
@@ -150,7 +156,7 @@ def regime_of(bank: Bank, explained: Array, joint: int, name: str) -> str:
     thirds = [used & (x <= cuts[0]), used & (x > cuts[0]) & (x <= cuts[1]), used & (x > cuts[1])]
     shares = [float(gain[t].sum() / gain.sum()) for t in thirds]
     unit, top = feature_unit(bank.takes[0], name, joint), int(np.argmax(shares))
-    word = {"speed": "speeds", "acceleration": "accelerations", "position": "positions", "load": "loads"}[name]
+    word = f"{name}s"
     where = (
         f"{word} below {cuts[0]:.2g} {unit}",
         f"{word} from {cuts[0]:.2g} to {cuts[1]:.2g} {unit}",
@@ -168,7 +174,7 @@ def _regimes(takes: Sequence[Signals], joint: int) -> list[tuple[str, NDArray[np
     speed = np.abs(v)
     slow, fast = np.quantile(speed, [1 / 3, 2 / 3])
     out += [(f"slower than {slow:.2g} {unit}", speed < slow), (f"faster than {fast:.2g} {unit}", speed > fast)]
-    for name in ("position", "load"):
+    for name in ("position", "load", "command"):
         x, u = feature(takes, name, joint), feature_unit(takes[0], name, joint)
         if np.ptp(x) > 1e-9:
             low, high = np.quantile(x, [1 / 3, 2 / 3])
@@ -189,12 +195,9 @@ def _regimes(takes: Sequence[Signals], joint: int) -> list[tuple[str, NDArray[np
 def _after_reversal(takes: Sequence[Signals], joint: int, seconds: float = 0.1) -> NDArray[np.bool_]:
     parts = []
     for s in takes:
-        v = s.velocity[:, joint]
-        turned = np.flatnonzero(np.diff(np.sign(v)) != 0) + 1
-        since = np.full(len(v), np.inf)
-        for k in turned:
-            since[k:] = s.time[k:] - s.time[k]
-        parts.append(since < seconds)
+        turned = np.diff(np.sign(s.velocity[:, joint]), prepend=np.sign(s.velocity[0, joint])) != 0
+        last = np.maximum.accumulate(np.where(turned, s.time, -np.inf))
+        parts.append(s.time - last < seconds)
     return np.concatenate(parts)
 
 

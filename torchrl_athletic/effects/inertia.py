@@ -82,7 +82,9 @@ class LinkMass(Effect):
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
         mass = float(model.body_mass[address.body[joint]])
-        return (Parameter("mass", "kg", mass, 0.2 * mass, 5 * mass, 0.05 * mass),) if mass else ()
+        if not mass or not carries_link(address, joint):
+            return ()
+        return (Parameter("mass", "kg", mass, 0.2 * mass, 5 * mass, 0.05 * mass),)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         return [{}] if s.model.body_mass[s.address.body[joint]] > 0 else []
@@ -131,7 +133,7 @@ class LinkCom(Effect):
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
         distance = float(np.linalg.norm(_lever(model, address, joint)))
-        if is_slide(model, address, joint) or distance < 1e-4:
+        if is_slide(model, address, joint) or distance < 1e-4 or not carries_link(address, joint):
             return ()
         return (Parameter("distance", "m", distance, 0.2 * distance, 3 * distance, 0.05 * distance),)
 
@@ -156,6 +158,11 @@ class LinkCom(Effect):
             f"The centre of mass of the link moved by {joint} is {1e3 * values['distance']:.3g} mm from its axis; "
             f"the model says {1e3 * distance.nominal:.3g} mm."
         )
+
+
+def carries_link(address: JointAddress, joint: int) -> bool:
+    """Whether the body's mass is counted with this joint: of several joints of one body, with the last."""
+    return address.body[joint] not in address.body[joint + 1 :]
 
 
 def recompute_constants(model: mujoco.MjModel) -> None:
@@ -190,7 +197,8 @@ class LinkInertia(Effect):
     source = "Atkeson, An, Hollerbach 1986, doi:10.1177/027836498600500306"
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
-        if is_slide(model, address, joint) or not model.body_inertia[address.body[joint]].any():
+        turns = not is_slide(model, address, joint) and bool(model.body_inertia[address.body[joint]].any())
+        if not turns or not carries_link(address, joint):
             return ()
         return (Parameter("scale", "1", 1.0, 0.3, 3.0, 0.1),)
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from torchrl_athletic.effects.effect import Array, Effect, Fingerprint, Parameter, is_slide
-from torchrl_athletic.effects.inertia import recompute_constants
+from torchrl_athletic.effects.inertia import carries_link, recompute_constants
 from torchrl_athletic.effects.plant import Plant
 from torchrl_athletic.effects.signals import JointAddress, Signals
 
@@ -35,7 +35,7 @@ class LinkComShift(Effect):
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
         body = address.body[joint]
         mass = float(model.body_mass[body])
-        if is_slide(model, address, joint) or not mass:
+        if is_slide(model, address, joint) or not mass or not carries_link(address, joint):
             return ()
         size = float(np.sqrt(model.body_inertia[body].sum() / (2 * mass)) + np.linalg.norm(model.body_ipos[body]))
         return tuple(Parameter(axis, "m", 0.0, -size, size, 0.05 * size) for axis in _AXES)

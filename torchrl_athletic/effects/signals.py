@@ -434,15 +434,32 @@ def torque_range(model: mujoco.MjModel, address: JointAddress) -> tuple[Array, A
     """
     low, high = np.full(len(address.joint), -np.inf), np.full(len(address.joint), np.inf)
     for j, joint in enumerate(address.joint):
+        drives = [
+            i
+            for i in range(model.nu)
+            if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[i, 0] == joint
+        ]
+        if drives:  # several motors on one joint add up
+            ranges = [_motor_range(model, i) for i in drives]
+            low[j], high[j] = np.sum(ranges, axis=0)
         if model.jnt_actfrclimited[joint]:
-            low[j], high[j] = model.jnt_actfrcrange[joint]
-        for i in range(model.nu):
-            if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[i, 0] == joint:
-                gear = abs(model.actuator_gear[i, 0]) or 1.0
-                if model.actuator_forcelimited[i]:
-                    low[j] = max(low[j], gear * model.actuator_forcerange[i, 0])
-                    high[j] = min(high[j], gear * model.actuator_forcerange[i, 1])
+            low[j] = max(low[j], model.jnt_actfrcrange[joint, 0])
+            high[j] = min(high[j], model.jnt_actfrcrange[joint, 1])
     return low, high
+
+
+def _motor_range(model: mujoco.MjModel, actuator: int) -> tuple[float, float]:
+    """Joint torque that one actuator can give, as its force limits and, of a plain motor, its control limits say."""
+    low, high = -np.inf, np.inf
+    if model.actuator_forcelimited[actuator]:
+        low, high = model.actuator_forcerange[actuator]
+    plain = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
+    if model.actuator_ctrllimited[actuator] and plain:
+        ends = model.actuator_gainprm[actuator, 0] * model.actuator_ctrlrange[actuator]
+        low, high = max(low, ends.min()), min(high, ends.max())
+    gear = model.actuator_gear[actuator, 0] or 1.0
+    ends = np.array([gear * low, gear * high])
+    return float(ends.min()), float(ends.max())
 
 
 def _nominal_dry_friction(s: Signals) -> Array:
