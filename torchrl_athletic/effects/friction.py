@@ -1,8 +1,8 @@
-"""Friction between the bodies of a joint: dry, viscous, and different by direction."""
+"""Friction between the bodies of a joint: dry, viscous, falling with speed, growing with load, unlike by direction."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import mujoco
@@ -14,66 +14,109 @@ from torchrl_athletic.effects.effect import (
     Fingerprint,
     Parameter,
     damping,
+    is_slide,
     local,
     per_speed_unit,
     torque_bound,
     torque_scale,
     torque_unit,
 )
-from torchrl_athletic.effects.plant import Now, Plant
-from torchrl_athletic.effects.signals import (
-    JointAddress,
-    Signals,
-    bristle,
-    joint_feature,
-    presliding_width,
-    sliding_direction,
-)
+from torchrl_athletic.effects.plant import Now, Plant, Start
+from torchrl_athletic.effects.presliding import Bristle, sliding
+from torchrl_athletic.effects.signals import JointAddress, Signals, presliding_width, sliding_direction
+from torchrl_athletic.effects.torque import fine_torque
+
+_PRESLIDING = (0.2, 1.0, 2.7)
+"""Widths to try, per :func:`presliding_width`: 0.3, 1.5 and 4 mrad on a joint that travels a radian."""
+_CREEP = (0.4, 1.0, 2.5)
+"""Creep speeds to try, per the one that the model's time constant goes with."""
+_STRIBECK = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35)
+"""Stribeck speeds to try, per the joint's greatest speed."""
 
 
 class CoulombFriction(Effect):
     """Dry friction: a constant torque against the direction of motion.
 
-    Parameters: ``torque`` [N·m, N for slides], in total, in the corrected model.
+    Parameters, in total, in the corrected model: ``torque`` [N·m, N for slides], and ``turnover`` [s], by which the
+    friction turns over before the velocity does. It is 0 in a bearing, and 9.5 ms in a simulation with MuJoCo's
+    ``frictionloss`` and default ``solref``, so that a model of a simulation is recognised too.
 
     Fingerprint: -z, where z is the direction of sliding, -1 to 1, which turns over within a presliding width after a
-    reversal: 1.5 mrad on a joint that moves a radian or more, less in proportion on one that moves less.
+    reversal: 0.3, 1.5 or 4 mrad on a joint that moves a radian or more, less in proportion on one that moves less. Or,
+    in MuJoCo's form, -clip((q̇ + t q̈) / v, -1, 1) with the turnover t and the speed v at which such a joint creeps.
 
-    Simulation: MuJoCo's ``frictionloss``, as stiff as the time step allows, so that it comes close to ideal friction.
+    Simulation: MuJoCo's ``frictionloss``, without a turnover as stiff as the time step allows, so that it comes close
+    to ideal friction.
     """
 
     name = "coulomb_friction"
+    family = "friction"
     equation = "τ = -Fc sign(q̇)"
     source = "Coulomb 1785; Armstrong-Hélouvry et al. 1994, doi:10.1016/0005-1098(94)90209-7, section 2"
-    excludes = frozenset({"asymmetric_friction"})
+    excludes = frozenset({"asymmetric_friction", "stribeck_friction", "load_dependent_friction"})
     experiments: ClassVar[Mapping[str, str]] = {
         "viscous_friction": "turn {joint} at three or more constant speeds from very slow to fast, both ways: dry "
         "friction keeps its level, viscous friction grows",
         "torque_offset": "move {joint} slowly both ways over the same path: friction turns over with the direction, an "
         "offset stays",
         "reflected_inertia": "move {joint} slowly at constant speed (no acceleration), then with a fast chirp",
+        "stribeck_friction": "turn {joint} at constant speeds from the slowest possible upwards, both ways",
+        "load_dependent_friction": "turn {joint} slowly both ways without and with a known weight on it",
+        "hysteresis": "reverse {joint} slowly after moves of very different lengths",
     }
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
-        limit, unit = torque_scale(model, address, joint), torque_unit(model, address, joint)
-        bound = torque_bound(model, address, joint)
         nominal = float(model.dof_frictionloss[address.dof[joint]])
-        return (Parameter("torque", unit, nominal, 0.0, max(bound, 3 * nominal), 0.02 * limit),)
+        turnover = _turnover(model, address, joint) if nominal else 0.0
+        return (
+            _dry("torque", model, address, joint),
+            Parameter("turnover", "s", turnover, 0.0, max(0.05, 2 * turnover), 0.002),
+        )
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
-        return [{}]
+        width, turnover = presliding_width(s, joint), _turnover(s.nominal, s.address, joint)
+        ideal = [{"turnover": 0.0, "presliding": share * width, "creep": 0.0} for share in _PRESLIDING]
+        creep = _creep(s, joint, turnover)
+        if creep <= 0 or turnover <= 2 * s.nominal.opt.timestep:  # the model's own friction is as good as ideal
+            return [*ideal]
+        return [*ideal, *({"turnover": turnover, "presliding": width, "creep": share * creep} for share in _CREEP)]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
-        return Fingerprint(local(-sliding_direction(s, joint), s, joint), fixed)
+        return self.fingerprints(s, joint, [fixed])[0]
+
+    def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
+        q, v = s.fine_position[:, joint], s.fine_velocity[:, joint]
+        given = presliding_width(s, joint)
+        widths = np.array([fixed.get("presliding", given) for fixed in grid])
+        direction = sliding(q, widths)
+        for k, fixed in enumerate(grid):
+            if fixed.get("creep", 0.0) > 0:
+                ahead = np.interp(s.fine_time + fixed["turnover"], s.fine_time, v)
+                direction[:, k] = np.clip(ahead / fixed["creep"], -1, 1)
+        columns = -s.project(direction)
+        return [Fingerprint(local(columns[:, k], s, joint), fixed) for k, fixed in enumerate(grid)]
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         plant.set_dry_friction(joint, values[:, 0])
+        dof = plant.address.dof[joint]
+        solref, solimp = plant.of("dof_solref"), plant.of("dof_solimp")
+        time_constant = 2 * values[:, 1] / plant.model.dof_solimp[dof, 1]
+        soft = time_constant > 2 * plant.model.opt.timestep
+        solref[soft, dof, 0] = time_constant[soft]
+        solimp[soft, dof] = plant.model.dof_solimp[dof]
 
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
-        (torque,) = parameters
+        torque, turnover = parameters
+        form = "at once when the motion does, as in a bearing (turnover 0 ms)"
+        if values["turnover"] > 0:
+            early = f"{1e3 * values['turnover']:.3g} ms"
+            form = f"{early} before the motion does, as MuJoCo's frictionloss with a soft solref"
+        had = f"; the model has {torque.nominal:.3g} {torque.unit}" if torque.nominal else "; the model has none"
+        if turnover.nominal:
+            had += f", and {1e3 * turnover.nominal:.3g} ms"
         return (
-            f"Dry (Coulomb) friction of {values['torque']:.3g} {torque.unit} opposes every motion of {joint}; "
-            f"{_has(torque.nominal, torque.unit)}."
+            f"Dry (Coulomb) friction of {values['torque']:.3g} {torque.unit} opposes every motion of {joint}, and "
+            f"turns over {form}{had}."
         )
 
 
@@ -89,6 +132,7 @@ class ViscousFriction(Effect):
     """
 
     name = "viscous_friction"
+    family = "friction"
     equation = "τ = -b q̇"
     source = "Reynolds 1886; Armstrong-Hélouvry et al. 1994, doi:10.1016/0005-1098(94)90209-7, section 2"
     excludes = frozenset({"asymmetric_friction"})
@@ -139,9 +183,13 @@ class AsymmetricFriction(Effect):
     """
 
     name = "asymmetric_friction"
+    family = "friction"
     equation = "τ = -(Fc± + b± |q̇|) sign(q̇)"
     source = "Janot, Gautier, Brunot 2019, nonlinearbenchmark.org (EMPS), section 2.3"
-    excludes = frozenset({"coulomb_friction", "viscous_friction", "torque_offset"})
+    excludes = frozenset(
+        {"coulomb_friction", "viscous_friction", "torque_offset", "stribeck_friction", "load_dependent_friction"}
+    )
+    identical_to = (frozenset({"coulomb_friction", "torque_offset"}),)
     experiments: ClassVar[Mapping[str, str]] = {
         "torque_offset": "move {joint} both ways at three constant speeds: an offset shifts all levels alike, "
         "direction-dependent friction opens with speed",
@@ -149,7 +197,7 @@ class AsymmetricFriction(Effect):
     }
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
-        (coulomb,) = CoulombFriction().parameters(model, address, joint)
+        coulomb = _dry("torque", model, address, joint)
         (viscous,) = ViscousFriction().parameters(model, address, joint)
         return tuple(
             Parameter(f"{kind}_{side}", p.unit, p.nominal, p.lower, p.upper, p.scale)
@@ -161,19 +209,10 @@ class AsymmetricFriction(Effect):
         return [{}]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
-        width = presliding_width(s, joint)
-
-        def side(sign: float) -> list[Array]:
-            def level(q: Array, v: Array) -> Array:
-                return sign * np.maximum(sign * bristle(q, width), 0)
-
-            def slope(q: Array, v: Array) -> Array:
-                return sign * np.maximum(sign * v, 0)
-
-            return [joint_feature(s, joint, level), joint_feature(s, joint, slope)]
-
-        (level_pos, slope_pos), (level_neg, slope_neg) = side(1.0), side(-1.0)
-        return Fingerprint(local(-np.stack([level_pos, level_neg, slope_pos, slope_neg], -1), s, joint), fixed)
+        z = sliding(s.fine_position[:, joint], np.array([presliding_width(s, joint)]))[:, 0]
+        v = s.fine_velocity[:, joint]
+        sides = np.stack([np.maximum(z, 0), np.minimum(z, 0), np.maximum(v, 0), np.minimum(v, 0)], -1)
+        return Fingerprint(local(-s.project(sides), s, joint), fixed)
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         coulomb_pos, coulomb_neg, viscous_pos, viscous_neg = values.T
@@ -198,6 +237,175 @@ class AsymmetricFriction(Effect):
             f"{viscous.unit} backwards; the model has {coulomb.nominal:.3g} {coulomb.unit} + {viscous.nominal:.3g} "
             f"{viscous.unit} both ways."
         )
+
+
+class StribeckFriction(Effect):
+    """Dry friction that is greater when a joint moves slowly: the lubricant's film has to build up first.
+
+    Parameters, in total, in the corrected model: ``coulomb`` [N·m, N for slides] at speed, ``stribeck`` [N·m, N], by
+    which it takes more to break away, and ``stribeck_speed`` [rad/s, m/s] at which 37 % of that are left.
+
+    Fingerprint: -z and -z exp(-(q̇/v)²), with the direction of sliding z of Coulomb friction, at Stribeck speeds v from
+    2 to 35 % of the joint's greatest speed.
+
+    Simulation: MuJoCo's ``frictionloss`` of the breakaway torque, and a torque beside the motor that takes back what
+    speed saves.
+    """
+
+    name = "stribeck_friction"
+    family = "friction"
+    equation = "τ = -(Fc + (Fs - Fc) exp(-(q̇/vs)²)) sign(q̇)"
+    source = "Armstrong-Hélouvry et al. 1994, doi:10.1016/0005-1098(94)90209-7, section 2"
+    excludes = frozenset({"coulomb_friction", "asymmetric_friction", "load_dependent_friction"})
+    experiments: ClassVar[Mapping[str, str]] = {
+        "coulomb_friction": "turn {joint} at constant speeds from the slowest possible upwards, both ways: Stribeck "
+        "friction falls with speed first",
+        "viscous_friction": "turn {joint} at five or more constant speeds from the slowest possible to fast, both ways",
+        "load_dependent_friction": "turn {joint} at several constant speeds both ways, without and with a known weight",
+        "hysteresis": "reverse {joint} after short and long moves, slowly and fast",
+    }
+
+    def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
+        bound, scale = torque_bound(model, address, joint), torque_scale(model, address, joint)
+        speed = "m/s" if is_slide(model, address, joint) else "rad/s"
+        return (
+            _dry("coulomb", model, address, joint),
+            Parameter("stribeck", torque_unit(model, address, joint), 0.0, 0.0, bound, 0.02 * scale),
+            Parameter("stribeck_speed", speed, 1.0, 1e-4, 10.0, 0.02),  # any will do where nothing depends on it
+        )
+
+    def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
+        fastest = float(np.abs(s.velocity[:, joint]).max())
+        return [{"stribeck_speed": share * fastest} for share in _STRIBECK] if fastest > 0 else []
+
+    def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
+        return self.fingerprints(s, joint, [fixed])[0]
+
+    def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
+        z = sliding(s.fine_position[:, joint], np.array([presliding_width(s, joint)]))
+        speeds = np.array([fixed["stribeck_speed"] for fixed in grid])
+        slow = np.exp(-((s.fine_velocity[:, joint, None] / speeds) ** 2))
+        dry, excess = -s.project(z)[:, 0], -s.project(z * slow)
+        return [Fingerprint(local(np.stack([dry, excess[:, k]], -1), s, joint), fixed) for k, fixed in enumerate(grid)]
+
+    def apply(self, plant: Plant, joint: int, values: Array) -> None:
+        coulomb, excess, speed = values.T
+        plant.set_dry_friction(joint, coulomb + excess)
+
+        def saved(now: Now) -> Array:
+            torque, v = np.zeros_like(now.velocity), now.velocity[:, joint]
+            torque[:, joint] = -excess * np.expm1(-((v / speed) ** 2)) * np.sign(v)
+            return torque
+
+        plant.laws.append(saved)
+
+    def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
+        coulomb, _, speed = parameters
+        return (
+            f"Dry friction at {joint} falls from {values['coulomb'] + values['stribeck']:.3g} {coulomb.unit} at "
+            f"breakaway, by {values['stribeck']:.3g} {coulomb.unit}, to {values['coulomb']:.3g} {coulomb.unit} well "
+            f"above {values['stribeck_speed']:.3g} {speed.unit} (Stribeck); {_has(coulomb.nominal, coulomb.unit)}."
+        )
+
+
+class LoadDependentFriction(Effect):
+    """Dry friction that grows with the torque that passes through the gear, whose teeth it presses together.
+
+    Parameters, in total, in the corrected model: ``coulomb`` [N·m, N for slides] without load, and ``coefficient`` [1],
+    the friction per transmitted torque.
+
+    Fingerprint: -z and -z |u|, with the direction of sliding z of Coulomb friction and the raw commanded torque u.
+
+    Simulation: MuJoCo's ``frictionloss`` of the part without load; for the rest, bristles beside the motor, in
+    proportion to the motor's torque.
+    """
+
+    name = "load_dependent_friction"
+    family = "friction"
+    shows_in = "load"
+    equation = "τ = -(Fc + μ |u|) sign(q̇)"
+    source = "Hamon, Gautier, Garrec 2010, Dynamic identification of robots with a dry friction model, IROS"
+    excludes = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction"})
+    experiments: ClassVar[Mapping[str, str]] = {
+        "coulomb_friction": "turn {joint} slowly both ways without and with a known weight on it: friction in "
+        "proportion to the load grows by the weight's share",
+        "torque_scale": "turn {joint} slowly upwards and downwards under a known weight: a scale has the same sign "
+        "both ways, friction does not",
+        "stribeck_friction": "turn {joint} at several constant speeds both ways, without and with a known weight",
+        "viscous_friction": "turn {joint} at two constant speeds both ways, without and with a known weight",
+    }
+
+    def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
+        return _dry("coulomb", model, address, joint), Parameter("coefficient", "1", 0.0, 0.0, 0.9, 0.02)
+
+    def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
+        return [{}]
+
+    def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
+        z = sliding(s.fine_position[:, joint], np.array([presliding_width(s, joint)]))[:, 0]
+        loaded = s.project_command(z * np.abs(fine_torque(s, joint)))
+        return Fingerprint(local(-np.stack([s.project(z), loaded], -1), s, joint), fixed)
+
+    def apply(self, plant: Plant, joint: int, values: Array) -> None:
+        plant.set_dry_friction(joint, values[:, 0])
+        plant.laws.append(_Loaded(joint, values[:, 1], plant))
+
+    def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
+        coulomb, _ = parameters
+        return (
+            f"Dry friction at {joint} grows with the load: {values['coulomb']:.3g} {coulomb.unit} and "
+            f"{values['coefficient']:.3g} times the torque of its motor; {_has(coulomb.nominal, coulomb.unit)}."
+        )
+
+
+class _Loaded(Bristle):
+    """Bristles that the motor's torque presses down."""
+
+    def __init__(self, joint: int, coefficient: Array, plant: Plant) -> None:
+        self.coefficient = coefficient
+        level = coefficient * torque_scale(plant.model, plant.address, joint)
+        super().__init__(joint, np.full(plant.rows, 1.5e-3), level, plant)
+
+    def begin(self, start: Start) -> None:
+        travel = float(np.ptp(start.position[:, self.joint]))
+        most = self.coefficient * float(np.abs(start.command[:, self.joint]).max())
+        self.width = self._stable(np.full(len(most), max(1.5e-3 * min(travel, 1.0), 1e-9)), most)
+        super().begin(start)
+
+    def level_of(self, now: Now) -> Array:
+        return self.coefficient * np.abs(now.torque[:, self.joint])
+
+
+def _dry(name: str, model: mujoco.MjModel, address: JointAddress, joint: int) -> Parameter:
+    """A level of dry friction, of which the model may have some."""
+    limit, unit = torque_scale(model, address, joint), torque_unit(model, address, joint)
+    nominal = float(model.dof_frictionloss[address.dof[joint]])
+    return Parameter(name, unit, nominal, 0.0, max(torque_bound(model, address, joint), 3 * nominal), 0.02 * limit)
+
+
+def _turnover(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
+    """By which MuJoCo's friction loss turns over before the velocity does [s]; 0 where ``solref`` gives a stiffness.
+
+    The reference acceleration of the constraint is -2 q̇ / (dmax timeconst).
+    """
+    dof = address.dof[joint]
+    time_constant = max(float(model.dof_solref[dof, 0]), 2 * float(model.opt.timestep))
+    return time_constant * float(model.dof_solimp[dof, 1]) / 2 if model.dof_solref[dof, 0] > 0 else 0.0
+
+
+def _creep(s: Signals, joint: int, turnover: float) -> float:
+    """Speed at which MuJoCo's friction loss reaches its full torque [rad/s, m/s], if it has what seems to be missing.
+
+    The constraint's regularisation (1 - d) / d, over the joint's inertia, times the turnover and the torque.
+    """
+    good, z, dof = s.valid[:, joint], sliding_direction(s, joint), s.address.dof[joint]
+    basis = np.stack([z, s.velocity[:, joint], s.acceleration[:, joint], s.required[:, joint], np.ones_like(z)], -1)
+    if good.sum() < 2 * basis.shape[1]:
+        return 0.0
+    seems = -float(np.linalg.lstsq(basis[good], s.missing[good, joint], rcond=1e-9)[0][0])
+    torque = max(seems + float(s.nominal.dof_frictionloss[dof]), 1e-3 * torque_scale(s.nominal, s.address, joint))
+    impedance = float(s.nominal.dof_solimp[dof, 0])
+    return torque * turnover * (1 - impedance) / impedance * float(s.nominal.dof_invweight0[dof])
 
 
 def _has(nominal: float, unit: str) -> str:

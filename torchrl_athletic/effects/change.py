@@ -1,0 +1,265 @@
+"""What changes while a take is recorded: friction that warms up, and a push that comes once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from torchrl_athletic.effects.effect import (
+    Array,
+    Effect,
+    Fingerprint,
+    Parameter,
+    local,
+    per_speed_unit,
+    torque_bound,
+    torque_scale,
+    torque_unit,
+)
+from torchrl_athletic.effects.plant import Law, Now, Plant, Start
+from torchrl_athletic.effects.presliding import Bristle, sliding
+from torchrl_athletic.effects.signals import JointAddress, Signals, presliding_width
+from torchrl_athletic.effects.torque import leftover
+
+_OF_TAKE = (0.03, 0.08, 0.2, 0.5, 1.5)
+"""Time constants to try, per the length of the longest take."""
+_LONG_ENOUGH = 10.0
+"""A take in which something may warm up [s]."""
+_DURATIONS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
+"""Of a disturbance, to start the search from [s]."""
+_PER_TAKE, _IN_ALL = 3, 8
+"""Intervals to propose."""
+
+
+class ThermalDrift(Effect):
+    """Friction that changes while the joint warms up: thinner grease, tighter bearings.
+
+    Parameters: ``amplitude`` [N·m, N for slides] and ``damping`` [N·m·s/rad, N·s/m], by which the dry and the viscous
+    friction end up higher (or lower) than at the start of a take, and ``time_constant`` [s]. Every take counts from its
+    own first stamp, as if the robot had rested before it.
+
+    Fingerprint: -z w and -q̇ w with w = 1 - exp(-t/T) and the direction of sliding z of Coulomb friction, at time
+    constants T from 3 to 150 % of the longest take.
+
+    Simulation: bristles and a damper beside the motor, as strong as the time in the take says.
+    """
+
+    name = "thermal_drift"
+    family = "change"
+    shows_in = "time"
+    equation = "τ = -(A sign(q̇) + B q̇) (1 - exp(-t/T))"
+    source = "Simoni, Beschi, Legnani, Visioli 2015, Friction modeling with temperature effects for industrial robots"
+    experiments: ClassVar[Mapping[str, str]] = {
+        "coulomb_friction": "repeat one slow motion of {joint} from cold for several minutes: a drift changes from "
+        "period to period",
+        "viscous_friction": "repeat one motion of {joint} from cold for several minutes",
+        "disturbance": "repeat the take from cold: a drift comes back, a disturbance does not",
+        "torque_scale": "hold {joint} still under a known weight for several minutes: friction does not show there",
+    }
+
+    def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
+        scale, bound = torque_scale(model, address, joint), torque_bound(model, address, joint)
+        return (
+            Parameter("amplitude", torque_unit(model, address, joint), 0.0, -bound, bound, 0.02 * scale),
+            Parameter("damping", per_speed_unit(model, address, joint), 0.0, -bound, bound, 0.01 * scale),
+            Parameter("time_constant", "s", 1.0, 0.1, 1e4, 2.0),
+        )
+
+    def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
+        return self.grid_of([s], joint)
+
+    def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
+        """Time constants in proportion to the longest take; none if it is too short to warm up in."""
+        longest = max(s.recording.duration for s in takes)
+        return [{"time_constant": share * longest} for share in _OF_TAKE] if longest >= _LONG_ENOUGH else []
+
+    def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
+        return self.fingerprints(s, joint, [fixed])[0]
+
+    def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
+        z = sliding(s.fine_position[:, joint], np.array([presliding_width(s, joint)]))[:, 0]
+        friction = -np.stack([s.project(z), s.velocity[:, joint]], -1)  # slow against the kernel: project first
+        passed = s.time - s.recording.time[0]
+        return [
+            Fingerprint(local(friction * _warmth(passed, fixed["time_constant"])[:, None], s, joint), fixed)
+            for fixed in grid
+        ]
+
+    def apply(self, plant: Plant, joint: int, values: Array) -> None:
+        amplitude, damping, time_constant = values.T
+        plant.laws.append(_Warming(joint, amplitude, damping, time_constant, plant))
+
+    def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
+        amplitude, viscous, _ = parameters
+        return (
+            f"Friction at {joint} changes during a take, with a time constant of {values['time_constant']:.3g} s "
+            f"({1e3 * values['time_constant']:.4g} ms), by {values['amplitude']:+.3g} {amplitude.unit} and "
+            f"{values['damping']:+.3g} {viscous.unit} in the end; the model has none of this."
+        )
+
+
+class _Warming(Bristle):
+    """Bristles and a damper whose strength approaches its final value."""
+
+    def __init__(self, joint: int, amplitude: Array, damping: Array, time_constant: Array, plant: Plant) -> None:
+        super().__init__(joint, np.full(plant.rows, 1.5e-3), amplitude, plant)
+        self.damping, self.time_constant, self.first = damping, time_constant, 0.0
+
+    def begin(self, start: Start) -> None:
+        self.first = float(start.time[0])
+        travel = float(np.ptp(start.position[:, self.joint]))
+        self.width = self._stable(np.full(len(self.level), max(1.5e-3 * min(travel, 1.0), 1e-9)), self.level)
+        super().begin(start)
+
+    def level_of(self, now: Now) -> Array:
+        return self.level * _warmth(now.time - self.first, self.time_constant)
+
+    def __call__(self, now: Now) -> Array:
+        torque = super().__call__(now)
+        warmth = _warmth(now.time - self.first, self.time_constant)
+        torque[:, self.joint] -= self.damping * warmth * now.velocity[:, self.joint]
+        return torque
+
+
+class Disturbance(Effect):
+    """A push that came once: someone leaned on the robot, a cable caught, a part was dropped on it.
+
+    Parameters: ``start`` [s] in the take's stamps, ``duration`` [s], ``torque`` [N·m, N for slides], and ``take`` [1],
+    which tells the take from the others: the time average of all its joints' readings, the k-th of them counted k
+    times. It is no property of the robot: recordings kept aside do not have it.
+
+    Fingerprint: 1 within the interval, in that take only. Intervals are proposed by a matched filter on what dry and
+    viscous friction, inertia, scale, offset and gravity together leave of the missing torque.
+
+    Simulation: a constant torque beside the motor in that interval of that take.
+    """
+
+    name = "disturbance"
+    family = "change"
+    shows_in = "time"
+    equation = "τ = d for t₀ ≤ t < t₀ + T, once"
+    source = "Turin 1960, doi:10.1109/TIT.1960.1057571 (matched filter)"
+    experiments: ClassVar[Mapping[str, str]] = {
+        "torque_offset": "repeat the take: a disturbance does not come back",
+        "thermal_drift": "repeat the take from cold",
+        "torque_saturation": "repeat the take",
+        "joint_stop": "repeat the take",
+    }
+
+    def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
+        scale, bound = torque_scale(model, address, joint), torque_bound(model, address, joint)
+        return (
+            Parameter("start", "s", 0.0, -1e11, 1e11, 0.02),
+            Parameter("duration", "s", 1.0, 1e-3, 1e4, 0.02),
+            Parameter("torque", torque_unit(model, address, joint), 0.0, -bound, bound, 0.02 * scale),
+            Parameter("take", "1", 0.0, -1e6, 1e6, 1.0),
+        )
+
+    def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
+        return self.grid_of([s], joint)
+
+    def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
+        """The intervals of all takes that stand out most."""
+        found = []
+        for s in takes:
+            take = _signature(s.recording.time, s.recording.position)
+            found += [(score, {"start": a, "duration": b - a, "take": take}) for score, a, b in _intervals(s, joint)]
+        return [interval for _, interval in sorted(found, key=lambda x: -x[0])[:_IN_ALL]]
+
+    def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
+        if not _is(fixed["take"], s.recording.time, s.recording.position):
+            return Fingerprint(np.zeros((len(s.keep), s.num_joints, 1)), fixed)
+        middle, half = fixed["start"] + fixed["duration"] / 2, fixed["duration"] / 2
+        box = np.clip(
+            (half - np.abs(s.fine_time - middle)) / s.fine_step + 0.5, 0.0, 1.0
+        )  # edges fall between instants
+        return Fingerprint(local(s.project_command(box), s, joint), fixed)
+
+    def apply(self, plant: Plant, joint: int, values: Array) -> None:
+        plant.laws.append(_Once(joint, *values.T))
+
+    def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
+        return (
+            f"In one take (mean reading {values['take']:.4g}), {values['torque']:+.3g} {parameters[2].unit} acted on "
+            f"{joint} once, from {values['start']:.5g} s for {1e3 * values['duration']:.3g} ms; the model has none."
+        )
+
+
+class _Once(Law):
+    """A torque in one interval of one take."""
+
+    def __init__(self, joint: int, start: Array, duration: Array, torque: Array, take: Array) -> None:
+        self.joint, self.from_, self.until, self.torque, self.take = joint, start, start + duration, torque, take
+
+    def begin(self, start: Start) -> None:
+        here = np.array([_is(float(take), start.time, start.position) for take in self.take])
+        self.torque = np.where(here, self.torque, 0.0)
+
+    def __call__(self, now: Now) -> Array:
+        torque = np.zeros_like(now.velocity)
+        share = (np.minimum(now.time + now.step, self.until) - np.maximum(now.time, self.from_)) / now.step
+        torque[:, self.joint] = self.torque * np.clip(share, 0.0, 1.0)
+        return torque
+
+
+def _warmth(passed: Array, time_constant: float | Array) -> Array:
+    """How far the change has come, 0 to 1."""
+    return np.asarray(-np.expm1(-np.maximum(passed, 0.0) / time_constant), dtype=np.float64)
+
+
+def _signature(time: Array, position: Array) -> float:
+    """Tells a take from others: of its samples as recorded, and of the same on a regular grid."""
+    mean = np.trapezoid(position, time, axis=0) / (time[-1] - time[0])
+    return float(mean @ (1.0 + np.arange(position.shape[1])))
+
+
+def _is(signature: float, time: Array, position: Array) -> bool:
+    close = 1e-3 * float(np.ptp(position, axis=0).max()) + 1e-9
+    return abs(signature - _signature(time, position)) < close
+
+
+def _intervals(s: Signals, joint: int) -> list[tuple[float, float, float]]:
+    """Stretches over which the leftover stays on one side: score, first and last instant [s]; best first."""
+    step = float(np.diff(s.time[:2])[0])
+    left = leftover(s, joint)
+    left = left - _local_median(left, s.valid[:, joint], max(1, round(0.5 / step)))
+    left = np.where(s.valid[:, joint], left, 0.0)
+    total = np.concatenate([[0.0], np.cumsum(left)])
+    found: list[tuple[float, int, int]] = []
+    for size in sorted({max(2, round(duration / step)) for duration in _DURATIONS}):
+        if size > len(left) // 3:
+            continue
+        score = np.abs(total[size:] - total[:-size]) / np.sqrt(size)
+        for _ in range(_PER_TAKE):
+            first = int(score.argmax())
+            found.append(_edges(total, first, first + size))
+            score[max(0, first - size) : first + size] = 0.0
+    best: list[tuple[float, int, int]] = []
+    for score_, a, b in sorted(found, reverse=True):
+        if all(min(b, d) - max(a, c) < 0.5 * max(b - a, d - c) for _, c, d in best):
+            best.append((score_, a, b))
+    return [(score_, float(s.time[a]), float(s.time[b - 1]) + step) for score_, a, b in best[:_PER_TAKE]]
+
+
+def _edges(total: Array, first: int, last: int) -> tuple[float, int, int]:
+    """Move the two edges of an interval, in turn, to where it stands out most."""
+    for _ in range(3):
+        reach = max(2, (last - first) // 2)
+        ends = np.arange(max(first + 2, last - reach), min(len(total) - 1, last + reach) + 1)
+        last = int(ends[np.argmax(np.abs(total[ends] - total[first]) / np.sqrt(ends - first))])
+        starts = np.arange(max(0, first - reach), min(last - 2, first + reach) + 1)
+        first = int(starts[np.argmax(np.abs(total[last] - total[starts]) / np.sqrt(last - starts))])
+    return float(abs(total[last] - total[first]) / np.sqrt(last - first)), first, last
+
+
+def _local_median(left: Array, good: NDArray[np.bool_], size: int) -> Array:
+    """Median over 10 s, of medians over half a second. Shape (N,)."""
+    blocks = np.arange(len(left)) // size
+    parts = (slice(size * k, size * (k + 1)) for k in range(int(blocks[-1]) + 1))
+    medians = np.array([np.median(left[at][good[at]]) if good[at].any() else 0.0 for at in parts])
+    return np.asarray(median_filter(medians, min(21, len(medians)), mode="nearest")[blocks], dtype=np.float64)
