@@ -79,21 +79,23 @@ def test_blocks_of_two_takes_are_not_mixed(rng):
     assert bank.block[149] == 1
     assert bank.block[150] == 2
     assert bank.block[-1] == 4
-    np.testing.assert_allclose(bank.count, [380, 380])
+    np.testing.assert_allclose(bank.count, [[150, 230], [150, 230]])  # nor stretches
 
 
-def test_the_residual_is_what_is_left_on_each_joint(rng, take):
+def test_the_residual_is_what_is_left_in_each_stretch_of_each_joint(rng, take):
     bank = Bank([take], [candidate(Given("a", both(rng, 2)))], noise=NOISE)
     for fit in (bank.fit(bank.atoms), bank.fit(())):
         square = (bank.rows(fit) * take.valid / NOISE) ** 2
-        np.testing.assert_allclose(fit.residual, square.sum(0), rtol=1e-9)
+        np.testing.assert_allclose(fit.residual.sum(1), square.sum(0), rtol=1e-9)
+        exact = [[square[bank.stretch == k, j].sum() for k in range(2)] for j in range(2)]
+        np.testing.assert_allclose(fit.residual, exact, rtol=1e-9)
 
 
-def test_a_joint_of_which_less_is_left_weighs_more(rng, take):
+def test_a_stretch_of_which_less_is_left_weighs_more(rng, take):
     columns = both(rng, 2)
     bank = Bank([take], [candidate(Given("a", columns))], noise=NOISE)
-    level = np.array([1.0, 50.0])
-    matrix, target = stacked(take, columns, NOISE * np.sqrt(level))
+    level = np.array([[1.0, 2.0], [50.0, 0.3]])
+    matrix, target = stacked(take, columns, NOISE * np.sqrt(level.T[bank.stretch]))
     np.testing.assert_allclose(bank.fit(bank.atoms, level).coefficients, np.linalg.lstsq(matrix, target)[0], rtol=1e-6)
 
 
@@ -114,12 +116,13 @@ def test_the_gain_of_a_grid_point_is_what_a_fit_with_it_closes(rng, take, joint)
     shelved = [candidate(Gridded("one", one, lower=0.0), joint), candidate(Gridded("two", two, -1.5, 0.02), joint)]
     bank = Bank([take], [linear, *shelved], [candidate(Given("trim", base))], noise=NOISE)
     level = np.array([2.0, 0.7])
-    before = bank.fit(bank.atoms[:1], level)
+    even = np.tile(level[:, None], 2)
+    before = bank.fit(bank.atoms[:1], even)
     gained = bank.gains(before, level)
     assert len(gained) == 10
     for atom, gain in gained.items():
-        after = bank.fit([bank.atoms[0], atom], level)
-        assert gain == pytest.approx(float(((before.residual - after.residual) / level).sum()), rel=1e-5, abs=1e-5)
+        after = bank.fit([bank.atoms[0], atom], even)
+        assert gain == pytest.approx(float(((before.residual - after.residual) / even).sum()), rel=1e-5, abs=1e-5)
 
 
 def test_predictions_and_the_rest_are_the_missing_torque(rng, take):

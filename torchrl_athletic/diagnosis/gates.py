@@ -51,11 +51,8 @@ class Evidence:
 
     def left(self) -> Array:
         """Share of each joint's excess missing torque that is left. Shape (J,)."""
-        before, after = (
-            np.maximum(self.judge.mean_square(f) - self.judge.floor, 0.0)
-            for f in (self.judge.bank.fit(()), self.best.fit)
-        )
-        return np.where(before > self.judge.floor, np.clip(after / np.maximum(before, 1e-12), 0.0, 1.0), 0.0)
+        before, after = (self.judge.excess(fit) for fit in (self.judge.bank.fit(()), self.best.fit))
+        return np.where(before > 1.0, np.clip(after / np.maximum(before, 1e-12), 0.0, 1.0), 0.0)
 
 
 def judge_findings(evidence: Sequence[Evidence], fitted: Fitted) -> tuple[Finding, ...]:
@@ -183,8 +180,8 @@ def _energy_share(part: Evidence, term: Atom) -> float:
     """Share of the joint's missing torque that comes back when the term is taken away."""
     joint = term.candidate.joint
     without = part.judge.bank.fit([a for a in part.best.fit.terms if a is not term])
-    before = part.judge.mean_square(part.judge.bank.fit(()))[joint]
-    gained = part.judge.mean_square(without)[joint] - part.judge.mean_square(part.best.fit)[joint]
+    before, rest, left = (float(fit.residual[joint].sum()) for fit in (part.judge.bank.fit(()), without, part.best.fit))
+    gained = rest - left
     return float(np.clip(gained / max(before, 1e-12), 0.0, 1.0))
 
 

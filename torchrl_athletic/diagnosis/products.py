@@ -14,50 +14,69 @@ class Products:
     """Grows with the columns that were asked for; time and memory are linear in the number of rows.
 
     A column belongs to one joint, with shape (rows,), or to all, with shape (rows, J) and ``joint`` -1.
+
+    Args:
+        joints: J.
+        stretch: Stretch of each row, increasing by one from 0; products are kept for each of the S stretches. Shape
+            (rows,).
     """
 
-    def __init__(self, joints: int, rows: int) -> None:
+    def __init__(self, joints: int, stretch: NDArray[np.intp]) -> None:
         self.joints = joints
-        self._size = 0
-        self._columns = [np.empty((0, rows)) for _ in range(joints)]
+        self._slices = [slice(*ends) for ends in _runs(stretch)]
+        self._columns = [np.empty((0, len(stretch))) for _ in range(joints)]
         """Per joint, of the columns that touch it. Shape (at least its count, rows)."""
-        self._places: list[list[int]] = [[] for _ in range(joints)]
-        """Per joint, which columns they are."""
-        self._gram = np.zeros((joints, 0, 0))
+        self._gram = [np.zeros((len(self._slices), 0, 0)) for _ in range(joints)]
+        self._place: list[dict[int, int]] = [{} for _ in range(joints)]
+        """Per joint, column -> where it stands."""
+        self._size = 0
 
     def add(self, column: Array, joint: int) -> int:
         """Take a column in; its number comes back."""
         number = self._size
         self._size += 1
-        if self._size > self._gram.shape[1]:
-            grown = np.zeros((self.joints, 2 * self._size, 2 * self._size))
-            grown[:, :number, :number] = self._gram[:, :number, :number]
-            self._gram = grown
         for j in range(self.joints) if joint < 0 else (joint,):
             values = column[:, j] if joint < 0 else column
-            here = self._places[j]
-            if len(here) == len(self._columns[j]):
-                room = np.empty((len(here) + 4, values.size))
-                self._columns[j] = np.concatenate([self._columns[j], room])
-            self._columns[j][len(here)] = values
-            here.append(number)
-            products = self._columns[j][: len(here)] @ values
-            self._gram[j, number, here] = self._gram[j, here, number] = products
+            at = len(self._place[j])
+            if at == len(self._columns[j]):
+                self._grow(j)
+            self._columns[j][at] = values
+            self._place[j][number] = at
+            gram, held = self._gram[j], self._columns[j][: at + 1]
+            for k, rows in enumerate(self._slices):
+                gram[k, at, : at + 1] = gram[k, : at + 1, at] = held[:, rows] @ values[rows]
         return number
 
+    def _grow(self, joint: int) -> None:
+        size = len(self._columns[joint])
+        more = size + 8
+        columns, gram = self._columns[joint], self._gram[joint]
+        self._columns[joint] = np.concatenate([columns, np.empty((more, columns.shape[1]))])
+        self._gram[joint] = np.zeros((len(gram), size + more, size + more))
+        self._gram[joint][:, :size, :size] = gram
+
     def gram(self, numbers: Sequence[int]) -> Array:
-        """Inner products of some columns with each other. Shape (J, n, n)."""
-        at = np.asarray(numbers, dtype=np.intp)
-        return self._gram[:, at[:, None], at]
+        """Inner products of some columns with each other, in each stretch of each joint. Shape (J, S, n, n)."""
+        out = np.zeros((self.joints, len(self._slices), len(numbers), len(numbers)))
+        for j, place in enumerate(self._place):
+            here = np.array([k for k, n in enumerate(numbers) if n in place], dtype=np.intp)
+            at = np.array([place[numbers[k]] for k in here], dtype=np.intp)
+            out[j][:, here[:, None], here] = self._gram[j][:, at[:, None], at]
+        return out
 
     def touching(self, joint: int) -> Array:
         """All columns that are not zero on a joint, in the order in which they came. Shape (n, rows)."""
-        return self._columns[joint][: len(self._places[joint])]
+        return self._columns[joint][: len(self._place[joint])]
 
     def column(self, number: int, joint: int) -> Array | None:
         """One joint's part of a column, None where it is zero. Shape (rows,)."""
-        here = self._places[joint]
-        return self._columns[joint][here.index(number)] if number in here else None
+        at = self._place[joint].get(number)
+        return None if at is None else self._columns[joint][at]
+
+
+def _runs(stretch: NDArray[np.intp]) -> list[tuple[int, int]]:
+    starts = np.flatnonzero(np.diff(stretch, prepend=-1))
+    return list(zip(starts.tolist(), [*starts[1:].tolist(), len(stretch)], strict=True))
 
 
 class Library:

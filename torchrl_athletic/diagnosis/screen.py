@@ -38,6 +38,9 @@ Array = NDArray[np.float64]
 
 BLOCK = 1.0
 """Length of a block of samples that is resampled together [s]."""
+STRETCH = 2.0
+"""Least length of a stretch with an error level of its own [s]."""
+MOST_STRETCHES = 48
 TRIMS: Mapping[Effect, float] = MappingProxyType(
     {LinkMass(): 1.0, LinkComShift(): 1.0, LinkInertia(): 1.5, EncoderOffset(): 0.3, ClockShift(): 1.0}
 )
@@ -110,7 +113,7 @@ class Fit:
     bounds: tuple[Array, Array]
     """Of the coefficients."""
     residual: Array
-    """Weighted sum of squares that is left, per joint. Shape (J,)."""
+    """Weighted sum of squares that is left, per joint and stretch. Shape (J, S)."""
 
     @property
     def terms(self) -> tuple[Atom, ...]:
@@ -153,7 +156,7 @@ class Bank:
         self.takes = list(takes)
         self.joints = takes[0].num_joints
         self.noise = row_noise(takes) if noise is None else noise
-        self.products = Products(self.joints, len(self.weight))
+        self.products = Products(self.joints, self.stretch)
         self.products.add(self.target * self.weight, -1)
         self._numbers: dict[Atom, tuple[int, ...]] = {}
         """Columns of the atoms that some fit asked for."""
@@ -256,27 +259,38 @@ class Bank:
         return np.concatenate(labels)
 
     @cached_property
+    def stretch(self) -> NDArray[np.intp]:
+        """Stretch of each row: parts of a take, a few seconds long, each with its own level of error. Shape (rows,)."""
+        seconds = max(STRETCH, sum(float(np.ptp(s.time)) for s in self.takes) / MOST_STRETCHES)
+        labels, first = [], 0
+        for s in self.takes:
+            count = max(1, round(float(np.ptp(s.time)) / seconds))
+            labels.append(first + np.arange(len(s.time)) * count // len(s.time))
+            first += count
+        return np.concatenate(labels)
+
+    @cached_property
     def count(self) -> Array:
-        """Valid rows per joint. Shape (J,)."""
-        return np.asarray((self.weight > 0).sum(0), dtype=np.float64)
+        """Valid rows per joint and stretch. Shape (J, S)."""
+        used = (self.weight > 0).astype(float)
+        return np.stack([np.bincount(self.stretch, used[:, j]) for j in range(self.joints)])
 
     def fit(self, atoms: Sequence[Atom], level: Array | None = None) -> Fit:
         """Bounded least squares of a combination, and of the trims that go with it.
 
         Args:
             atoms: The combination, without trims.
-            level: Mean square to expect of each joint's residual, whose inverse is its weight. Shape (J,); ones if
-                None.
+            level: Mean square to expect of the residual in each stretch of each joint, whose inverse is the weight.
+                Shape (J, S); ones if None.
         """
         chosen = tuple(atoms)
         atoms = (*chosen, *(t for t in self.trims if all(t.candidate.allows(a.candidate) for a in chosen)))
         gram = self.products.gram([0, *(n for atom in atoms for n in self.numbers(atom))])
         low, high = _bounds(atoms)
-        total = gram.sum(0) if level is None else np.tensordot(1.0 / level, gram, 1)
+        total = gram.sum((0, 1)) if level is None else np.tensordot(1.0 / level, gram, 2)
         coefficients = bounded_least_squares(total[1:, 1:], total[1:, 0], low, high)
         x = np.append(1.0, -coefficients)
-        residual = np.einsum("i,jik,k->j", x, gram, x)
-        return Fit(atoms, len(chosen), coefficients, (low, high), np.maximum(residual, 0.0))
+        return Fit(atoms, len(chosen), coefficients, (low, high), np.maximum((gram @ x) @ x, 0.0))
 
     def gains(self, fit: Fit, level: Array) -> dict[Atom, float]:
         """How much each shelved atom would lower the weighted sum of squares beside a fit, on its own joint alone.
@@ -290,7 +304,7 @@ class Bank:
         margin = 1e-6 * (high - low)
         free = (fit.coefficients > low + margin) & (fit.coefficients < high - margin)
         moving = [n for n, f in zip(numbers, free, strict=True) if f]
-        active = np.tensordot(1.0 / level, self.products.gram(moving), 1) if moving else np.zeros((0, 0))
+        active = np.tensordot(1.0 / level, self.products.gram(moving).sum(1), 1) if moving else np.zeros((0, 0))
         out: dict[Atom, float] = {}
         for shelf in self._shelves:
             j = shelf.joint

@@ -20,6 +20,8 @@ OPEN = 2.0
 
 Sensor noise alone gives about 1.
 """
+CHANCE = 4.0
+"""Standard deviations of a stretch's mean square that chance is allowed."""
 BEAM = 4
 MOST_PER_JOINT = 4
 DECISIVE = 10.0
@@ -50,41 +52,57 @@ class Scored:
 
 
 class Judge:
-    """Scores combinations of a bank: twice the negative log evidence, by the count of independent samples."""
+    """Scores combinations of a bank: twice the negative log evidence, by the count of independent samples.
+
+    Every stretch of every joint has an error level of its own. So a limit that is reached in one second of a hundred
+    counts, and a push in one take does not drown what the others say.
+    """
 
     def __init__(self, bank: Bank) -> None:
         self.bank, self.floor = bank, noise_level(bank)
-        self.total = np.maximum(bank.count, 1.0)
+        self.total = np.maximum(bank.count, 1e-9)
         take = bank.takes[0]
         rows = take.kernel / (take.fine_step * float(np.diff(take.keep[:2])[0]))
-        self.independent = np.maximum(self.total / (KERNEL_CORRELATION * rows), 2.0)
+        self.independent = bank.count / (KERNEL_CORRELATION * rows)
 
     def mean_square(self, fit: Fit) -> Array:
-        """Of the normalised residual, per joint. Shape (J,)."""
-        return fit.residual / self.total
+        """Of the normalised residual, per joint and stretch. Shape (J, S)."""
+        return np.asarray(fit.residual / self.total)
+
+    def level(self, fit: Fit) -> Array:
+        """The same, but not below what noise and smoothing leave. Shape (J, S)."""
+        return np.maximum(self.mean_square(fit), self.floor)
+
+    def excess(self, fit: Fit) -> Array:
+        """Mean square beyond what noise and smoothing leave, per joint. Shape (J,)."""
+        above = self.level(fit) - self.floor
+        return np.asarray((self.total * above).sum(1) / self.total.sum(1))
 
     def score(self, atoms: Sequence[Atom], independent: Array | None = None) -> Scored:
         """Fit a combination and weigh it.
 
-        Each joint weighs by what is left on it, so that a joint with something unknown does not bend what others say.
+        Rows weigh by what is left around them, so that something unknown does not bend what the rest says.
         """
         fit = self.bank.fit(atoms)
-        for _ in range(REWEIGHTED if self.bank.joints > 1 else 0):
-            fit = self.bank.fit(atoms, np.maximum(self.mean_square(fit), self.floor))
+        for _ in range(REWEIGHTED):
+            fit = self.bank.fit(atoms, self.level(fit))
         count = self.independent if independent is None else independent
-        level = np.maximum(self.mean_square(fit), self.floor)
         penalty = np.log(max(count.sum(), 3.0)) * fit.freedom
-        return Scored(fit, float(count @ np.log(level)) + float(penalty) + sum(_doubt(a) for a in fit.terms))
+        evidence = float((count * np.log(self.level(fit))).sum())
+        return Scored(fit, evidence + float(penalty) + sum(_doubt(a) for a in fit.terms))
 
     def is_open(self, fit: Fit) -> NDArray[np.bool_]:
-        """Which joints miss more torque than noise explains. Shape (J,)."""
-        return np.asarray(self.mean_square(fit) > OPEN * self.floor)
+        """Which joints miss more torque than noise explains, at least in some stretch. Shape (J,)."""
+        usual = OPEN * self.floor
+        chance = 1.0 + CHANCE * np.sqrt(2.0 / np.maximum(self.independent, 1.0))
+        whole = fit.residual.sum(1) > (self.total * usual).sum(1)
+        return np.asarray(whole | ((self.mean_square(fit) > usual * chance) & (self.bank.count > 0)).any(1))
 
     def closes(self, before: Fit, after: Fit) -> float:
         """Share of what was open that the step closes, on the joint where it does most."""
-        level = [np.maximum(self.mean_square(f), self.floor) for f in (before, after)]
-        was, left = (x - self.floor for x in level)
-        joint = int(np.argmax(level[0] / level[1]))
+        was, left = self.excess(before), self.excess(after)
+        gained = (self.independent * np.log(self.level(before) / self.level(after))).sum(1)
+        joint = int(np.argmax(gained))
         return float(1.0 - left[joint] / was[joint]) if was[joint] > 0 else 0.0
 
 
@@ -117,10 +135,11 @@ def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: No
 def noise_level(bank: Bank) -> Array:
     """Mean square of the normalised missing torque where nothing is missing: sensor noise, and what smoothing bends.
 
-    Shape (J,).
+    Shape (J, S).
     """
-    bias = np.concatenate([s.bias for s in bank.takes]) * bank.weight
-    return np.asarray(1.0 + (bias**2).sum(0) / np.maximum(bank.count, 1.0), dtype=np.float64)
+    bias = (np.concatenate([s.bias for s in bank.takes]) * bank.weight) ** 2
+    total = np.stack([np.bincount(bank.stretch, bias[:, j]) for j in range(bank.joints)])
+    return np.asarray(1.0 + total / np.maximum(bank.count, 1.0), dtype=np.float64)
 
 
 def predictable_share(bank: Bank, joint: int) -> float:
@@ -153,7 +172,8 @@ def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
 
     Scored with the number of independent samples that the best combination's residual has.
     """
-    independent = np.minimum(judge.bank.independent_samples(judge.bank.rows(best.fit)), judge.independent)
+    samples = judge.bank.independent_samples(judge.bank.rows(best.fit))
+    independent = judge.independent * np.minimum(1.0, samples / np.maximum(judge.independent.sum(1), 1e-9))[:, None]
     rest = [a for a in best.fit.terms if a is not term]
     own = judge.score(best.fit.terms, independent)
     out = {term.candidate.key: own}
@@ -292,7 +312,8 @@ def _prune(judge: Judge, scored: Scored) -> Scored:
 def _shortlist(judge: Judge, parent: Scored) -> list[Atom]:
     """What may stand beside a combination: of each nonlinear candidate the grid points that promise most."""
     bank, chosen = judge.bank, [a.candidate for a in parent.fit.terms]
-    gained = bank.gains(parent.fit, np.maximum(judge.mean_square(parent.fit), judge.floor))
+    total = judge.total.sum(1)
+    gained = bank.gains(parent.fit, (judge.total * judge.level(parent.fit)).sum(1) / total)
     ranks: dict[Key, list[Atom]] = {}
     for atom in sorted(gained, key=lambda a: -gained[a]):
         ranks.setdefault(atom.candidate.key, []).append(atom)
