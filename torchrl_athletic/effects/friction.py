@@ -28,8 +28,8 @@ from torchrl_athletic.effects.torque import fine_torque
 
 _PRESLIDING = (0.2, 1.0, 2.7)
 """Widths to try, per :func:`presliding_width`: 0.3, 1.5 and 4 mrad on a joint that travels a radian."""
-_CREEP = (0.4, 1.0, 2.5)
-"""Creep speeds to try, per the one that the model's time constant goes with."""
+_TURNOVER = (0.0, 0.5, 1.0)
+"""Turnovers to try, per the one of the model's time constant."""
 _STRIBECK = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35)
 """Stribeck speeds to try, per the joint's greatest speed."""
 
@@ -43,7 +43,7 @@ class CoulombFriction(Effect):
 
     Fingerprint: -z, where z is the direction of sliding, -1 to 1, which turns over within a presliding width after a
     reversal: 0.3, 1.5 or 4 mrad on a joint that moves a radian or more, less in proportion on one that moves less. Or,
-    in MuJoCo's form, -clip((q̇ + t q̈) / v, -1, 1) with the turnover t and the speed v at which such a joint creeps.
+    in MuJoCo's form, -clip(q̇(t + T) / v, -1, 1) with the turnover T and the speed v at which such a joint creeps.
 
     Simulation: MuJoCo's ``frictionloss``, without a turnover as stiff as the time step allows, so that it comes close
     to ideal friction.
@@ -75,11 +75,12 @@ class CoulombFriction(Effect):
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         width, turnover = presliding_width(s, joint), _turnover(s.nominal, s.address, joint)
-        ideal = [{"turnover": 0.0, "presliding": share * width, "creep": 0.0} for share in _PRESLIDING]
+        by_way = [{"turnover": 0.0, "presliding": share * width, "creep": 0.0} for share in _PRESLIDING]
         creep = _creep(s, joint, turnover)
-        if creep <= 0 or turnover <= 2 * s.nominal.opt.timestep:  # the model's own friction is as good as ideal
-            return [*ideal]
-        return [*ideal, *({"turnover": turnover, "presliding": width, "creep": share * creep} for share in _CREEP)]
+        if creep <= 0:
+            return [*by_way]
+        by_speed = [{"turnover": share * turnover, "presliding": width, "creep": creep} for share in _TURNOVER]
+        return [*by_way, *by_speed]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         return self.fingerprints(s, joint, [fixed])[0]
