@@ -1,0 +1,156 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from effects.arm import JOINTS, address, arm, record
+from effects.explained import explained, projected
+from effects.slider import MASS, STEP, push, speed
+
+from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
+from torchrl_athletic.effects import project_recording
+from torchrl_athletic.effects.change import Disturbance, ThermalDrift
+
+
+def acceleration(force, *effects):
+    """Of the mass on its rail, from the third step on."""
+    (position,) = push(force, *effects)
+    return np.diff(speed(position)) / STEP
+
+
+# --- warming up ---
+
+
+def test_friction_approaches_its_final_level_with_the_time_constant():
+    force, amplitude, constant = np.full(1500, 5.0), 2.0, 0.4
+    time = STEP * np.arange(2, 1500)
+    expected = (force[2:] - amplitude * (1 - np.exp(-time / constant))) / MASS
+    np.testing.assert_allclose(acceleration(force, (ThermalDrift(), [amplitude, 0.0, constant])), expected, atol=2e-3)
+
+
+def test_grease_that_thins_gives_back_what_a_damper_takes():
+    force, constant = np.full(1500, 5.0), 0.4
+    (position,) = push(force, (ThermalDrift(), [0.0, -1.5, constant]))
+    v = speed(position)
+    time = STEP * np.arange(2, 1500)
+    expected = (5.0 + 1.5 * (1 - np.exp(-time / constant)) * v[:-1]) / MASS
+    np.testing.assert_allclose(np.diff(v) / STEP, expected, rtol=5e-3)
+
+
+def test_a_warm_joint_stands_against_what_pushes_less_than_its_friction():
+    force = np.where(np.arange(3000) < 1000, 0.0, 1.0)
+    (position,) = push(force, (ThermalDrift(), [2.0, 0.0, 0.1]))
+    assert np.abs(position).max() < 2e-3  # a cold one moves 1 m
+
+
+def test_a_window_in_the_middle_is_as_warm_as_the_take():
+    values = np.array([0.4, 0.1, 2.0])
+    take = take_of(record(ThermalDrift(), 0, values, seconds=6.0), arm(), np.zeros(2))
+    windows = windows_of(take, 0.4)
+
+    def build(plant, rows):
+        ThermalDrift().apply(plant, 0, rows)
+
+    warm, cold = simulate(windows, build, np.array([values, 0 * values + [0, 0, 1]]))
+    late = slice(len(windows.start) // 2, None)
+    error = [np.sqrt(((x - windows.measured)[late] ** 2).mean()) for x in (warm, cold)]
+    assert error[0] < 0.1 * error[1]
+
+
+@pytest.mark.parametrize(("joint", "values"), [(0, (0.3, 0.2, 2.0)), (1, (0.1, 0.1, 4.0))], ids=JOINTS)
+def test_the_fingerprint_of_a_drift_is_what_the_simulation_misses(joint, values):
+    share, factor = explained(ThermalDrift(), joint, values, projected(ThermalDrift(), joint, values, seconds=12.0))
+    assert share > 0.97
+    assert factor == pytest.approx(1, abs=0.03)
+
+
+def test_a_short_take_shows_no_drift_and_the_longest_take_sets_the_time_constants():
+    short, long = (project_recording(record(seconds=t), arm(), np.zeros(2)) for t in (4.0, 12.0))
+    assert ThermalDrift().grid(short, 0) == []
+    assert ThermalDrift().grid_of([short, long], 0) == ThermalDrift().grid(long, 0)
+    constants = [point["time_constant"] for point in ThermalDrift().grid(long, 0)]
+    assert constants == sorted(constants)
+    assert constants[0] < 0.1 * 12.0
+
+
+def test_the_clock_of_a_drift_starts_with_the_take():
+    recording = record(seconds=12.0)
+    later = replace(recording, time=recording.time + 1e4)
+    prints = [
+        ThermalDrift().fingerprint(project_recording(r, arm(), np.zeros(2)), 1, {"time_constant": 3.0}).columns
+        for r in (recording, later)
+    ]
+    np.testing.assert_allclose(prints[0], prints[1], atol=1e-6)
+
+
+# --- a push, once ---
+
+
+def test_a_push_gives_its_impulse_once():
+    start, duration, torque = 0.2004, 0.1003, 3.0  # edges within a step
+    position = push(np.zeros(800), (Disturbance(), [start, duration, torque, 0.0]))[0]
+    v = speed(position)
+    assert not v[:199].any()
+    np.testing.assert_allclose(v[310:], torque * duration / MASS, rtol=1e-6)
+
+
+def test_a_push_belongs_to_one_take():
+    recording = record(seconds=4.0)
+    take = take_of(recording, arm(), np.zeros(2))
+    whole = windows_of(take, None)
+    here = (recording.position[1:] + recording.position[:-1]).mean(0) / 2 @ [1, 2]
+
+    def build(plant, rows):
+        Disturbance().apply(plant, 1, rows)
+
+    none, same, other = simulate(whole, build, np.array([[1, 0.2, 0, here], [1, 0.2, 0.5, here], [1, 0.2, 0.5, 9.0]]))
+    np.testing.assert_allclose(other, none, atol=1e-12)
+    assert np.abs(same - none).max() > 0.01
+
+
+def pushed(start: float, duration: float, torque: float, noise: float = 0.0, seed: int = 0, joint: int = 1):
+    """Signals of an arm that was pushed once, with encoder noise. The take it simulates is at rest: signature 0."""
+    recording = record(Disturbance(), joint, (start, duration, torque, 0.0), seconds=10.0, seed=seed)
+    read = recording.position + np.random.default_rng(seed).normal(0, noise, recording.position.shape)
+    return project_recording(replace(recording, position=read), arm(), np.full(2, noise), kernel=0.015)
+
+
+@pytest.mark.parametrize(("start", "duration", "torque"), [(2.0, 0.5, 0.25), (6.3, 0.12, -0.5), (4.0, 2.0, 0.2)])
+def test_the_matched_filter_finds_the_interval_under_noise(start, duration, torque):
+    s = pushed(start, duration, torque, noise=1e-4)
+    first = Disturbance().grid(s, 1)[0]
+    assert first["start"] == pytest.approx(start, abs=0.04)
+    assert first["duration"] == pytest.approx(duration, abs=0.06)
+    column = Disturbance().fingerprint(s, 1, first).columns[:, 1, 0]
+    assert column @ s.missing[:, 1] / (column @ column) == pytest.approx(torque, rel=0.1)
+
+
+def test_the_fingerprint_of_a_push_is_what_the_simulation_misses_in_its_take_alone():
+    s, another = pushed(3.0, 0.4, 0.3), pushed(5.0, 0.3, 0.3, seed=1)
+    own = Disturbance().grid(s, 1)[0]["take"]
+    share, factor = explained(
+        Disturbance(), 1, (3.0, 0.4, 0.3, own), s, hidden={"start": 3.0, "duration": 0.4, "take": own}
+    )
+    assert share > 0.95
+    assert factor == pytest.approx(1, abs=0.03)
+    assert not Disturbance().fingerprint(another, 1, {"start": 3.0, "duration": 0.4, "take": own}).columns.any()
+
+
+def test_the_pushes_of_all_takes_are_proposed_and_no_more_than_a_few():
+    takes = [pushed(3.0, 0.4, 0.6), pushed(5.0, 0.3, 0.6, seed=1)]
+    grid = Disturbance().grid_of(takes, 1)
+    assert len(grid) <= 8
+    for s, start in zip(takes, (3.0, 5.0), strict=True):
+        (own,) = {point["take"] for point in Disturbance().grid(s, 1)}
+        best = next(point for point in grid if point["take"] == own)
+        assert best["start"] == pytest.approx(start, abs=0.04)
+
+
+def test_the_sentences_say_when_and_how_much():
+    drift = ThermalDrift().parameters(arm(), address(), 0)
+    text = ThermalDrift().sentence("shoulder", {"amplitude": -0.2, "damping": 0.03, "time_constant": 40.0}, drift)
+    assert "time constant of 40 s" in text
+    assert "-0.2 N·m" in text
+    once = Disturbance().parameters(arm(), address(), 0)
+    values = {"start": 12.25, "duration": 0.3, "torque": 1.5, "take": 0.1}
+    text = Disturbance().sentence("shoulder", values, once)
+    assert "+1.5 N·m acted on shoulder once, from 12.25 s for 300 ms" in text
