@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from torchrl_athletic.diagnosis.screen import Bank, Candidate
-from torchrl_athletic.diagnosis.search import KERNEL_CORRELATION, Judge
+from torchrl_athletic.diagnosis.screen import KERNEL_CORRELATION, Bank, Candidate
+from torchrl_athletic.diagnosis.search import Judge
 from torchrl_athletic.effects import Effect, Fingerprint, JointAddress, Parameter, Plant, Signals
 from torchrl_athletic.effects.signals import smooth_dynamics
 from torchrl_athletic.recordings import Recording

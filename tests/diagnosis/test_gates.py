@@ -46,7 +46,8 @@ def verdict(findings=(FINDING,), train=0.0, heldout=None, torque_left=0.0, is_op
         (dict(train=0.0, torque_left=2 * EXPLAINED + 0.01), "partly_explained"),  # the torque must be explained as well
         (dict(findings=(), before=1.0, is_open=False), "nothing_missing"),
         (dict(findings=(), before=NEAR_FLOOR - 0.1, is_open=False), "nothing_missing"),
-        (dict(findings=(), before=NEAR_FLOOR + 0.1, is_open=False), "unexplained"),
+        (dict(findings=(), train=1.0, before=NEAR_FLOOR + 0.1, is_open=False), "unexplained"),
+        (dict(findings=(), train=0.0, before=NEAR_FLOOR + 0.1, is_open=False), "nothing_missing"),  # trims suffice
         (
             dict(findings=(), before=1.0, is_open=True),
             "unexplained",

@@ -52,6 +52,8 @@ EXERCISED = 0.02
 """Share of usable instants below which a joint counts as not exercised."""
 PREDICTABLE = 0.1
 """Share of the missing torque that must be predictable for it to count as something missing rather than noise."""
+WORTH = 0.1
+"""Share of its tolerance that a trim must use in the torque domain to be adjusted in the simulation."""
 OVERLAYS = 4
 """Recordings drawn at most, of each kind."""
 
@@ -326,7 +328,8 @@ class _Work:
                         prepared.repeatability,
                     )  # fmt: skip
                     if split == "train":  # what was kept aside scores the answer, it does not choose it
-                        errors.append(np.log(np.maximum(after, 1e-12)).sum(1))
+                        floor = np.array([joint["floor"] for joint in scores["train"].per_joint.values()])
+                        errors.append(np.log(np.maximum(after, np.maximum(floor, 1e-12))).sum(1))
             self.scores.append(scores)
             self.progress.update((k + 1) / len(self.fits))
         if not errors:
@@ -435,7 +438,7 @@ def _search(
 ) -> list[Evidence]:
     bank = Bank(signals, (), [t for t in trims if t.key not in taken])
     judge = Judge(bank)
-    is_open = judge.is_open(judge.score(()).fit)
+    is_open = judge.is_open(judge.bare)
     if is_open.any():
         candidates = [c for c in candidates_for(signals, catalogue) if c.key not in taken]
         bank.extend(c for c in candidates if is_open[c.joint] or c.effect.family not in OWN_JOINT)
@@ -461,9 +464,21 @@ def _hypothesis(option: Evidence, drive: Evidence | None) -> tuple[Hypothesis, A
     terms += [a.candidate for a in fitted.terms]
     start += found[: fitted.size]
     known = {a.candidate.key: v for a, v in zip(fitted.atoms, found, strict=True)}
-    trims = [t for t in trims_for(option.judge.bank.takes, FIT_TRIMS) if all(t.allows(c) for c in terms)]
+    trims = [
+        t
+        for t in trims_for(option.judge.bank.takes, FIT_TRIMS)
+        if all(t.allows(c) for c in terms) and _moved(t, known.get(t.key))
+    ]
     start += [known.get(t.key, np.array([p.nominal for p in t.parameters])) for t in trims]
     return Hypothesis(tuple(terms), tuple(trims)), np.concatenate(start) if start else np.zeros(0)
+
+
+def _moved(trim: Candidate, value: Array | None) -> bool:
+    """Whether the torque domain asked for a trim; one that it was not asked about may move in the simulation."""
+    if value is None:
+        return trim.effect.name == "torque_scale"
+    reach = np.array([p.upper - p.nominal for p in trim.parameters])
+    return bool((np.abs(value - [p.nominal for p in trim.parameters]) > WORTH * reach).any())
 
 
 def _trimmed(corrected: Simulation) -> tuple[str, ...]:
@@ -472,9 +487,11 @@ def _trimmed(corrected: Simulation) -> tuple[str, ...]:
     changes = []
     for trim in h.trims:
         for p, value in zip(trim.parameters, h.values_of(trim, corrected.values), strict=True):
-            percent = 100 * (value / p.nominal - 1)
-            if abs(percent) >= 1:
-                changes.append(f"{trim.effect.name.replace('_', ' ')} of {trim.where} {percent:+.0f} %")
+            words = f"{trim.effect.name.replace('_', ' ')} of {trim.where}"
+            if p.nominal and abs(value / p.nominal - 1) >= 0.01:
+                changes.append(f"{words} {100 * (value / p.nominal - 1):+.0f} %")
+            elif not p.nominal and abs(value) >= 0.1 * p.upper:
+                changes.append(f"{words} {p.name} {value:+.2g} {p.unit}")
     if not changes:
         return ()
     return (f"Beside the findings the corrected model was adjusted within its tolerances: {', '.join(changes)}.",)

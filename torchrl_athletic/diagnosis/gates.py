@@ -17,7 +17,7 @@ from torchrl_athletic.diagnosis.compare import open_share
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score, Verdict
-from torchrl_athletic.diagnosis.screen import Atom, Key
+from torchrl_athletic.diagnosis.screen import Atom, Candidate, Key
 from torchrl_athletic.diagnosis.search import INVARIANT, Judge, Scored, alternatives, keys, scatter
 from torchrl_athletic.effects import Effect
 
@@ -49,9 +49,14 @@ class Evidence:
         kept = [a for a in self.best.fit.terms if a.candidate.key not in dropped]
         return self if len(kept) == self.best.fit.size else replace(self, best=self.judge.score(kept))
 
+    def left_of(self, candidate: Candidate) -> float:
+        """The same where an effect acts: on its joint, or on the joint that is explained worst."""
+        left = self.left()
+        return float(left.max() if candidate.joint_name is None else left[candidate.joint])
+
     def left(self) -> Array:
         """Share of each joint's excess missing torque that is left. Shape (J,)."""
-        before, after = (self.judge.excess(fit) for fit in (self.judge.bank.fit(()), self.best.fit))
+        before, after = (self.judge.excess(fit) for fit in (self.judge.score(()).fit, self.best.fit))
         return np.where(before > 1.0, np.clip(after / np.maximum(before, 1e-12), 0.0, 1.0), 0.0)
 
 
@@ -78,7 +83,7 @@ def verdict_of(
         return ("partly_explained" if findings else "unexplained"), float(bool(is_open))
     share = max(open_share(s) for s in deciding)
     if not findings:
-        nothing = not is_open and all(_near_floor(s) for s in deciding)
+        nothing = not is_open and all(_near_floor(s) for s in deciding)  # within the tolerances of the trims
         return ("nothing_missing", 0.0) if nothing else ("unexplained", share)
     torque_left = max((float(part.left().max(initial=0.0)) for part in evidence), default=0.0)
     likely = all(f.probability >= LIKELY or f.rivals for f in findings)
@@ -126,7 +131,7 @@ def _finding(part: Evidence, term: Atom, values: Array, band: Array) -> Finding:
     rated = list(zip(*_probabilities(part, term), strict=True))
     varies = scatter(bank, part.best.fit, term)
     holds = 1.0 / (1.0 + (varies / INVARIANT) ** 4)
-    doubt = 1.0 - holds * (0.98 - 0.3 * float(part.left()[candidate.joint]))
+    doubt = 1.0 - holds * (0.98 - 0.3 * part.left_of(candidate))
     own = next(p for a, p in rated if a.candidate.key == candidate.key)
     effect, joint = candidate.effect, candidate.where
     named = {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)}
@@ -186,4 +191,4 @@ def _energy_share(part: Evidence, term: Atom) -> float:
 
 
 def _near_floor(score: Score) -> bool:
-    return all(joint["before"] <= NEAR_FLOOR * max(joint["floor"], 1e-12) for joint in score.per_joint.values())
+    return all(joint["after"] <= NEAR_FLOOR * max(joint["floor"], 1e-12) for joint in score.per_joint.values())

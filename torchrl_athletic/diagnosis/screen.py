@@ -41,10 +41,12 @@ BLOCK = 1.0
 STRETCH = 2.0
 """Least length of a stretch with an error level of its own [s]."""
 MOST_STRETCHES = 48
+KERNEL_CORRELATION = 2 * np.sqrt(np.pi)
+"""Correlation time of white noise behind the Gaussian test function, in widths."""
 TRIMS: Mapping[Effect, float] = MappingProxyType(
-    {LinkMass(): 1.0, LinkComShift(): 1.0, LinkInertia(): 1.5, EncoderOffset(): 0.3, ClockShift(): 1.0}
+    {LinkMass(): 1.0, LinkComShift(): 0.6, LinkInertia(): 1.5, EncoderOffset(): 0.3, ClockShift(): 1.0}
 )
-"""What every model and every log is a little wrong in, and by how many of its parameters' units: 5 % of a mass, 5 % of
+"""What every model and every log is a little wrong in, and by how many of its parameters' units: 5 % of a mass, 3 % of
 a link's size, 15 % of an inertia, 3 mrad, 1 ms. A smaller change is a trim, no finding."""
 FIT_TRIMS: Mapping[Effect, float] = MappingProxyType({**TRIMS, TorqueScale(): 1.0})
 """The same once the findings are known: 5 % of a torque constant, too."""
@@ -112,6 +114,8 @@ class Fit:
     """One for each column of the atoms, in order."""
     bounds: tuple[Array, Array]
     """Of the coefficients."""
+    strain: float
+    """Sum of squares of the trims, each in standard deviations of what it may be: half its tolerance."""
     residual: Array
     """Weighted sum of squares that is left, per joint and stretch. Shape (J, S)."""
 
@@ -270,27 +274,46 @@ class Bank:
         return np.concatenate(labels)
 
     @cached_property
+    def correlation(self) -> float:
+        """Rows per independent sample of white noise behind the Gaussian test function."""
+        take = self.takes[0]
+        return KERNEL_CORRELATION * take.kernel / (take.fine_step * float(np.diff(take.keep[:2])[0]))
+
+    @cached_property
     def count(self) -> Array:
         """Valid rows per joint and stretch. Shape (J, S)."""
         used = (self.weight > 0).astype(float)
         return np.stack([np.bincount(self.stretch, used[:, j]) for j in range(self.joints)])
 
-    def fit(self, atoms: Sequence[Atom], level: Array | None = None) -> Fit:
+    def fit(self, atoms: Sequence[Atom], level: Array | None = None, trimmed: bool = True) -> Fit:
         """Bounded least squares of a combination, and of the trims that go with it.
 
         Args:
             atoms: The combination, without trims.
             level: Mean square to expect of the residual in each stretch of each joint, whose inverse is the weight.
                 Shape (J, S); ones if None.
+            trimmed: Whether trims are fitted beside it.
         """
         chosen = tuple(atoms)
-        atoms = (*chosen, *(t for t in self.trims if all(t.candidate.allows(a.candidate) for a in chosen)))
+        if trimmed:
+            atoms = (*chosen, *(t for t in self.trims if all(t.candidate.allows(a.candidate) for a in chosen)))
         gram = self.products.gram([0, *(n for atom in atoms for n in self.numbers(atom))])
         low, high = _bounds(atoms)
         total = gram.sum((0, 1)) if level is None else np.tensordot(1.0 / level, gram, 2)
-        coefficients = bounded_least_squares(total[1:, 1:], total[1:, 0], low, high)
+        doubt = self._doubt(atoms[len(chosen) :], low, high)
+        normal = total[1:, 1:] + self.correlation * np.diag(doubt)
+        coefficients = bounded_least_squares(normal, total[1:, 0], low, high)
         x = np.append(1.0, -coefficients)
-        return Fit(atoms, len(chosen), coefficients, (low, high), np.maximum((gram @ x) @ x, 0.0))
+        strain = float(doubt @ coefficients**2)
+        return Fit(atoms, len(chosen), coefficients, (low, high), strain, np.maximum((gram @ x) @ x, 0.0))
+
+    def _doubt(self, trims: Sequence[Atom], low: Array, high: Array) -> Array:
+        """Precision with which trims are known to be zero; zero for the rest, which stands before. Shape (columns,)."""
+        out = np.zeros(len(low))
+        count = sum(len(t.linear) for t in trims)
+        if count:
+            out[-count:] = (4.0 / (high[-count:] - low[-count:])) ** 2
+        return out
 
     def gains(self, fit: Fit, level: Array) -> dict[Atom, float]:
         """How much each shelved atom would lower the weighted sum of squares beside a fit, on its own joint alone.
@@ -304,7 +327,9 @@ class Bank:
         margin = 1e-6 * (high - low)
         free = (fit.coefficients > low + margin) & (fit.coefficients < high - margin)
         moving = [n for n, f in zip(numbers, free, strict=True) if f]
+        doubt = self.correlation * self._doubt(fit.atoms[fit.size :], low, high)[free]
         active = np.tensordot(1.0 / level, self.products.gram(moving).sum(1), 1) if moving else np.zeros((0, 0))
+        active = active + np.diag(doubt)
         out: dict[Atom, float] = {}
         for shelf in self._shelves:
             j = shelf.joint

@@ -39,8 +39,6 @@ SHORTLIST = 2
 FOLDS = 5
 STRETCHES = 6
 """Parts that fewer than three takes are cut into to see whether a term holds everywhere."""
-KERNEL_CORRELATION = 2 * np.sqrt(np.pi)
-"""Correlation time of white noise behind the Gaussian test function, in widths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +59,9 @@ class Judge:
     def __init__(self, bank: Bank) -> None:
         self.bank, self.floor = bank, noise_level(bank)
         self.total = np.maximum(bank.count, 1e-9)
-        take = bank.takes[0]
-        rows = take.kernel / (take.fine_step * float(np.diff(take.keep[:2])[0]))
-        self.independent = bank.count / (KERNEL_CORRELATION * rows)
+        self.independent = bank.count / bank.correlation
+        self.bare = bank.fit((), trimmed=False)
+        """Nothing is adjusted."""
 
     def mean_square(self, fit: Fit) -> Array:
         """Of the normalised residual, per joint and stretch. Shape (J, S)."""
@@ -89,7 +87,7 @@ class Judge:
         count = self.independent if independent is None else independent
         penalty = np.log(max(count.sum(), 3.0)) * fit.freedom
         evidence = float((count * np.log(self.level(fit))).sum())
-        return Scored(fit, evidence + float(penalty) + sum(_doubt(a) for a in fit.terms))
+        return Scored(fit, evidence + float(penalty) + fit.strain + sum(_doubt(a) for a in fit.terms))
 
     def is_open(self, fit: Fit) -> NDArray[np.bool_]:
         """Which joints miss more torque than noise explains, at least in some stretch. Shape (J,)."""
@@ -97,6 +95,10 @@ class Judge:
         chance = 1.0 + CHANCE * np.sqrt(2.0 / np.maximum(self.independent, 1.0))
         whole = fit.residual.sum(1) > (self.total * usual).sum(1)
         return np.asarray(whole | ((self.mean_square(fit) > usual * chance) & (self.bank.count > 0)).any(1))
+
+    def helps(self, before: Fit, after: Fit) -> bool:
+        """Whether the step closes a material share of what was open, or relieves the trims."""
+        return self.closes(before, after) > MATERIAL or before.strain - after.strain > DECISIVE / 2
 
     def closes(self, before: Fit, after: Fit) -> float:
         """Share of what was open that the step closes, on the joint where it does most."""
@@ -189,6 +191,8 @@ def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
 
 def _extensions(judge: Judge, parent: Scored) -> list[Scored]:
     is_open = judge.is_open(parent.fit)
+    if not parent.fit.terms or parent.fit.strain > DECISIVE:  # trims may hide an effect
+        is_open |= judge.is_open(judge.bare)
     if not is_open.any():
         return []
     best: dict[Key, Scored] = {}
@@ -199,11 +203,7 @@ def _extensions(judge: Judge, parent: Scored) -> list[Scored]:
         key = atom.candidate.key
         if key not in best or scored.evidence < best[key].evidence:
             best[key] = scored
-    good = [
-        s
-        for s in best.values()
-        if parent.evidence - s.evidence > DECISIVE and judge.closes(parent.fit, s.fit) > MATERIAL
-    ]
+    good = [s for s in best.values() if parent.evidence - s.evidence > DECISIVE and judge.helps(parent.fit, s.fit)]
     return sorted(good, key=lambda s: s.evidence)
 
 
@@ -217,7 +217,7 @@ def _refine(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
         for name in sorted(own & term.fixed.keys()):
             for _ in range(rounds):
                 here = scored.fit.terms[place]
-                same = [a for a in judge.bank.atoms if a.candidate is here.candidate]
+                same = [a for a in judge.bank.atoms if a.candidate is here.candidate and _differs_in(a, here, name)]
                 grid = sorted({a.fixed[name] for a in same})
                 at = grid.index(here.fixed[name])
                 near = [grid[k] for k in (at - 1, at + 1) if 0 <= k < len(grid)]
@@ -227,6 +227,11 @@ def _refine(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
                         terms = [atom if k == place else t for k, t in enumerate(scored.fit.terms)]
                         scored = min(scored, judge.score(terms), key=lambda s: s.evidence)
     return scored
+
+
+def _differs_in(one: Atom, other: Atom, name: str) -> bool:
+    """Whether two grid points of a candidate lie on one line."""
+    return all(one.fixed[k] == v for k, v in other.fixed.items() if k != name)
 
 
 def _exchange(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
@@ -303,7 +308,7 @@ def _prune(judge: Judge, scored: Scored) -> Scored:
     while scored.fit.terms:
         trials = [judge.score([a for a in scored.fit.terms if a is not term]) for term in scored.fit.terms]
         weakest = min(trials, key=lambda s: s.evidence)
-        if weakest.evidence - scored.evidence > DECISIVE and judge.closes(weakest.fit, scored.fit) > MATERIAL:
+        if weakest.evidence - scored.evidence > DECISIVE and judge.helps(weakest.fit, scored.fit):
             break
         scored = weakest
     return scored

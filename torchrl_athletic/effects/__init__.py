@@ -4,21 +4,42 @@ One file per family; every effect knows its parameters with units and bounds, it
 to enter a simulation, its sentence, and the experiment that separates it from its rivals.
 """
 
+from torchrl_athletic.effects.change import Disturbance, ThermalDrift
 from torchrl_athletic.effects.control import GainMismatch
 from torchrl_athletic.effects.effect import Effect, Fingerprint, Parameter
-from torchrl_athletic.effects.friction import AsymmetricFriction, CoulombFriction, ViscousFriction
+from torchrl_athletic.effects.elastic import JointSpring, JointStop
+from torchrl_athletic.effects.friction import (
+    AsymmetricFriction,
+    CoulombFriction,
+    LoadDependentFriction,
+    StribeckFriction,
+    ViscousFriction,
+)
 from torchrl_athletic.effects.inertia import LinkCom, LinkInertia, LinkMass, ReflectedInertia
 from torchrl_athletic.effects.nuisance import ClockShift, LinkComShift
-from torchrl_athletic.effects.plant import Plant
-from torchrl_athletic.effects.sensing import EncoderOffset
+from torchrl_athletic.effects.plant import Law, Now, Plant, Start
+from torchrl_athletic.effects.presliding import Hysteresis
+from torchrl_athletic.effects.sensing import ClockOffset, EncoderOffset, EncoderScale
 from torchrl_athletic.effects.signals import JointAddress, Signals, project_recording
 from torchrl_athletic.effects.timing import ActuationDelay, ActuationLag
-from torchrl_athletic.effects.torque import TorqueOffset, TorqueScale
+from torchrl_athletic.effects.torque import (
+    SpeedTorqueLimit,
+    TorqueOffset,
+    TorqueRipple,
+    TorqueSaturation,
+    TorqueScale,
+)
+from torchrl_athletic.effects.transmission import Backlash, Compliance
 
 CATALOGUE: tuple[Effect, ...] = (
     CoulombFriction(),
     ViscousFriction(),
+    StribeckFriction(),
+    LoadDependentFriction(),
     AsymmetricFriction(),
+    Hysteresis(),
+    Backlash(),
+    Compliance(),
     ReflectedInertia(),
     LinkMass(),
     LinkCom(),
@@ -26,8 +47,17 @@ CATALOGUE: tuple[Effect, ...] = (
     ActuationLag(),
     TorqueScale(),
     TorqueOffset(),
+    TorqueSaturation(),
+    SpeedTorqueLimit(),
+    TorqueRipple(),
+    JointSpring(),
+    JointStop(),
     EncoderOffset(),
+    EncoderScale(),
+    ClockOffset(),
     GainMismatch(),
+    ThermalDrift(),
+    Disturbance(),
 )
 """Every effect that a diagnosis considers unless told otherwise."""
 
@@ -36,22 +66,39 @@ __all__ = [
     "ActuationDelay",
     "ActuationLag",
     "AsymmetricFriction",
+    "Backlash",
+    "ClockOffset",
     "ClockShift",
+    "Compliance",
     "CoulombFriction",
+    "Disturbance",
     "Effect",
     "EncoderOffset",
+    "EncoderScale",
     "Fingerprint",
     "GainMismatch",
+    "Hysteresis",
     "JointAddress",
+    "JointSpring",
+    "JointStop",
+    "Law",
     "LinkCom",
     "LinkComShift",
     "LinkInertia",
     "LinkMass",
+    "LoadDependentFriction",
+    "Now",
     "Parameter",
     "Plant",
     "ReflectedInertia",
     "Signals",
+    "SpeedTorqueLimit",
+    "Start",
+    "StribeckFriction",
+    "ThermalDrift",
     "TorqueOffset",
+    "TorqueRipple",
+    "TorqueSaturation",
     "TorqueScale",
     "ViscousFriction",
     "project_recording",

@@ -27,6 +27,7 @@ class GainMismatch(Effect):
     """
 
     name = "gain_mismatch"
+    family = "control"
     shows_in = "load"
     equation = "τ = a kp (q* - q) - c kd q̇"
     source = "Isaac Lab, actuators; PACE (Bjelonic et al. 2025, arXiv:2509.06342)"

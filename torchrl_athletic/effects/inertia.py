@@ -24,6 +24,7 @@ class ReflectedInertia(Effect):
     """
 
     name = "reflected_inertia"
+    family = "inertia"
     shows_in = "acceleration"
     equation = "τ = -Ir n² q̈"
     source = "Siciliano et al. 2009, Robotics, section 7.1.2; MuJoCo's joint armature"
@@ -72,6 +73,7 @@ class LinkMass(Effect):
     """
 
     name = "link_mass"
+    family = "inertia"
     shows_in = "load"
     equation = "m → m + Δm, I → I (1 + Δm/m)"
     source = "Atkeson, An, Hollerbach 1986, doi:10.1177/027836498600500306"
@@ -120,6 +122,7 @@ class LinkCom(Effect):
     """
 
     name = "link_com"
+    family = "inertia"
     excludes = frozenset({"link_mass", "torque_scale"})  # one joint shows ratios of the three only
     shows_in = "load"
     equation = "c → c (1 + Δd/d), perpendicular to the axis"
@@ -192,6 +195,7 @@ class LinkInertia(Effect):
     """
 
     name = "link_inertia"
+    family = "inertia"
     shows_in = "acceleration"
     equation = "Ic → s Ic"
     source = "Atkeson, An, Hollerbach 1986, doi:10.1177/027836498600500306"

@@ -28,6 +28,7 @@ class ActuationDelay(Effect):
     """
 
     name = "actuation_delay"
+    family = "timing"
     shows_in = "acceleration"
     equation = "τ(t) = u(t - T)"
     source = "Hwangbo et al. 2019, doi:10.1126/scirobotics.aau5872, supplement S2"
@@ -69,6 +70,7 @@ class ActuationLag(Effect):
     """
 
     name = "actuation_lag"
+    family = "timing"
     shows_in = "acceleration"
     equation = "T dτ/dt = u - τ"
     source = "Gautier, Janot, Vandanjon 2013, doi:10.1109/TCST.2012.2185697"
