@@ -15,6 +15,9 @@ from torchrl_athletic.functional import rotations
 from torchrl_athletic.physics import BatchPhysics, Physics
 from torchrl_athletic.robots import Robot
 
+_BASE = {"base_position", "base_quaternion", "base_linear_velocity", "base_angular_velocity", "projected_gravity"}
+"""What is shown of a floating base; sensors of these names go before what is computed."""
+
 
 class TorqueEnv(EnvBase):
     """N copies of a robot, driven by joint torques at the physics rate.
@@ -126,13 +129,14 @@ class TorqueEnv(EnvBase):
         only_joints = "_substep" in tensordict.keys()
         self.physics.apply_torque(torque)
         self.physics.step(refresh=not only_joints and bool(self._sensors), envs=tensordict.get("_step", None))
-        shown = self._show_joints() if only_joints else self._observe(torque)
         failed = self.physics.diverged.unsqueeze(-1)
-        if self.terminate is not None and not only_joints:
-            failed = failed | self.terminate(self._tensordict(shown))
+        flags = {"done": failed, "terminated": failed.clone(), "truncated": torch.zeros_like(failed)}
         reward = torch.zeros(*self.batch_size, 1, device=self.device)
-        truncated = torch.zeros_like(failed)
-        return self._tensordict(shown, reward=reward, done=failed, terminated=failed.clone(), truncated=truncated)
+        shown = self._tensordict(self._show_joints() if only_joints else self._observe(torque), reward=reward, **flags)
+        if self.terminate is not None and not only_joints:
+            failed = failed | self.terminate(shown)
+            shown.set("done", failed).set("terminated", failed.clone())
+        return shown
 
     def _set_seed(self, seed: int | None) -> None:
         """Nothing here is random."""
@@ -145,12 +149,13 @@ class TorqueEnv(EnvBase):
 
     def _observe(self, torque: Tensor) -> dict[str, Tensor]:
         shown = self._show_joints() | {"applied_torque": torque.float()}
-        if self._base_qpos is not None:
+        if self._base_qpos is not None and not self._sensors.keys() >= _BASE:
             shown |= self._show_base()
         if self._sensors:
             readings = self._copied(self.physics.data("sensordata"))
             for key, (columns, shape) in self._sensors.items():
-                shown[key] = readings[:, columns].unflatten(-1, shape)
+                taken = readings[:, columns] if isinstance(columns, slice) else readings.index_select(1, columns)
+                shown[key] = taken.unflatten(-1, shape)
         return shown
 
     def _show_base(self) -> dict[str, Tensor]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -139,13 +140,13 @@ def blend_goals(start: Tensor, goal: Tensor, elapsed: Tensor, duration: Tensor) 
         0.25
     """
     share = (elapsed / duration).clamp(max=1.0)
-    of_velocity, of_pose = share[..., :1], share[..., 1:]
-    velocity = start[..., VELOCITY] * (1 - of_velocity) + goal[..., VELOCITY] * of_velocity
-    position = start[..., POSITION] * (1 - of_pose) + goal[..., POSITION] * of_pose
-    first, last = start[..., QUATERNION], goal[..., QUATERNION]
-    alike = (first * last).sum(-1, keepdim=True)  # q and -q are one attitude: take the nearer
-    attitude = first * (1 - of_pose) + torch.where(alike < 0, -last, last) * of_pose
-    return torch.cat((velocity, position, torch.nn.functional.normalize(attitude, dim=-1)), -1)
+    of_velocity, of_pose = share.split(1, -1)
+    alike = (start[..., QUATERNION] * goal[..., QUATERNION]).sum(-1, keepdim=True)
+    nearer = torch.where(alike < 0, -of_pose, of_pose)  # q and -q are one attitude: take the nearer
+    left, reached = _for_each((1 - share).split(1, -1), (3, 7)), _for_each((of_velocity, of_pose, nearer), (3, 3, 4))
+    blended = start * left + goal * reached
+    attitude = torch.nn.functional.normalize(blended[..., QUATERNION], dim=-1)
+    return torch.cat((blended[..., :6], attitude), -1)
 
 
 def straighten(velocity: Tensor, lateral: Tensor, heading: Tensor, rate: float = 0.5) -> Tensor:
@@ -241,9 +242,12 @@ def pose_to_world(
         >>> pose_to_world(ahead, torch.tensor([2.0, 0.0, 0.3]), left, 0.5)[0].round(decimals=3).tolist()
         [2.0, 0.5, 0.6000000238418579]
     """
-    heading = rotations.yaw_quaternion(rotations.yaw(base_quaternion))
-    position = _origin(base_position, frame_height) + rotations.rotate(heading, command[..., :3])
-    return position, rotations.matrix(heading) @ rotations.from_two_columns(command[..., 3:])
+    heading = rotations.yaw(base_quaternion)
+    cosine, sine = heading.cos(), heading.sin()
+    x, y, z = command.unflatten(-1, (3, 3)).unbind(-1)  # of the position and the two columns at once
+    turned = torch.stack((cosine * x - sine * y, sine * x + cosine * y, z), -1)
+    position = _origin(base_position, frame_height) + turned[..., 0, :]
+    return position, rotations.from_two_columns(turned[..., 1:, :].flatten(-2))
 
 
 def from_roll_pitch_yaw(angles: Tensor) -> Tensor:
@@ -265,6 +269,11 @@ def from_roll_pitch_yaw(angles: Tensor) -> Tensor:
         ),
         -1,
     )
+
+
+def _for_each(shares: Sequence[Tensor], widths: Sequence[int]) -> Tensor:
+    """Each share, shape (*B, 1), as often as its part of a goal is wide. Shape (*B, sum of widths)."""
+    return torch.cat([share.expand(*share.shape[:-1], width) for share, width in zip(shares, widths, strict=True)], -1)
 
 
 def _origin(base_position: Tensor, frame_height: float) -> Tensor:

@@ -160,9 +160,10 @@ def embed_phase(index: Tensor, step: Tensor, timer_steps: Tensor, width: int) ->
         [0.0, 1.0, 0.0, 0.5]
     """
     count = len(timer_steps)
-    place = torch.arange(width, device=index.device)
-    timer = (step / timer_steps[index]).clamp(max=1.0)
-    return torch.where(place == count, timer, (place == index).to(timer.dtype))
+    told = torch.zeros(*index.shape[:-1], width, device=index.device).scatter_(-1, index, 1.0)
+    if width > count:
+        told[..., count : count + 1] = (step / timer_steps[index]).clamp(max=1.0)
+    return told
 
 
 def throw_phases(

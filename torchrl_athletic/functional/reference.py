@@ -85,7 +85,9 @@ def sample_reference(
         first, second = torch.remainder(first, length), torch.remainder(first + 1, length)
     else:
         first, second = (torch.minimum((first + ahead).clamp(min=0), length - 1) for ahead in (0, 1))
-    start = table[reference, first]
+    rows, row = table.flatten(0, 1), reference * table.shape[1]
+    start = rows.index_select(0, (row + first).flatten()).unflatten(0, first.shape)
     if not interpolate:
         return start
-    return start + (table[reference, second] - start) * share
+    end = rows.index_select(0, (row + second).flatten()).unflatten(0, second.shape)
+    return start + (end - start) * share

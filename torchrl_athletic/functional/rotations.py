@@ -82,18 +82,8 @@ def matrix(body_to_world: Tensor) -> Tensor:
         >>> matrix(torch.tensor([1.0, 0.0, 0.0, 0.0])).tolist()
         [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """
-    w, x, y, z = body_to_world.unbind(-1)
-    rows = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - w * z),
-        2 * (x * z + w * y),
-        2 * (x * y + w * z),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - w * x),
-        2 * (x * z - w * y),
-        2 * (y * z + w * x),
-        1 - 2 * (x * x + y * y),
-    )
+    xx, xy, xz, yy, yz, zz, wx, wy, wz = _twice_products(body_to_world)
+    rows = (1 - (yy + zz), xy - wz, xz + wy, xy + wz, 1 - (xx + zz), yz - wx, xz - wy, yz + wx, 1 - (xx + yy))
     return torch.stack(rows, -1).unflatten(-1, (3, 3))
 
 
@@ -103,7 +93,8 @@ def two_columns(body_to_world: Tensor) -> Tensor:
     Source:
         Zhou et al. 2019, https://arxiv.org/abs/1812.07035; Fey et al. 2025, section II-B.
     """
-    return matrix(body_to_world)[..., :2].transpose(-2, -1).flatten(-2)
+    xx, xy, xz, yy, yz, zz, wx, wy, wz = _twice_products(body_to_world)
+    return torch.stack((1 - (yy + zz), xy + wz, xz - wy, xy - wz, 1 - (xx + zz), yz + wx), -1)
 
 
 def from_two_columns(columns: Tensor) -> Tensor:
@@ -130,3 +121,10 @@ def keypoints(position: Tensor, rotation: Tensor, length: float = 1.0) -> Tensor
     """
     axes = position.unsqueeze(-2) + length * rotation.transpose(-2, -1)
     return torch.cat((position.unsqueeze(-2), axes), -2)
+
+
+def _twice_products(quaternion: Tensor) -> tuple[Tensor, ...]:
+    """2xx, 2xy, 2xz, 2yy, 2yz, 2zz, 2wx, 2wy, 2wz: all that a rotation matrix is made of. Shape (*B,) each."""
+    w, x, y, z = quaternion.unbind(-1)
+    _, x2, y2, z2 = (2 * quaternion).unbind(-1)
+    return x * x2, x * y2, x * z2, y * y2, y * z2, z * z2, w * x2, w * y2, w * z2

@@ -377,9 +377,13 @@ class ActionDelay(RandomTransform):
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         action = self._action_spec()
-        before = action.zero() if self.before is None else self.before.to(action.dtype).expand(action.shape)
+        size = (*key.shape, action.shape[-1])
+        if self.before is None:
+            before = torch.zeros(size, dtype=action.dtype, device=key.device)
+        else:
+            before = self.before.to(action.dtype).expand(size)
         steps = self.min_steps + streams.integers(key, 1, self.max_steps - self.min_steps + 1)
-        queue = history.tile(before, self.max_steps + 1).to(key.device)
+        queue = history.tile(before, self.max_steps + 1)
         first: dict[NestedKey, Tensor] = {self.delay_key: steps, self.queue_key: queue}
         return first if self.age_key is None else first | {self.age_key: torch.zeros_like(steps)}
 

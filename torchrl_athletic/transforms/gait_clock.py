@@ -61,8 +61,8 @@ class GaitClock(RandomTransform):
         self.phase_key, self.cycle_key = phase_key, cycle_key
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
-        cycle = streams.uniform(key, 1)
-        return self._shown(cycle if self.random_start else torch.zeros_like(cycle))
+        cycle = streams.uniform(key, 1) if self.random_start else torch.zeros(*key.shape, 1, device=key.device)
+        return self._shown(cycle)
 
     def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
         cycle = gait.advance_cycle(tensordict.get(self.cycle_key), self.frequency, self.dt)

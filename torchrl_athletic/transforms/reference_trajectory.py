@@ -172,6 +172,9 @@ class ReferenceTrajectory(RandomTransform):
 
     def _choose(self, key: Tensor) -> tuple[Tensor, Tensor]:
         """Which reference, and from which of its steps on. int64, shape (*B, 1) each."""
+        if len(self.lengths) == 1 and not self.random_start:
+            alone = torch.zeros(*key.shape, 1, dtype=torch.int64, device=key.device)
+            return alone, alone.clone()
         unit = streams.uniform(key, 2)
         reference = (unit[..., :1] >= self.shares[:-1]).sum(-1, keepdim=True)
         if not self.random_start:

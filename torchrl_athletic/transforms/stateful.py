@@ -14,7 +14,7 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 from torchrl.envs.batched_envs import BatchedEnvBase
 
-from torchrl_athletic.functional.streams import stream
+from torchrl_athletic.functional import streams
 
 Joints: TypeAlias = str | Sequence[int] | slice | None
 """Joints of a robot: the name of a group that the environment knows, their numbers, or None for all of them."""
@@ -159,6 +159,8 @@ class RandomTransform(StatefulTransform):
 
     episode: Tensor
     """Episodes that each row has had. It names random numbers only, so that no checkpoint has to hold it."""
+    row_stream: Tensor
+    """What the seed and the row's number open: the stream of each episode branches off."""
 
     def __init__(
         self,
@@ -174,7 +176,8 @@ class RandomTransform(StatefulTransform):
         super().__init__(in_keys, out_keys, in_keys_inv, out_keys_inv, reset_key)
         self.seed, self.first_row = seed, first_row
         self._salt = zlib.crc32(type(self).__name__.encode())  # or a short delay would always come with a light arm
-        self.register_buffer("episode", torch.empty(0, dtype=torch.int64), persistent=False)
+        for name in ("episode", "row_stream"):
+            self.register_buffer(name, torch.empty(0, dtype=torch.int64), persistent=False)
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         """What :meth:`initial` is, given a stream for each row. Shape of ``key``: (*B,)."""
@@ -199,14 +202,16 @@ class RandomTransform(StatefulTransform):
     def _count_episodes_of(self, tensordict: TensorDictBase) -> None:
         if self.episode.shape != tensordict.batch_size:  # on the environment's device, to which it moved this module
             self.episode = self.episode.new_zeros(tensordict.batch_size)
+        if self.row_stream.shape != self.episode.shape:
+            row = torch.arange(self.episode.numel(), device=self.episode.device).reshape(self.episode.shape)
+            self.row_stream = streams.stream(self.seed + self._salt, row + self.first_row)
 
     def _starts(self, tensordict: TensorDictBase) -> Tensor | int:
         starts = reset_mask(tensordict, self.reset_key)
         return 1 if starts is None else starts.reshape(*self.episode.shape, -1).any(-1)
 
     def _streams(self, episode: Tensor) -> Tensor:
-        row = torch.arange(episode.numel(), device=episode.device).reshape(episode.shape)
-        return stream(self.seed + self._salt, row + self.first_row, episode)
+        return streams.branch(self.row_stream, episode)
 
 
 def reset_mask(tensordict: TensorDictBase, reset_key: NestedKey) -> Tensor | None:
