@@ -22,8 +22,8 @@ from torchrl_athletic.effects.effect import (
     torque_unit,
 )
 from torchrl_athletic.effects.plant import Law, Now, Plant, Start
-from torchrl_athletic.effects.presliding import Bristle, sliding
-from torchrl_athletic.effects.signals import JointAddress, Signals, presliding_width
+from torchrl_athletic.effects.presliding import Bristle, directions, forms
+from torchrl_athletic.effects.signals import JointAddress, Signals
 from torchrl_athletic.effects.torque import leftover
 
 _OF_TAKE = (0.03, 0.08, 0.2, 0.5, 1.5)
@@ -58,7 +58,7 @@ class ThermalDrift(Effect):
         "coulomb_friction": "repeat one slow motion of {joint} from cold for several minutes: a drift changes from "
         "period to period",
         "viscous_friction": "repeat one motion of {joint} from cold for several minutes",
-        "disturbance": "repeat the take from cold: a drift comes back, a disturbance does not",
+        "disturbance": "let {joint} cool and repeat the take: a drift comes back, a disturbance does not",
         "torque_scale": "hold {joint} still under a known weight for several minutes: friction does not show there",
     }
 
@@ -76,18 +76,20 @@ class ThermalDrift(Effect):
     def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
         """Time constants in proportion to the longest take; none if it is too short to warm up in."""
         longest = max(s.recording.duration for s in takes)
-        return [{"time_constant": share * longest} for share in _OF_TAKE] if longest >= _LONG_ENOUGH else []
+        if longest < _LONG_ENOUGH:
+            return []
+        return [{"time_constant": share * longest, **form} for share in _OF_TAKE for form in forms(takes[0], joint)]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         return self.fingerprints(s, joint, [fixed])[0]
 
     def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
-        z = sliding(s.fine_position[:, joint], np.array([presliding_width(s, joint)]))[:, 0]
-        friction = -np.stack([s.project(z), s.velocity[:, joint]], -1)  # slow against the kernel: project first
+        dry, viscous = s.project(directions(s, joint, grid)), s.velocity[:, joint]
         passed = s.time - s.recording.time[0]
-        return [
-            Fingerprint(local(friction * _warmth(passed, fixed["time_constant"])[:, None], s, joint), fixed)
-            for fixed in grid
+        warmth = [_warmth(passed, fixed["time_constant"])[:, None] for fixed in grid]
+        return [  # slow against the kernel, so that it may come after the projection
+            Fingerprint(local(-np.stack([dry[:, k], viscous], -1) * warmth[k], s, joint), fixed)
+            for k, fixed in enumerate(grid)
         ]
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
@@ -145,10 +147,10 @@ class Disturbance(Effect):
     equation = "τ = d for t₀ ≤ t < t₀ + T, once"
     source = "Turin 1960, doi:10.1109/TIT.1960.1057571 (matched filter)"
     experiments: ClassVar[Mapping[str, str]] = {
-        "torque_offset": "repeat the take: a disturbance does not come back",
-        "thermal_drift": "repeat the take from cold",
-        "torque_saturation": "repeat the take",
-        "joint_stop": "repeat the take",
+        "torque_offset": "repeat the take of {joint}: a disturbance does not come back",
+        "thermal_drift": "let {joint} cool and repeat the take",
+        "torque_saturation": "repeat the take of {joint}",
+        "joint_stop": "repeat the take of {joint}",
     }
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:

@@ -22,13 +22,11 @@ from torchrl_athletic.effects.effect import (
     torque_unit,
 )
 from torchrl_athletic.effects.plant import Now, Plant, Start
-from torchrl_athletic.effects.presliding import Bristle, sliding
+from torchrl_athletic.effects.presliding import Bristle, directions, forms
 from torchrl_athletic.effects.signals import JointAddress, Signals, presliding_width, sliding_direction
 from torchrl_athletic.effects.torque import fine_torque
 
-_PRESLIDING = (0.2, 1.0, 2.7)
-"""Widths to try, per :func:`presliding_width`: 0.3, 1.5 and 4 mrad on a joint that travels a radian."""
-_TURNOVER = (0.0, 0.5, 1.0)
+_TURNOVER = (0.5, 1.0)
 """Turnovers to try, per the one of the model's time constant."""
 _STRIBECK = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35)
 """Stribeck speeds to try, per the joint's greatest speed."""
@@ -42,8 +40,9 @@ class CoulombFriction(Effect):
     ``frictionloss`` and default ``solref``, so that a model of a simulation is recognised too.
 
     Fingerprint: -z, where z is the direction of sliding, -1 to 1, which turns over within a presliding width after a
-    reversal: 0.3, 1.5 or 4 mrad on a joint that moves a radian or more, less in proportion on one that moves less. Or,
-    in MuJoCo's form, -clip(q̇(t + T) / v, -1, 1) with the turnover T and the speed v at which such a joint creeps.
+    reversal: 0.3, 1.5 or 4 mrad on a joint that moves a radian or more, less in proportion on one that moves less. Or
+    it turns over with the velocity; in MuJoCo's form -clip(q̇(t + T) / v, -1, 1) with the turnover T and the speed v at
+    which such a joint creeps.
 
     Simulation: MuJoCo's ``frictionloss``, without a turnover as stiff as the time step allows, so that it comes close
     to ideal friction.
@@ -75,26 +74,16 @@ class CoulombFriction(Effect):
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         width, turnover = presliding_width(s, joint), _turnover(s.nominal, s.address, joint)
-        by_way = [{"turnover": 0.0, "presliding": share * width, "creep": 0.0} for share in _PRESLIDING]
-        creep = _creep(s, joint, turnover)
+        ideal, creep = [{"turnover": 0.0, **form} for form in forms(s, joint)], _creep(s, joint, turnover)
         if creep <= 0:
-            return [*by_way]
-        by_speed = [{"turnover": share * turnover, "presliding": width, "creep": creep} for share in _TURNOVER]
-        return [*by_way, *by_speed]
+            return [*ideal]
+        return [*ideal, *({"turnover": x * turnover, "presliding": width, "creep": creep} for x in _TURNOVER)]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         return self.fingerprints(s, joint, [fixed])[0]
 
     def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
-        q, v = s.fine_position[:, joint], s.fine_velocity[:, joint]
-        given = presliding_width(s, joint)
-        widths = np.array([fixed.get("presliding", given) for fixed in grid])
-        direction = sliding(q, widths)
-        for k, fixed in enumerate(grid):
-            if fixed.get("creep", 0.0) > 0:
-                ahead = np.interp(s.fine_time + fixed["turnover"], s.fine_time, v)
-                direction[:, k] = np.clip(ahead / fixed["creep"], -1, 1)
-        columns = -s.project(direction)
+        columns = -s.project(directions(s, joint, grid))
         return [Fingerprint(local(columns[:, k], s, joint), fixed) for k, fixed in enumerate(grid)]
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
@@ -207,13 +196,19 @@ class AsymmetricFriction(Effect):
         )
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
-        return [{}]
+        return [*forms(s, joint)]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
-        z = sliding(s.fine_position[:, joint], np.array([presliding_width(s, joint)]))[:, 0]
-        v = s.fine_velocity[:, joint]
-        sides = np.stack([np.maximum(z, 0), np.minimum(z, 0), np.maximum(v, 0), np.minimum(v, 0)], -1)
-        return Fingerprint(local(-s.project(sides), s, joint), fixed)
+        return self.fingerprints(s, joint, [fixed])[0]
+
+    def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
+        z, v = directions(s, joint, grid), s.fine_velocity[:, joint, None]
+        slopes = s.project(np.concatenate([np.maximum(v, 0), np.minimum(v, 0)], -1))
+        forwards, backwards = s.project(np.maximum(z, 0)), s.project(np.minimum(z, 0))
+        return [
+            Fingerprint(local(-np.column_stack([forwards[:, k], backwards[:, k], slopes]), s, joint), fixed)
+            for k, fixed in enumerate(grid)
+        ]
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         coulomb_pos, coulomb_neg, viscous_pos, viscous_neg = values.T
@@ -277,17 +272,20 @@ class StribeckFriction(Effect):
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         fastest = float(np.abs(s.velocity[:, joint]).max())
-        return [{"stribeck_speed": share * fastest} for share in _STRIBECK] if fastest > 0 else []
+        if fastest <= 0:
+            return []
+        return [{"stribeck_speed": share * fastest, **form} for share in _STRIBECK for form in forms(s, joint)]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         return self.fingerprints(s, joint, [fixed])[0]
 
     def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
-        z = sliding(s.fine_position[:, joint], np.array([presliding_width(s, joint)]))
-        speeds = np.array([fixed["stribeck_speed"] for fixed in grid])
+        z, speeds = directions(s, joint, grid), np.array([fixed["stribeck_speed"] for fixed in grid])
         slow = np.exp(-((s.fine_velocity[:, joint, None] / speeds) ** 2))
-        dry, excess = -s.project(z)[:, 0], -s.project(z * slow)
-        return [Fingerprint(local(np.stack([dry, excess[:, k]], -1), s, joint), fixed) for k, fixed in enumerate(grid)]
+        dry, excess = -s.project(z), -s.project(z * slow)
+        return [
+            Fingerprint(local(np.stack([dry[:, k], excess[:, k]], -1), s, joint), fixed) for k, fixed in enumerate(grid)
+        ]
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         coulomb, excess, speed = values.T
@@ -340,12 +338,17 @@ class LoadDependentFriction(Effect):
         return _dry("coulomb", model, address, joint), Parameter("coefficient", "1", 0.0, 0.0, 0.9, 0.02)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
-        return [{}]
+        return [*forms(s, joint)]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
-        z = sliding(s.fine_position[:, joint], np.array([presliding_width(s, joint)]))[:, 0]
-        loaded = s.project_command(z * np.abs(fine_torque(s, joint)))
-        return Fingerprint(local(-np.stack([s.project(z), loaded], -1), s, joint), fixed)
+        return self.fingerprints(s, joint, [fixed])[0]
+
+    def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
+        z = directions(s, joint, grid)
+        dry, loaded = -s.project(z), -s.project_command(z * np.abs(fine_torque(s, joint))[:, None])
+        return [
+            Fingerprint(local(np.stack([dry[:, k], loaded[:, k]], -1), s, joint), fixed) for k, fixed in enumerate(grid)
+        ]
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         plant.set_dry_friction(joint, values[:, 0])

@@ -20,7 +20,7 @@ from torchrl_athletic.effects.effect import (
     torque_unit,
 )
 from torchrl_athletic.effects.plant import Law, Now, Plant, Start
-from torchrl_athletic.effects.signals import JointAddress, Signals
+from torchrl_athletic.effects.signals import JointAddress, Signals, presliding_width
 
 WIDTHS = (0.012, 0.02, 0.033, 0.055, 0.09, 0.15, 0.24, 0.4)
 """Of a hysteresis, on a joint that travels a radian or more [rad]. Below them lies the presliding of dry friction."""
@@ -61,6 +61,30 @@ def sliding(position: Array, widths: Array, relaxed: bool = False) -> Array:
     gone = np.maximum(path - path[starts][run_of], 0.0)
     ahead = towards[run_of][:, None]
     return np.asarray(ahead + (state[run_of] - ahead) * np.exp(-gone[:, None] / widths), dtype=np.float64)
+
+
+def forms(s: Signals, joint: int) -> list[dict[str, float]]:
+    """How dry friction may turn over at a reversal, which no parameter states and every dry friction tries alike.
+
+    Over ``presliding`` widths of 0.3, 1.5 and 4 mrad, on a joint that travels a radian or more; or, where ``creep`` is
+    positive, with the sign of the velocity, within that speed.
+    """
+    width, fastest = presliding_width(s, joint), float(np.abs(s.velocity[:, joint]).max())
+    by_way = [{"presliding": share * width, "creep": 0.0} for share in (0.2, 1.0, 2.7)]
+    return [*by_way, {"presliding": width, "creep": max(2e-3 * fastest, 1e-12)}]
+
+
+def directions(s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> Array:
+    """Direction of sliding in each of several :func:`forms`, ``turnover`` seconds early. Shape (M, len(grid))."""
+    width = presliding_width(s, joint)
+    keys = [(f.get("presliding", width), f.get("creep", 0.0), f.get("turnover", 0.0)) for f in grid]
+    distinct = sorted(set(keys))
+    out = sliding(s.fine_position[:, joint], np.array([way for way, _, _ in distinct]))
+    for k, (_, creep, turnover) in enumerate(distinct):
+        if creep > 0:
+            ahead = np.interp(s.fine_time + turnover, s.fine_time, s.fine_velocity[:, joint])
+            out[:, k] = np.clip(ahead / creep, -1.0, 1.0)
+    return out[:, [distinct.index(key) for key in keys]]
 
 
 class Bristle(Law):

@@ -168,5 +168,5 @@ class ClockOffset(Effect):
         late = "late" if values["offset"] >= 0 else "early"
         return (
             f"The positions of all joints are stamped {abs(1e3 * values['offset']):.3g} ms {late} against the "
-            "commands; in the model the two share one clock."
+            "commands; the model has none of this."
         )
