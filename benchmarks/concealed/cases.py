@@ -430,7 +430,14 @@ def _smaller(robot: Robot, motion: Plan, shrink: float) -> Plan:
     if shrink == 1.0:
         return motion
     position = robot.centre + shrink * (motion.position - robot.centre)
-    return Plan(motion.kind, motion.time, position, shrink * motion.velocity, shrink * motion.acceleration)
+    return Plan(
+        motion.kind,
+        motion.time,
+        position,
+        shrink * motion.velocity,
+        shrink * motion.acceleration,
+        shrink * motion.dither,
+    )
 
 
 def _inside(robot: Robot, position: Array) -> bool:
@@ -500,8 +507,8 @@ def _noise(session: Session) -> Array:
     motion = session.plans[0]
     q = motion.position[np.arange(samples) % len(motion.position)]
     still = np.zeros_like(q)
-    drive = drive_for(robot, Plan("noise", np.linspace(0.0, step * (samples - 1), samples), q, still, still), case.mode, session.kp,
-                      session.kd, sensors, 0, rng)  # fmt: skip
+    silent = Plan("noise", np.linspace(0.0, step * (samples - 1), samples), q, still, still, still)
+    drive = drive_for(robot, silent, case.mode, session.kp, session.kd, sensors, 0, rng)
     error = drive.noise + drive.resolution * rng.uniform(-0.5, 0.5, q.shape)
     error += session.typical.speed * (sensors.stamp_jitter * step) * rng.normal(size=(samples, 1))
     width = 0.010 * case.rate

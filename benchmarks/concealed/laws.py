@@ -162,7 +162,7 @@ def maxwell_slip(elements, state, moved, speed, level, slip_rate, damping, h):  
     """Generalised Maxwell slip, driven by displacement: dry friction torque [N·m].
 
     Each element is a spring that slips at its share of the level; slipping, it follows a falling level at a finite
-    rate. While it sticks it is damped a little.
+    rate. While it sticks it is damped a little, and never bears more than its share.
 
     Source:
         Al-Bender, Lampaert, Swevers 2005, IEEE Trans. Automatic Control 50(11), eq. 8-11.
@@ -182,7 +182,7 @@ def maxwell_slip(elements, state, moved, speed, level, slip_rate, damping, h):  
                 force = edge
             total += force
         else:
-            total += force + share * damping * speed
+            total += min(max(force + share * damping * speed, -limit), limit)
         state[i] = force
     return total
 

@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 STEP = 1e-4
 """Longest step of the integrator [s]."""
+LOAD_TIME = 0.002
+"""Within which friction follows the transmitted torque [s]: an algebraic loop otherwise."""
 
 
 class Tree(NamedTuple):
@@ -323,7 +325,7 @@ def simulate(tree, laws, elements, gear_elements, drive, start, step):  # type: 
         np.zeros(n),
         np.zeros(n),
     )
-    friction, load, cold = np.zeros(n), np.zeros(n), np.ones(n)
+    friction, borne, load, cold = np.zeros(n), np.zeros(n), np.zeros(n), np.ones(n)
     lagged, looped, looped_speed = np.zeros(n), np.zeros(n), np.zeros(n)
     wanted, active, torque = np.zeros(n), np.full(n, -1), np.zeros(n)
     command = np.zeros((samples, n))
@@ -443,7 +445,7 @@ def simulate(tree, laws, elements, gear_elements, drive, start, step):  # type: 
                             loss[j] = dahl(loss[j], moved[j] - h * wanted[j], p.gear_loss_width)
                         gear += p.gear_loss * loss[j]
                     motor_a[j] = (torque[j] - gear) / p.armature
-                    load[j] = gear
+                    borne[j] = gear
                     right[j] = gear
                 else:
                     system[j, j] += p.armature
@@ -454,8 +456,9 @@ def simulate(tree, laws, elements, gear_elements, drive, start, step):  # type: 
                 a[j] = right[j]
                 if not flexible[j]:
                     motor_a[j] = a[j]
-                    load[j] = torque[j] - laws[j].armature * a[j]
+                    borne[j] = torque[j] - laws[j].armature * a[j]
                 if i >= 0:
+                    load[j] += (borne[j] - load[j]) * (1.0 - np.exp(-h / LOAD_TIME))
                     v[j] += half * a[j]
                     omega[j] += half * motor_a[j]
         time = until

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 Mode = Literal["torque_command", "position_target"]
 FIT_KINDS = ("multisine", "chirp", "square", "sweep", "random")
 HELDOUT_KINDS = ("gait", "poses")
+DITHERED = ("square", "random", "chirp")
+"""Kinds with a random telegraph signal on the torque, which timing shows in."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,8 @@ class Plan:
     """[rad]. Shape (T, J)."""
     velocity: Array
     acceleration: Array
+    dither: Array
+    """Torque beside what the motion needs, where torques are sent [N·m]. Shape (T, J)."""
 
 
 def plan(robot: Robot, kind: str, duration: float, rate: float, amplitude: float, rng: np.random.Generator) -> Plan:
@@ -92,16 +96,30 @@ def plan(robot: Robot, kind: str, duration: float, rate: float, amplitude: float
         position = robot.centre + amplitude * robot.reach * shape
         velocity = np.gradient(position, 1 / rate, axis=0)
         acceleration = np.gradient(velocity, 1 / rate, axis=0)
-        result = Plan(kind, time, position, velocity, acceleration)
-        if (np.abs(nominal_torque(robot, result)) < 0.6 * robot.torque_limit).all() or amplitude < 0.05:
-            return result
+        result = Plan(kind, time, position, velocity, acceleration, np.zeros_like(position))
+        torque = np.abs(nominal_torque(robot, result))
+        if (torque < 0.6 * robot.torque_limit).all() or amplitude < 0.05:
+            break
         amplitude *= 0.85
+    if kind in DITHERED:
+        share = rng.uniform(0.05, 0.2) * np.sqrt((torque**2).mean(0))
+        result = replace(result, dither=share * _telegraph(time, robot.joints, rng))
+    return result
 
 
 def nominal_torque(robot: Robot, motion: Plan) -> Array:
     """Torque that the model asks for [N·m]. Shape (T, J)."""
     torque, _ = plant.inverse(robot.tree, motion.position, motion.velocity, motion.acceleration)
     return np.asarray(torque + robot.armature * motion.acceleration + robot.damping * motion.velocity)
+
+
+def _telegraph(t: Array, joints: int, rng: np.random.Generator) -> Array:
+    """Plus or minus one, held for 10 to 80 ms. Shape (T, J)."""
+    out = np.empty((len(t), joints))
+    for j in range(joints):
+        edges = np.cumsum(rng.uniform(0.010, 0.080, int(t[-1] / 0.010) + 2))
+        out[:, j] = np.where(np.searchsorted(edges, t) % 2, 1.0, -1.0)
+    return out
 
 
 def _multisine(t: Array, rng: np.random.Generator) -> Array:
@@ -187,8 +205,9 @@ def drive_for(
     for k in range(1, samples):
         noise[k] = rho * noise[k - 1] + np.sqrt(1 - rho**2) * white[k]
     resolution = np.where(robot.tree.slide, 1.0, 2 * np.pi) / 2.0**sensors.bits
+    feedforward = nominal_torque(robot, motion) + motion.dither
     return Drive(
-        time, motion.position, motion.velocity, nominal_torque(robot, motion), kp, kd, robot.torque_limit,
+        time, motion.position, motion.velocity, feedforward, kp, kd, robot.torque_limit,
         mode == "position_target", time - sensors.clock_offset + late, noise, resolution, float(take),
     )  # fmt: skip
 
