@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from torchrl_athletic.effects.signals import (
     JointAddress,
@@ -33,8 +34,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-WARM_UP = 2.0
-"""After which a deflection has forgotten where it started from [s]."""
+WARM_UP = (4.0, 2.0)
+"""After which a deflection has forgotten where it started from, without play and with [s]."""
+ONSET = 0.02
+"""Over which the torque that it starts from is averaged [s]."""
+OBSERVER = 100.0
+"""How fast the motor of an observer returns to the measured position [1/s]."""
 CONTACT_STEP = 0.0005
 """Time step of teeth that touch and part [s]."""
 ROTOR_FLOOR = 0.02
@@ -60,7 +65,8 @@ class LinkMotion:
     @cached_property
     def acceleration(self) -> Array:
         """Shape (S, J)."""
-        return np.gradient(self.velocity, self.period, axis=0)
+        time = self.period * np.arange(len(self.velocity))
+        return np.asarray(CubicSpline(time, self.velocity)(time, 1), dtype=np.float64)
 
     @cached_property
     def load(self) -> Array:
@@ -160,37 +166,95 @@ class Spring:
         return np.where(np.abs(ahead) >= half, side * np.maximum(pressed, 0.0), 0.0)
 
 
-def deflection(load: Array, slopes: Array, spring: Spring, period: float) -> tuple[Array, Array, Array]:
-    """Solve the equation of this module along a motion, from rest at the deflection of the first load.
+def deflection(
+    load: Array, slopes: Array, spring: Spring, period: float, passed: Array, held: NDArray[np.bool_] | None = None
+) -> Array:
+    """Solve the equation of this module along a motion.
 
     Args:
         load: What the link asks for [N·m, N]. Shape (S, ...).
         slopes: G, C and M of its own joint. Shape (3, S, ...).
         spring: Fields broadcast against ``load[0]``.
         period: Between samples [s]; loads are interpolated.
+        passed: What the gear passes on at the first sample, and its rate. Shape (2, ...).
+        held: Samples at which the first deflection still holds. Shape (S, ...).
 
     Returns:
-        Deflection x, its rate, and the torque passed on, at the samples. Shapes (S, ...).
+        Deflection x at the samples, its rate and its acceleration. Shape (3, S, ...).
     """
     substeps = _substeps(spring, period)
     step = period / substeps
-    x = load[0] / spring.stiffness
-    x = x + np.sign(x) * spring.gap / 2
-    w = np.zeros_like(x)
+    first, rate = np.broadcast_arrays(passed[0] / spring.stiffness, passed[1] / spring.stiffness, load[0])[:2]
+    first = first + np.sign(first) * spring.gap / 2
+    x, w = first, rate
     softness = spring.softness(slopes[2].mean(0), step)
     out = np.empty((3, len(load), *x.shape))
     for k in range(len(load)):
+        if held is not None:
+            x, w = np.where(held[k], first, x), np.where(held[k], rate, w)
         gravity, damping, inertia = slopes[:, k]
         rise = load[min(k + 1, len(load) - 1)] - load[k]
         for n in range(substeps):
             push = (load[k] + rise * (n / substeps) - damping * w - gravity * x) / inertia
             torque = spring.torque(x, w, push, inertia, softness, step)
-            ahead = w + step * (push - torque / inertia)  # half a step later: the scheme is a leapfrog
+            acceleration = push - torque / inertia
+            ahead = w + step * acceleration  # half a step later: the scheme is a leapfrog
             if n == 0:
-                out[:, k] = x, (w + ahead) / 2, torque
+                out[:, k] = x, (w + ahead) / 2, acceleration
             w = ahead
             x = x + step * w
-    return out[0], out[1], out[2]
+    return out
+
+
+def observed(
+    load: Array, slopes: Array, spring: Spring, period: float, passed: Array, rotor: Array, held: NDArray[np.bool_]
+) -> Array:
+    """Where a link is behind its motor at the last sample, from the measured motion and the command before it.
+
+    A motor that follows its measured position as if on a critically damped spring, at :data:`OBSERVER`, and is driven
+    by what was commanded: the teeth then part and meet when the commanded torque makes them, not when the noise of a
+    prescribed position does (Luenberger 1964).
+
+    Args:
+        load: What the link asks for at the measured position [N·m, N]. Shape (S, rows).
+        slopes: G, C and M of its own joint. Shape (3, S, rows).
+        spring: Fields of shape (rows,).
+        period: Between samples [s].
+        passed: What the measured motor would pass on: its command less its own acceleration's torque. Shape (S, rows).
+        rotor: Inertia of the motor [kg·m², kg]. Shape (rows,).
+        held: Samples at which the first deflection still holds. Shape (S, rows).
+
+    Returns:
+        Deflection, its rate, its acceleration, and the torque passed on. Shape (4, rows).
+    """
+    substeps = _substeps(spring, period)
+    step = period / substeps
+    first = passed[: max(1, int(ONSET / period))].mean(0) / spring.stiffness
+    first = first + np.sign(first) * spring.gap / 2
+    state = np.zeros((4, len(first)))  # deflection from the measured motor, and of the motor from that; their rates
+    seen = 1.0 / (1.0 / rotor + 1.0 / slopes[2].mean(0))
+    softness = spring.softness(seen, step)
+    state[0] = first
+    for k in range(len(load)):
+        if held[k].any():
+            state = np.where(held[k], np.stack([first, *np.zeros((3, len(first)))]), state)
+        x, e, w, f = state
+        gravity, damping, inertia = slopes[:, k]
+        after = min(k + 1, len(load) - 1)
+        for n in range(substeps):
+            asked = load[k] + (load[after] - load[k]) * (n / substeps)
+            drive = passed[k] + (passed[after] - passed[k]) * (n / substeps)
+            link = (asked - damping * w - gravity * x) / inertia
+            motor = drive / rotor - 2 * OBSERVER * f - OBSERVER**2 * e
+            torque = spring.torque(x + e, w + f, link + motor, seen, softness, step)
+            faster = link - torque / inertia, motor - torque / rotor
+            if k == len(load) - 1:
+                break
+            w, f = w + step * faster[0], f + step * faster[1]
+            x, e = x + step * w, e + step * f
+        state = np.stack([x, e, w, f])
+    rate = w + f + step / 2 * (faster[0] + faster[1])  # the scheme is a leapfrog
+    return np.stack([x + e, rate, faster[0] + faster[1], torque])
 
 
 def _substeps(spring: Spring, period: float) -> int:
@@ -221,8 +285,8 @@ class Gear:
         """
         link, j, dof = start.link, self.joint, plant.address.dof[self.joint]
         assert link is not None
-        back = np.arange(-max(1, int(WARM_UP / link.period)), 1)[:, None]
-        before = np.maximum(start.sample + back, 0)  # a take's first sample is held: the robot rested there
+        back = np.arange(-max(1, int(WARM_UP[int(self.spring.gap.any())] / link.period)), 1)[:, None]
+        before = np.maximum(start.sample + back, 0)
         load = link.load[before, j]
         if "dof_frictionloss" in plant.fields:
             more = plant.fields["dof_frictionloss"][:, dof] - plant.model.dof_frictionloss[dof]
@@ -233,36 +297,45 @@ class Gear:
                 - np.ravel(plant.model.dof_damping[dof])[0]
             )
             load = load + more * link.velocity[before, j]
-        slopes = link.slopes(j)[:, before, j]
-        x, rate, torque = (part[-1] for part in deflection(load, slopes, self.spring, link.period))
+        rotor = np.maximum(plant.of("dof_armature")[:, dof], ROTOR_FLOOR * link.free_inertia[:, j].mean())
+        passed = start.command[before, j] - rotor * link.acceleration[before, j]
+        held = start.sample + back < 0
+        x, rate, its_rate, torque = observed(
+            load, link.slopes(j)[:, before, j], self.spring, link.period, passed, rotor, held
+        )
 
         armature = plant.of("dof_armature")
         self._link_inertia = link.free_inertia[:, j]
-        self._rotor = np.maximum(armature[:, dof], ROTOR_FLOOR * self._link_inertia.mean())
+        self._rotor = rotor
         armature[:, dof] = 0.0
         self._origin, self._period = start.time[0], link.period
-        self._torque, self._link_velocity = torque, np.full(plant.rows, np.nan)
-        self._own = link.acceleration[start.sample, j] - torque / self._link_inertia[start.sample]
-        self.deflection, self.velocity = x, velocity
+        self._torque, self._link_velocity, self._steps = torque, velocity - rate, 0
+        self._own = link.acceleration[start.sample, j] - its_rate - torque / self._link_inertia[start.sample]
+        self.deflection, self.velocity = x, velocity.copy()
         return x, rate
 
     def step(self, torque: Array, link_velocity: Array, now: Now) -> Array:
         """Move the motors by one step; return the torque on the links [N·m, N]. Shapes (rows,)."""
-        at = ((now.time - self._origin) / self._period + 0.5).astype(np.intp)
-        inertia = self._link_inertia[np.minimum(at, len(self._link_inertia) - 1)]
-        own = (link_velocity - self._link_velocity) / now.step - self._torque / inertia
-        own = np.where(np.isnan(self._link_velocity), self._own, own)  # nothing is behind the first step
-        seen = 1.0 / (1.0 / self._rotor + 1.0 / inertia)
-        substeps = _substeps(self.spring, now.step)
-        step = now.step / substeps
-        softness = self.spring.softness(seen, step)
-        push, passed = torque / self._rotor - own, np.zeros_like(torque)
-        x, w = self.deflection, self.velocity - link_velocity
-        for _ in range(substeps):
-            part = self.spring.torque(x, w, push, seen, softness, step)
-            w = w + step * (push - part / seen)
-            x = x + step * w
-            passed = passed + part / substeps
+        if self._steps % max(1, round(COARSE / now.step)) == 0:
+            self._look(now)
+        own = self._own
+        if self._steps:  # what moved the link in the step before, less the gear
+            own = (link_velocity - self._link_velocity) / now.step - self._torque / self._inertia
+        x, w, push = self.deflection, self.velocity - link_velocity, torque / self._rotor - own
+        passed = np.zeros_like(torque)
+        for _ in range(self._substeps):
+            part = self.spring.torque(x, w, push, self._seen, self._softness, now.step / self._substeps)
+            w = w + now.step / self._substeps * (push - part / self._seen)
+            x = x + now.step / self._substeps * w
+            passed += part / self._substeps
         self.deflection, self.velocity = x, self.velocity + now.step * (torque - passed) / self._rotor
-        self._torque, self._link_velocity = passed, link_velocity.copy()
+        self._torque, self._link_velocity, self._steps = passed, link_velocity.copy(), self._steps + 1
         return passed
+
+    def _look(self, now: Now) -> None:
+        """Inertias of the pose that the recording has reached."""
+        at = ((now.time - self._origin) / self._period + 0.5).astype(np.intp)
+        self._inertia = self._link_inertia[np.minimum(at, len(self._link_inertia) - 1)]
+        self._seen = 1.0 / (1.0 / self._rotor + 1.0 / self._inertia)
+        self._substeps = _substeps(self.spring, now.step)
+        self._softness = self.spring.softness(self._seen, now.step / self._substeps)
