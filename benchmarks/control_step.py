@@ -1,7 +1,8 @@
 """How much of the physics' own speed is left when the whole environment stands around it.
 
     python benchmarks/control_step.py                                        # 1,024 robots on this machine's CPU
-    python benchmarks/control_step.py --device cuda --num-envs 4096 --learn  # on a GPU, with whole PPO iterations
+    python benchmarks/control_step.py --device cuda --num-envs 4096             # on a GPU
+    python benchmarks/control_step.py --device cuda --num-envs 4096 --pairs 0 --learn    # whole PPO iterations, alone
 
 The environment is the paper's for pre-training a B2 with a Z1: PD law, Unsupervised Actuator Net, both clips, delay,
 four physics steps per action, commands, gait clock, task phase, a reference, 14 reward terms, ten frames of history,
@@ -12,6 +13,7 @@ turn; each pair gives one ratio.
 
 from __future__ import annotations
 
+import gc
 import os
 import platform
 import subprocess
@@ -34,6 +36,7 @@ from torchrl_athletic.physics import Physics
 from torchrl_athletic.robots import Robot, b2z1
 from torchrl_athletic.training import PPO, Learner, iterate
 from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
+from torchrl_athletic.training.ppo import collect, estimate_advantage
 from torchrl_athletic.transforms import ReferenceTrajectory
 
 DECIMATION = 4
@@ -51,7 +54,7 @@ class Config:
     cone: str = "pyramidal"
     """Of friction."""
     pairs: int = 20
-    """Ratios; each compares ``steps`` control steps."""
+    """Ratios; each compares ``steps`` control steps. 0 leaves the comparison out, and its memory."""
     steps: int = 6
     """Control steps of a measurement."""
     noise: float = 0.3
@@ -71,15 +74,16 @@ class Config:
 def main(cfg: Config) -> None:
     torch.manual_seed(0)
     robot = b2z1(cone=cfg.cone)  # type: ignore[arg-type]
-    env = make_env(robot, cfg)
-    rows = compare(robot, env, cfg)
+    rows = compare(robot, make_env(robot, cfg), cfg) if cfg.pairs else []
     if cfg.learn:
+        gc.collect()  # or the environment above would count as memory of the training
         rows += learn(make_env(robot, cfg), cfg)
     table = "\n".join(["| what | figure |", "|---|---|", *(f"| {name} | {figure} |" for name, figure in rows)])
-    text = f"# Control step\n\n{table}\n\n{origin(cfg)}\n"
+    text = f"# {'Control step' if cfg.pairs else 'PPO iteration'}\n\n{table}\n\n{origin(cfg)}\n"
     print(text)
     cfg.output.mkdir(parents=True, exist_ok=True)
-    (cfg.output / f"control_step_{cfg.device}{'_fused' if cfg.fuse else ''}.md").write_text(text)
+    name = "control_step" if cfg.pairs else "ppo_iteration"
+    (cfg.output / f"{name}_{cfg.device}{'_fused' if cfg.fuse else ''}.md").write_text(text)
 
 
 def make_env(robot: Robot, cfg: Config) -> EnvBase:
@@ -152,19 +156,33 @@ def learn(env: Any, cfg: Config) -> list[tuple[str, str]]:
     if cfg.device != "cpu":
         torch.cuda.reset_peak_memory_stats()
     times = [seconds(lambda: iterate(learner), cfg.device) for _ in trange(cfg.iterations, desc="learn")]
-    collect = median(seconds(learner.rollout, cfg.device) for _ in range(5))
-    rows = [
-        (f"PPO iteration of {24 * cfg.num_envs:,} samples", f"{median(times):.3f} s"),
-        ("of which collecting", f"{collect:.3f} s"),
-    ]
+    rows = [(f"PPO iteration of {24 * cfg.num_envs:,} samples", f"{median(times):.3f} s")]
     if cfg.device != "cpu":
-        peak = torch.cuda.max_memory_allocated()
+        peak, reserved = torch.cuda.max_memory_allocated(), torch.cuda.memory_reserved()
         torch.cuda.empty_cache()
         free, total = torch.cuda.mem_get_info()
         others = total - free - torch.cuda.memory_reserved()
         rows.append(("peak memory: torch's tensors, and all else", f"{peak / 2**30:.2f} + {others / 2**30:.2f} GiB"))
+        rows.append(("reserved by torch, caches and graphs included", f"{reserved / 2**30:.2f} GiB"))
         rows.append(("held with caches emptied", f"{(total - free) / 2**30:.2f} GiB"))
+    for name, phase in phases(learner).items():
+        if cfg.device != "cpu":
+            torch.cuda.reset_peak_memory_stats()
+        took = f"{seconds(phase, cfg.device):.3f} s"
+        if cfg.device != "cpu":
+            took += f", torch's tensors up to {torch.cuda.max_memory_allocated() / 2**30:.2f} GiB"
+        rows.append((f"{name} alone", took))
     return rows
+
+
+def phases(learner: Learner) -> dict[str, Callable[[], object]]:
+    """An iteration in its parts, one after the other."""
+    held: list[TensorDictBase] = []
+    return {
+        "collecting": lambda: held.append(collect(learner)),
+        "advantages": lambda: estimate_advantage(learner, held[-1]),
+        "update": lambda: learner.stepper.update(held[-1]),
+    }
 
 
 def seconds(function: Callable[[], object], device: str) -> float:
@@ -186,7 +204,7 @@ def origin(cfg: Config) -> str:
     )
     where = torch.cuda.get_device_name() if cfg.device != "cpu" else f"{len(os.sched_getaffinity(0))} cores"
     flags = f"--device {cfg.device} --num-envs {cfg.num_envs} --cone {cfg.cone}{' --learn' if cfg.learn else ''}"
-    flags += " --fuse" if cfg.fuse else ""
+    flags += (" --fuse" if cfg.fuse else "") + ("" if cfg.pairs else " --pairs 0")
     machine = f"{where} of {platform.machine()}, torch {torch.__version__}"
     return f"`python benchmarks/control_step.py {flags}`, commit {commit}, {machine}."
 

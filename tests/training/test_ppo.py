@@ -77,6 +77,18 @@ def test_advantages_bootstrap_from_the_true_last_observation_of_a_truncated_epis
     assert ((wanted - here).flatten().argsort() == batch["advantage"].flatten().argsort()).all()
 
 
+def test_advantages_do_not_depend_on_the_size_of_the_pieces():
+    learner = arm_learner()
+    whole = learner.rollout().clone()
+    pieces = whole.clone()
+    estimate_advantage(learner, whole)
+    learner.config = replace(learner.config, micro_batch=3)
+    estimate_advantage(learner, pieces)
+    for key in ("state_value", "advantage", "value_target"):
+        torch.testing.assert_close(pieces[key], whole[key])
+    assert whole["state_value"].std() > 0
+
+
 def test_the_collector_of_torchrl_teaches_the_same():
     """For one seed, the two ways to collect end in the same weights."""
     learners = [arm_learner(collector=collector) for collector in (False, True)]

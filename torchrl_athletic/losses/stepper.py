@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -39,6 +40,8 @@ class SplitOptimizationStepper(OptimizationStepper):
         max_grad_norm: Longest gradient of each network, longer ones are scaled down; None for no limit.
         seed: Of the order in which samples are drawn.
         cuda_graph: Capture the update in a CUDA graph, on a GPU only.
+        in_place: Entries that later batches hold in the same memory, as a :class:`~.training.Rollout`'s do: the graph
+            reads them there instead of a copy of its own. Should they move, the update is captured again.
 
     Raises:
         ValueError: If the networks share parameters, or an argument is out of its range.
@@ -70,6 +73,7 @@ class SplitOptimizationStepper(OptimizationStepper):
         max_grad_norm: float | None = 1.0,
         seed: int = 0,
         cuda_graph: bool = False,
+        in_place: Sequence[NestedKey] = (),
     ) -> None:
         counts = {"epochs": epochs, "minibatches": minibatches, "critic_minibatches": critic_minibatches}
         for name, count in counts.items():
@@ -103,7 +107,7 @@ class SplitOptimizationStepper(OptimizationStepper):
         self.device = self.actor_parameters[0].device
         if cuda_graph and self.device.type != "cuda":
             raise ValueError(f"cuda_graph=True, but the actor is on {self.device}. Move the networks to CUDA first.")
-        self.cuda_graph = cuda_graph
+        self.cuda_graph, self.in_place = cuda_graph, tuple(in_place)
         self.actor_lr = torch.tensor(actor_lr, device=self.device)
         self.critic_lr = torch.tensor(critic_lr, device=self.device)
         self.actor_optimizer = adamw(self.actor_parameters, self.actor_lr, weight_decay)
@@ -127,9 +131,9 @@ class SplitOptimizationStepper(OptimizationStepper):
         order = self._order(data.numel())
         if not self.cuda_graph:
             return self._optimize(data, order)
-        if self._graph is None or self._static.batch_size != data.batch_size:
+        if self._graph is None or self._static.batch_size != data.batch_size or not self._in_place_of(data):
             self.capture(batch)
-        self._static.update_(data)
+        self._static.update_(data.exclude(*self.in_place))
         self._static_order.copy_(order)
         assert self._graph is not None
         self._graph.replay()
@@ -151,7 +155,8 @@ class SplitOptimizationStepper(OptimizationStepper):
         """
         if self.device.type != "cuda":
             raise RuntimeError(f"a CUDA graph needs the networks on a GPU, they are on {self.device}.")
-        self._static = self._inputs(batch).clone()
+        data = self._inputs(batch)
+        self._static = data.exclude(*self.in_place).clone().update(data.select(*self.in_place, strict=False))
         count = self._static.numel()
         self._static_order = torch.arange(count, device=self.device).expand(self.epochs, count).contiguous()
         saved = [tensor.detach().clone() for tensor in self._trained()]
@@ -170,6 +175,11 @@ class SplitOptimizationStepper(OptimizationStepper):
         with torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local"):
             self._static_report = self._optimize(self._static, self._static_order)
         self._graph, self.cuda_graph = graph, True
+
+    def _in_place_of(self, data: TensorDict) -> bool:
+        """Whether the entries that the graph reads where they were captured still are there."""
+        kept = data.select(*self.in_place, strict=False)
+        return all(kept.get(key).data_ptr() == self._static.get(key).data_ptr() for key in kept.keys(True, True))
 
     def state_dict(self) -> dict[str, Any]:
         """Optimisers, learning rates and the order of samples to come; the networks have a state of their own."""

@@ -31,10 +31,11 @@ def check_finite(batch: TensorDictBase, what: str = "batch") -> None:
         ...
         torchrl_athletic.training.finite.NonFiniteError: 'observation' of the batch is nan in row 1 at step 2...
     """
-    keys = [key for key in batch.keys(include_nested=True, leaves_only=True) if batch.get(key).is_floating_point()]
+    leaves = {key: batch.get(key) for key in batch.keys(include_nested=True, leaves_only=True)}
+    keys = [key for key, value in leaves.items() if value.is_floating_point() and value.numel()]
     if not keys:
         return
-    sound = torch.stack([torch.isfinite(batch.get(key)).all() for key in keys])
+    sound = torch.stack([_sound(leaves[key]) for key in keys])
     if bool(sound.all()):
         return
     bad = [key for key, fine in zip(keys, sound.tolist(), strict=True) if not fine]
@@ -46,6 +47,12 @@ def check_finite(batch: TensorDictBase, what: str = "batch") -> None:
         + (f"then also {', '.join(others)}. " if others else "all else is finite. ")
         + _advice(first)
     )
+
+
+def _sound(value: Tensor) -> Tensor:
+    """Whether all of it is finite, without a copy of its size. Shape ()."""
+    least, greatest = torch.aminmax(value)  # NaN if any is
+    return torch.isfinite(least) & torch.isfinite(greatest)
 
 
 def _first_step(batch: TensorDictBase, value: Tensor) -> int:

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase
+from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.objectives.value import GAE
 from tqdm import tqdm
@@ -128,8 +129,8 @@ class Learner:
             self.rollout: Rollout = CapturedRollout(env, actor, config.horizon, keys=keys)
         else:
             self.rollout = Rollout(env, actor, config.horizon, keys=keys, collector=collector)
-        self.advantage = GAE(
-            gamma=config.discount, lmbda=config.gae_lambda, value_network=critic, average_gae=True, vectorized=False
+        self.advantage = GAE(  # estimate_advantage gives it the values
+            gamma=config.discount, lmbda=config.gae_lambda, value_network=None, average_gae=True, vectorized=False
         )
         self.stepper = SplitOptimizationStepper(
             SplitClipPPOLoss(actor, critic, clip_epsilon=config.clip_epsilon, entropy_coeff=config.entropy_coeff),
@@ -144,6 +145,7 @@ class Learner:
             max_grad_norm=config.max_grad_norm,
             seed=seed,
             cuda_graph=cuda_graph,
+            in_place=[*actor.in_keys, *critic.in_keys],  # a rollout allocates its storage once
         )
         self.iteration = 0
         """Iterations done."""
@@ -211,8 +213,20 @@ def collect(learner: Learner) -> TensorDict:
 
 @torch.no_grad()
 def estimate_advantage(learner: Learner, batch: TensorDictBase) -> None:
-    """Write ``advantage``, ``value_target`` and ``state_value``."""
+    """Write ``advantage``, ``value_target`` and ``state_value``.
+
+    Values are taken in pieces of ``micro_batch`` samples. (GAE itself would first stack all observations with all next
+    ones, and with nets of 3 x 512 their copies and activations take several times the batch's memory.)
+    """
+    for shown in (batch, batch.get("next")):
+        shown.set("state_value", _values(learner.critic, shown, learner.config.micro_batch))
     learner.advantage(batch)
+
+
+def _values(critic: TensorDictModuleBase, shown: TensorDictBase, piece: int) -> Tensor:
+    """Shape (N, T, 1)."""
+    rows = shown.select(*critic.in_keys).reshape(-1).split(piece)
+    return torch.cat([critic(row).get("state_value") for row in rows]).reshape(*shown.shape, 1)
 
 
 def _learn_scale(learner: Learner, batch: TensorDictBase) -> None:
