@@ -108,10 +108,14 @@ def test_a_push_belongs_to_one_take():
 
 
 def pushed(start: float, duration: float, torque: float, noise: float = 0.0, seed: int = 0, joint: int = 1):
-    """Signals of an arm that was pushed once, with encoder noise. The take it simulates is at rest: signature 0."""
+    """Signals of an arm that was pushed once, with encoder noise and another clock.
+
+    The take it simulates is at rest: signature 0.
+    """
     recording = record(Disturbance(), joint, (start, duration, torque, 0.0), seconds=10.0, seed=seed)
     read = recording.position + np.random.default_rng(seed).normal(0, noise, recording.position.shape)
-    return project_recording(replace(recording, position=read), arm(), np.full(2, noise), kernel=0.015)
+    later = replace(recording, position=read, time=recording.time + 1000.0)
+    return project_recording(later, arm(), np.full(2, noise), kernel=0.015)
 
 
 @pytest.mark.parametrize(("start", "duration", "torque"), [(2.0, 0.5, 0.25), (6.3, 0.12, -0.5), (4.0, 2.0, 0.2)])
@@ -153,4 +157,4 @@ def test_the_sentences_say_when_and_how_much():
     once = Disturbance().parameters(arm(), address(), 0)
     values = {"start": 12.25, "duration": 0.3, "torque": 1.5, "take": 0.1}
     text = Disturbance().sentence("shoulder", values, once)
-    assert "+1.5 N·m acted on shoulder once, from 12.25 s for 300 ms" in text
+    assert "+1.5 N·m acted on shoulder once, 12.25 s after its start, for 300 ms" in text

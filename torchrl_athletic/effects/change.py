@@ -131,9 +131,9 @@ class _Warming(Bristle):
 class Disturbance(Effect):
     """A push that came once: someone leaned on the robot, a cable caught, a part was dropped on it.
 
-    Parameters: ``start`` [s] in the take's stamps, ``duration`` [s], ``torque`` [N·m, N for slides], and ``take`` [1],
-    which tells the take from the others: the time average of all its joints' readings, the k-th of them counted k
-    times. It is no property of the robot: recordings kept aside do not have it.
+    Parameters: ``start`` [s] after the take's first stamp, ``duration`` [s], ``torque`` [N·m, N for slides], and
+    ``take`` [1], which tells the take from the others: the time average of all its joints' readings, the k-th of them
+    counted k times. It is no property of the robot: recordings kept aside do not have it.
 
     Fingerprint: 1 within the interval, in that take only. Intervals are proposed by a matched filter on what dry and
     viscous friction, inertia, scale, offset and gravity together leave of the missing torque.
@@ -156,10 +156,10 @@ class Disturbance(Effect):
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
         scale, bound = torque_scale(model, address, joint), torque_bound(model, address, joint)
         return (
-            Parameter("start", "s", 0.0, -1e11, 1e11, 0.02),
+            Parameter("start", "s", 0.0, 0.0, 1e5, 0.02),
             Parameter("duration", "s", 1.0, 1e-3, 1e4, 0.02),
             Parameter("torque", torque_unit(model, address, joint), 0.0, -bound, bound, 0.02 * scale),
-            Parameter("take", "1", 0.0, -1e6, 1e6, 1.0),
+            Parameter("take", "1", 0.0, -1e6, 1e6, 1e-6),  # no optimiser should move it
         )
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
@@ -176,10 +176,9 @@ class Disturbance(Effect):
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         if not _is(fixed["take"], s.recording.time, s.recording.position):
             return Fingerprint(np.zeros((len(s.keep), s.num_joints, 1)), fixed)
-        middle, half = fixed["start"] + fixed["duration"] / 2, fixed["duration"] / 2
-        box = np.clip(
-            (half - np.abs(s.fine_time - middle)) / s.fine_step + 0.5, 0.0, 1.0
-        )  # edges fall between instants
+        half, passed = fixed["duration"] / 2, s.fine_time - s.recording.time[0]
+        inside = half - np.abs(passed - fixed["start"] - half)
+        box = np.clip(inside / s.fine_step + 0.5, 0.0, 1.0)  # edges fall between instants
         return Fingerprint(local(s.project_command(box), s, joint), fixed)
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
@@ -188,7 +187,8 @@ class Disturbance(Effect):
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
         return (
             f"In one take (mean reading {values['take']:.4g}), {values['torque']:+.3g} {parameters[2].unit} acted on "
-            f"{joint} once, from {values['start']:.5g} s for {1e3 * values['duration']:.3g} ms; the model has none."
+            f"{joint} once, {values['start']:.5g} s after its start, for {1e3 * values['duration']:.3g} ms; the model "
+            "has none."
         )
 
 
@@ -196,15 +196,17 @@ class _Once(Law):
     """A torque in one interval of one take."""
 
     def __init__(self, joint: int, start: Array, duration: Array, torque: Array, take: Array) -> None:
-        self.joint, self.from_, self.until, self.torque, self.take = joint, start, start + duration, torque, take
+        self.joint, self.start, self.duration, self.torque, self.take = joint, start, duration, torque, take
+        self.first = 0.0
 
     def begin(self, start: Start) -> None:
         here = np.array([_is(float(take), start.time, start.position) for take in self.take])
-        self.torque = np.where(here, self.torque, 0.0)
+        self.torque, self.first = np.where(here, self.torque, 0.0), float(start.time[0])
 
     def __call__(self, now: Now) -> Array:
-        torque = np.zeros_like(now.velocity)
-        share = (np.minimum(now.time + now.step, self.until) - np.maximum(now.time, self.from_)) / now.step
+        torque, passed = np.zeros_like(now.velocity), now.time - self.first
+        until = np.minimum(passed + now.step, self.start + self.duration)
+        share = (until - np.maximum(passed, self.start)) / now.step
         torque[:, self.joint] = self.torque * np.clip(share, 0.0, 1.0)
         return torque
 
@@ -226,7 +228,7 @@ def _is(signature: float, time: Array, position: Array) -> bool:
 
 
 def _intervals(s: Signals, joint: int) -> list[tuple[float, float, float]]:
-    """Stretches over which the leftover stays on one side: score, first and last instant [s]; best first."""
+    """Stretches over which the leftover stays on one side: score, and when in the take [s]; best first."""
     step = float(np.diff(s.time[:2])[0])
     left = leftover(s, joint)
     left = left - _local_median(left, s.valid[:, joint], max(1, round(0.5 / step)))
@@ -245,7 +247,8 @@ def _intervals(s: Signals, joint: int) -> list[tuple[float, float, float]]:
     for score_, a, b in sorted(found, reverse=True):
         if all(min(b, d) - max(a, c) < 0.5 * max(b - a, d - c) for _, c, d in best):
             best.append((score_, a, b))
-    return [(score_, float(s.time[a]), float(s.time[b - 1]) + step) for score_, a, b in best[:_PER_TAKE]]
+    passed = s.time - s.recording.time[0]
+    return [(score_, float(passed[a]), float(passed[b - 1]) + step) for score_, a, b in best[:_PER_TAKE]]
 
 
 def _edges(total: Array, first: int, last: int) -> tuple[float, int, int]:
