@@ -165,6 +165,8 @@ class Bank:
         self._numbers: dict[Atom, tuple[int, ...]] = {}
         """Columns of the atoms that some fit asked for."""
         self._whole: dict[Atom, Array] = {}
+        self._kept: dict[Atom, NDArray[np.float32]] = {}
+        """Columns of shelved atoms that reach other joints: too dear to predict again."""
         self._shelves: list[_Shelf] = []
         """Atoms of nonlinear grids, of which a search takes few."""
         self.atoms: list[Atom] = []
@@ -184,6 +186,8 @@ class Bank:
                     if len(grid) > 1 and not effect.whole_robot:
                         shelf = shelves.setdefault((joint, columns.shape[2]), _Shelf(joint))
                         shelf.put(atom, columns[:, joint])
+                        if _coupled(columns, joint):
+                            self._kept[atom] = columns.astype(np.float32)
                     else:
                         self._take(atom, columns)
         for shelf in shelves.values():
@@ -219,7 +223,7 @@ class Bank:
     def _take(self, atom: Atom, columns: Array) -> tuple[int, ...]:
         """Let fits use an atom. ``columns``: weighted, shape (rows, J, K)."""
         joint = atom.candidate.joint
-        local = not np.delete(columns, joint, axis=1).any()
+        local = not _coupled(columns, joint)
         self._numbers[atom] = tuple(
             self.products.add(columns[:, joint, k] if local else columns[:, :, k], joint if local else -1)
             for k in range(columns.shape[2])
@@ -230,7 +234,8 @@ class Bank:
         """The atom's columns in :attr:`products`."""
         if atom in self._numbers:
             return self._numbers[atom]
-        return self._take(atom, self.whole(atom) * self.weight[:, :, None])
+        kept = self._kept.pop(atom, None)
+        return self._take(atom, self.whole(atom) * self.weight[:, :, None] if kept is None else kept.astype(float))
 
     def whole(self, atom: Atom) -> Array:
         """What one unit of each coefficient of an atom predicts [N·m]. Shape (sum of N, J, K)."""
@@ -404,6 +409,11 @@ class _Shelf:
         return self._library.cross(products, number)
 
 
+def _coupled(columns: Array, joint: int) -> bool:
+    """Whether columns (rows, J, K) reach another joint."""
+    return bool(np.delete(columns, joint, axis=1).any())
+
+
 def _columns(prints: Sequence[Fingerprint]) -> Array:
     """Of all takes, the constant last. Shape (sum of N, J, K)."""
     return np.concatenate(
@@ -490,9 +500,27 @@ def bounded_least_squares(normal: Array, right: Array, low: Array, high: Array) 
     scale = 1.0 / np.sqrt(np.maximum(np.diag(n), 1e-300))
     n, r = n * scale * scale[:, None] + 1e-10 * np.eye(len(free)), r * scale
     lower, upper = low[free] / scale, high[free] / scale
-    z = np.linalg.solve(n, r)
-    if (z < lower).any() or (z > upper).any():
+    z = _within(n, r, lower, upper)
+    if z is None:
         root = np.linalg.cholesky(n)
         z = lsq_linear(root.T, np.linalg.solve(root, r), (lower, upper), method="bvls").x
     x[free] = z * scale
     return x
+
+
+def _within(n: Array, r: Array, lower: Array, upper: Array, rounds: int = 20) -> Array | None:
+    """The same by moving whole sets to and from their bounds (Stark, Parker 1995); None if that goes in circles."""
+    z = np.linalg.solve(n, r)
+    bound = np.zeros(len(z), dtype=np.int8)
+    for _ in range(rounds):
+        out = np.where(bound == 0, np.where(z < lower, -1, np.where(z > upper, 1, 0)), 0)
+        z = np.where(bound + out < 0, lower, np.where(bound + out > 0, upper, z))
+        slope = r - n @ z  # what a step would gain
+        back = (bound < 0) & (slope > 1e-12) | (bound > 0) & (slope < -1e-12)
+        if not out.any() and not back.any():
+            return z
+        bound = np.where(back, 0, bound + out)
+        inside = bound == 0
+        z = z.copy()
+        z[inside] = np.linalg.solve(n[np.ix_(inside, inside)], r[inside] - n[np.ix_(inside, ~inside)] @ z[~inside])
+    return None

@@ -36,6 +36,8 @@ REWEIGHTED = 2
 """Rounds of least squares with the joints weighed by what the last one left."""
 SHORTLIST = 2
 """Points of a nonlinear grid that are weighed for each candidate, the best by what they would close alone."""
+PROMISING = 10
+"""Candidates beside a combination that are weighed in full."""
 FOLDS = 5
 STRETCHES = 6
 """Parts that fewer than three takes are cut into to see whether a term holds everywhere."""
@@ -88,6 +90,12 @@ class Judge:
         penalty = np.log(max(count.sum(), 3.0)) * fit.freedom
         evidence = float((count * np.log(self.level(fit))).sum())
         return Scored(fit, evidence + float(penalty) + fit.strain + sum(_doubt(a) for a in fit.terms))
+
+    def promise(self, atoms: Sequence[Atom], parent: Fit) -> float:
+        """Evidence of a combination fitted with the weights of its parent: cheap, and not above its own."""
+        fit = self.bank.fit(atoms, self.level(parent))
+        penalty = np.log(max(self.independent.sum(), 3.0)) * fit.freedom
+        return float((self.independent * np.log(self.level(fit))).sum()) + float(penalty) + fit.strain
 
     def is_open(self, fit: Fit) -> NDArray[np.bool_]:
         """Which joints miss more torque than noise explains, at least in some stretch. Shape (J,)."""
@@ -179,7 +187,8 @@ def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
     rest = [a for a in best.fit.terms if a is not term]
     own = judge.score(best.fit.terms, independent)
     out = {term.candidate.key: own}
-    for atom in _shortlist(judge, judge.score(rest)):
+    kept = judge.score(rest)
+    for atom in _promising(judge, kept, _shortlist(judge, kept), 2 * PROMISING):
         scored = judge.score([*rest, atom], independent)
         key = atom.candidate.key
         if _contains(atom, term) and judge.closes(best.fit, scored.fit) < RICHER:
@@ -196,15 +205,24 @@ def _extensions(judge: Judge, parent: Scored) -> list[Scored]:
     if not is_open.any():
         return []
     best: dict[Key, Scored] = {}
-    for atom in _shortlist(judge, parent):
-        if not is_open[atom.candidate.joint] and not _coupled(judge.bank, atom, is_open):
-            continue
+    atoms = [a for a in _shortlist(judge, parent) if is_open[a.candidate.joint] or _coupled(judge.bank, a, is_open)]
+    for atom in _promising(judge, parent, atoms):
         scored = judge.score([*parent.fit.terms, atom])
         key = atom.candidate.key
         if key not in best or scored.evidence < best[key].evidence:
             best[key] = scored
     good = [s for s in best.values() if parent.evidence - s.evidence > DECISIVE and judge.helps(parent.fit, s.fit)]
     return sorted(good, key=lambda s: s.evidence)
+
+
+def _promising(judge: Judge, parent: Scored, atoms: Sequence[Atom], most: int = PROMISING) -> list[Atom]:
+    """The atoms that promise most beside a combination, one a candidate."""
+    best: dict[Key, tuple[float, Atom]] = {}
+    for atom in atoms:
+        promise = judge.promise([*parent.fit.terms, atom], parent.fit)
+        if atom.candidate.key not in best or promise < best[atom.candidate.key][0]:
+            best[atom.candidate.key] = promise, atom
+    return [atom for _, atom in sorted(best.values(), key=lambda b: b[0])[:most]]
 
 
 def _refine(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
@@ -243,7 +261,8 @@ def _exchange(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
         better = scored
         for term in scored.fit.terms:
             rest = [a for a in scored.fit.terms if a is not term]
-            for atom in _shortlist(judge, judge.score(rest)):
+            kept = judge.score(rest)
+            for atom in _promising(judge, kept, _shortlist(judge, kept), 6):
                 trial = judge.score([*rest, atom])
                 if trial.evidence < better.evidence - 1.0:
                     better = trial
@@ -260,12 +279,14 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
     """
     for term in scored.fit.terms:
         rest = [a for a in scored.fit.terms if a is not term]
-        simpler = [
-            judge.score([*rest, atom])
-            for atom in _shortlist(judge, judge.score(rest))
+        kept = judge.score(rest)
+        smaller = [
+            atom
+            for atom in _shortlist(judge, kept)
             if atom.candidate.joint == term.candidate.joint
             and len(atom.candidate.parameters) < len(term.candidate.parameters)
         ]
+        simpler = [judge.score([*rest, atom]) for atom in _promising(judge, kept, smaller, 4)]
         if simpler:
             best = min(simpler, key=lambda s: s.evidence)
             if judge.closes(best.fit, scored.fit) < RICHER:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, minimum_filter1d
 from scipy.signal import welch
+from scipy.sparse import csr_array
 
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
@@ -29,6 +30,8 @@ Array = NDArray[np.float64]
 
 KERNEL = (0.010, 0.040)
 """Least and greatest width of the test function [s]: noise below, smoothing bias above."""
+TRUNCATE = 7.0
+"""Half width of the test function's support, in widths: at 4, the second derivative of a constant shows."""
 STUCK = 0.1
 """A joint rests where the encoder's noise hides its motion over this time [s]."""
 FINE_STEP = 0.0025
@@ -184,12 +187,20 @@ class Signals:
 
         (M, ...) to (N, ...).
         """
-        rest = np.sqrt(self.kernel**2 - _light(self.kernel) ** 2)
-        return _gaussian(fine, rest / self.fine_step)[self.keep]
+        return _apply(self._projection_of_motion, fine)
 
     def project_command(self, fine: Array) -> Array:
         """Project something that was never smoothed, such as a held command. (M, ...) to (N, ...)."""
-        return _gaussian(fine, self.kernel / self.fine_step)[self.keep]
+        return _apply(self._projection, fine)
+
+    @cached_property
+    def _projection_of_motion(self) -> csr_array:
+        rest = np.sqrt(self.kernel**2 - _light(self.kernel) ** 2)
+        return _projection(len(self.fine_time), self.keep, rest / self.fine_step)
+
+    @cached_property
+    def _projection(self) -> csr_array:
+        return _projection(len(self.fine_time), self.keep, self.kernel / self.fine_step)
 
     def raw_command(self, delay: float = 0.0) -> Array:
         """The command, ``delay`` seconds late, averaged around each fine instant [N·m or rad]. Shape (M, J)."""
@@ -383,11 +394,23 @@ def presliding_width(s: Signals, joint: int) -> float:
 
 
 def _gaussian(x: Array, width: float, order: int = 0) -> Array:
-    """Project on a Gaussian or its derivative along the first axis.
+    """Project on a Gaussian or its derivative along the first axis."""
+    return gaussian_filter1d(x, width, axis=0, order=order, mode="nearest", truncate=TRUNCATE)
 
-    Cut at 7 widths: at 4, the second derivative of a constant shows.
-    """
-    return gaussian_filter1d(x, width, axis=0, order=order, mode="nearest", truncate=7.0)
+
+def _projection(length: int, keep: NDArray[np.intp], width: float) -> csr_array:
+    """The same at some instants only, as a matrix. Shape (N, M)."""
+    taps = np.arange(-int(TRUNCATE * width + 0.5), int(TRUNCATE * width + 0.5) + 1)
+    weight = np.exp(-0.5 * (taps / max(width, 1e-12)) ** 2)
+    columns = np.clip(keep[:, None] + taps, 0, length - 1)
+    rows = np.repeat(np.arange(len(keep)), len(taps))
+    weights = np.tile(weight / weight.sum(), len(keep))
+    return csr_array((weights, (rows, columns.ravel())), shape=(len(keep), length))
+
+
+def _apply(projection: csr_array, fine: Array) -> Array:
+    flat = projection @ fine.reshape(len(fine), -1)
+    return np.asarray(flat).reshape(-1, *fine.shape[1:])
 
 
 def sliding_direction(s: Signals, joint: int) -> Array:

@@ -369,8 +369,8 @@ def _separate(visits: list[NDArray[np.intp]], q: Floats, away: float) -> int:
     """How many of the visits are new arrivals: the joint was ``away`` in between."""
     arrivals = min(len(visits), 1)
     for before, after in pairwise(visits):
-        between = q[before[-1] : after[0] + 1]
-        arrivals += bool(np.abs(between - between[0]).max() > away)
+        between = np.abs(q[before[-1] : after[0] + 1] - q[before[-1]])
+        arrivals += bool(between.max(initial=0.0) > away)  # rows of two rests may overlap
     return arrivals
 
 
