@@ -95,12 +95,17 @@ def main(cfg: Config) -> None:
     folder = cfg.output / cfg.method
     folder.mkdir(parents=True, exist_ok=True)
     wanted = [(block, k) for block in blocks for k in range(cfg.first, cfg.first + _count(block, cfg))]
-    todo = [w for w in wanted if cfg.fresh or not (folder / f"{name_of(cfg.split, *w, cfg.seed)}.json").exists()]
+    todo = [w for w in wanted if cfg.fresh or not is_done(folder / f"{name_of(cfg.split, *w, cfg.seed)}.json")]
     print(f"{len(wanted)} cases, {len(wanted) - len(todo)} of them done")
     with ProcessPoolExecutor(cfg.jobs) as pool:
         pending = [pool.submit(run_case, cfg, block, k) for block, k in todo]
         for done in tqdm(pending, unit="case"):
             tqdm.write(done.result())
+
+
+def is_done(path: Path) -> bool:
+    """Whether a case was answered, and drawn by the generator as it is now."""
+    return path.exists() and json.loads(path.read_text(encoding="utf-8")).get("source") == source_digest()
 
 
 def _count(block: str, cfg: Config) -> int:
