@@ -184,7 +184,9 @@ def deflection(
     """
     substeps = _substeps(spring, period)
     step = period / substeps
-    first, rate = np.broadcast_arrays(passed[0] / spring.stiffness, passed[1] / spring.stiffness, load[0])[:2]
+    rate = passed[1] / spring.stiffness
+    first = (passed[0] - spring.damping * rate) / spring.stiffness
+    first, rate = np.broadcast_arrays(first, rate, load[0])[:2]
     first = first + np.sign(first) * spring.gap / 2
     x, w = first, rate
     softness = spring.softness(slopes[2].mean(0), step)

@@ -158,7 +158,7 @@ class Backlash(_Transmission):
         return (
             Parameter("gap", "m" if slide else "rad", 0.0, 0.0, widest, 0.02 * widest),
             Parameter(
-                "stiffness", "N/m" if slide else "N·m/rad", rigid, _stiffness(inertia, 5.0), rigid, 0.1 * typical
+                "stiffness", "N/m" if slide else "N·m/rad", rigid, _stiffness(inertia, 2.0), rigid, 0.1 * typical
             ),
         )
 
@@ -166,8 +166,8 @@ class Backlash(_Transmission):
         unit = 0.1 if is_slide(s.nominal, s.address, joint) else 1.0
         return [
             {"gap": float(gap) * unit, "stiffness": stiffness}
-            for gap in np.geomspace(0.004, 0.15, 9)
-            for stiffness in _stiffnesses(s, joint, 6.0, 12.0, 2)
+            for gap in np.geomspace(0.004, 0.15, 13)
+            for stiffness in _stiffnesses(s, joint, 4.5, 9.0, 2)
         ]
 
     def spring(self, values: Mapping[str, Array], inertia: float) -> Spring:

@@ -1,0 +1,84 @@
+import mujoco
+import numpy as np
+import pytest
+from effects.arm import JOINTS, address, arm, record
+
+from torchrl_athletic.effects import JointAddress, Plant, project_recording
+from torchrl_athletic.effects.payload import Payload, far_end, with_point
+
+CARRIER = """
+<mujoco><compiler angle="radian"/><worldbody><body><joint name="j" axis="0 1 0" pos="0 0 0.1"/>
+  <geom type="capsule" fromto="0 0 0.1 0 0 -0.3" size="0.02" mass="1.2"/>{hand}</body></worldbody></mujoco>"""
+HAND = '<body pos="0.05 0 -0.3"><geom type="box" size="0.02 0.01 0.06" mass="0.3"/></body>'
+SITE = '<site name="tool" pos="0.1 0 -0.6"/>'
+
+
+def carrier(hand: str = "") -> tuple[mujoco.MjModel, JointAddress]:
+    model = mujoco.MjModel.from_xml_string(CARRIER.format(hand=hand))
+    return model, JointAddress.of(model, ("j",))
+
+
+@pytest.mark.parametrize(
+    ("hand", "end"),
+    [("", [0, 0, -0.32]), (HAND, [0.05, 0, -0.36]), (HAND + SITE, [0.1, 0, -0.6])],
+    ids=["rod", "hand", "tool"],
+)
+def test_a_payload_sits_at_the_end_farthest_from_the_joint(hand, end):
+    model, at = carrier(hand)
+    np.testing.assert_allclose(far_end(model, at, 0), end, atol=1e-6)
+
+
+def test_without_geoms_a_link_is_taken_for_a_uniform_rod():
+    np.testing.assert_allclose(far_end(arm(), address(), 1), [0, 0.01, -0.3])
+
+
+def test_only_the_last_link_carries():
+    assert not Payload().parameters(arm(), address(), 0)
+    (mass,) = Payload().parameters(arm(), address(), 1)
+    assert (mass.nominal, mass.lower) == (0, 0)
+    assert mass.unit == "kg"
+
+
+def test_a_point_mass_is_what_the_compiler_makes_of_it():
+    """MuJoCo merges a ball that is nearly a point with its link."""
+    model, _ = carrier()
+    ball = '<geom type="sphere" size="1e-4" pos="0.1 0.2 -0.3" mass="0.7"/>'
+    merged, _ = carrier(ball)
+    given = [getattr(model, name)[1:2] for name in ("body_mass", "body_ipos", "body_iquat", "body_inertia")]
+    mass, centre, quat, inertia = with_point(*given, np.array([0.1, 0.2, -0.3]), np.array([0.7]))
+    assert mass[0] == pytest.approx(merged.body_mass[1])
+    np.testing.assert_allclose(centre[0], merged.body_ipos[1], atol=1e-9)
+    whole = []
+    for q, moments in ((quat[0], inertia[0]), (merged.body_iquat[1], merged.body_inertia[1])):
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, q)
+        whole.append(turn.reshape(3, 3) @ np.diag(moments) @ turn.reshape(3, 3).T)
+    np.testing.assert_allclose(whole[0], whole[1], atol=1e-7)
+
+
+def test_nothing_added_changes_nothing_and_rows_stay_apart():
+    plant = Plant(arm(), address(), 3)
+    Payload().apply(plant, 1, np.zeros((3, 1)))
+    assert not plant.fields
+    Payload().apply(plant, 1, np.array([[0.0], [0.2], [0.4]]))
+    for name, value in plant.fields.items():
+        np.testing.assert_array_equal(value[0], getattr(arm(), name), err_msg=name)
+        np.testing.assert_array_equal(value[:, 1], np.tile(getattr(arm(), name)[1], (3, *[1] * (value.ndim - 2))))
+    np.testing.assert_allclose(plant.fields["body_mass"][:, 2], [0.8, 1.0, 1.2])
+
+
+def test_the_missing_torque_is_the_column_times_the_mass_on_every_joint():
+    s = project_recording(record(Payload(), 1, [0.25], seconds=5.0), arm(), np.zeros(2), kernel=0.01)
+    (column,) = np.moveaxis(Payload().fingerprint(s, 1, {}).columns, -1, 0)
+    for j in range(len(JOINTS)):
+        assert np.vdot(column[:, j], s.missing[:, j]) / np.vdot(column[:, j], column[:, j]) == pytest.approx(
+            0.25, rel=0.02
+        )
+        left = ((s.missing - 0.25 * column)[:, j] ** 2).sum()
+        assert left < 0.01 * (s.missing[:, j] ** 2).sum()
+
+
+def test_the_sentence_says_mass_and_joint():
+    text = Payload().sentence("elbow", {"mass": 0.25}, Payload().parameters(arm(), address(), 1))
+    assert "0.25 kg" in text
+    assert "elbow" in text

@@ -1,0 +1,142 @@
+"""What the robot carries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from torchrl_athletic.effects.effect import Array, Effect, Fingerprint, Parameter
+from torchrl_athletic.effects.inertia import carries_link, recompute_constants
+from torchrl_athletic.effects.plant import Plant
+from torchrl_athletic.effects.signals import JointAddress, Signals
+
+
+class Payload(Effect):
+    """Something heavy sits at the end of the arm: a tool, a gripper, a workpiece.
+
+    Parameters: ``mass`` [kg] of a point at the far end of the last link: the site or end of a geom farthest from the joint
+    or, on a link without either, twice as far from it as its centre of mass. Only the last link of a chain has one.
+
+    Fingerprint: -∂ID/∂m on every joint, from the inverse dynamics with the point mass.
+
+    Simulation: mass, centre of mass and inertia of the link with the point.
+    """
+
+    name = "payload"
+    family = "inertia"
+    shows_in = "load"
+    equation = "τ = -m J(q)ᵀ (a - g) of the end point"
+    source = "Khalil, Gautier, Lemoine 2007, Identification of the payload inertial parameters, ICRA"
+    experiments: ClassVar[Mapping[str, str]] = {
+        "link_mass": "hold {joint} still in two poses and shake it at 2 to 3 Hz: a point at the end has half again as "
+        "much inertia per weight as the link",
+        "link_com": "weigh the last link, or shake {joint} at 2 to 3 Hz: a shifted centre loads no other joint",
+        "torque_scale": "take the payload off and repeat the take: a wrong scale stays",
+        "reflected_inertia": "hold {joint} still in two poses: a rotor has no weight",
+        "gravity_tilt": "take the payload off and repeat the take: a tilt stays",
+    }
+
+    def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
+        mass = float(model.body_subtreemass[address.body[joint]])
+        if not mass or not _is_last(model, address, joint):
+            return ()
+        return (Parameter("mass", "kg", 0.0, 0.0, 10 * mass, 0.05 * mass),)
+
+    def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
+        return [{}] if self.parameters(s.model, s.address, joint) else []
+
+    def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
+        body, model = s.address.body[joint], s.model.__copy__()
+        step = 0.1 * float(model.body_subtreemass[body])
+        mass, centre, quat, inertia = with_point(
+            model.body_mass[body : body + 1],
+            model.body_ipos[body : body + 1],
+            model.body_iquat[body : body + 1],
+            model.body_inertia[body : body + 1],
+            far_end(model, s.address, joint),
+            np.array([step]),
+        )
+        model.body_mass[body], model.body_ipos[body] = mass[0], centre[0]
+        model.body_iquat[body], model.body_inertia[body] = quat[0], inertia[0]
+        recompute_constants(model)
+        return Fingerprint(-((s.inverse(model) - s.rigid) / step)[:, :, None], fixed)
+
+    def apply(self, plant: Plant, joint: int, values: Array) -> None:
+        body, names = plant.address.body[joint], ("body_mass", "body_ipos", "body_iquat", "body_inertia")
+        if not values.any():
+            return
+        point = far_end(plant.model, plant.address, joint)
+        mass, centre, quat, inertia = (plant.of(name)[:, body] for name in names)
+        for name, value in zip(names, with_point(mass, centre, quat, inertia, point, values[:, 0]), strict=True):
+            plant.of(name)[:, body] = value
+
+    def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
+        return f"A payload of {values['mass']:.3g} kg sits at the end of the link moved by {joint}; the model has none."
+
+
+def far_end(model: mujoco.MjModel, address: JointAddress, joint: int) -> Array:
+    """The far end of the link, in the body's frame [m]. Shape (3,)."""
+    body, data = int(address.body[joint]), mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    rigid = _rigidly_held(model, body)
+    points = [data.site_xpos[k] for k in range(model.nsite) if model.site_bodyid[k] in rigid]
+    for k in range(model.ngeom):
+        if model.geom_bodyid[k] in rigid:
+            turn, centre, half = data.geom_xmat[k].reshape(3, 3), model.geom_aabb[k, :3], model.geom_aabb[k, 3:]
+            along = half * (half > half.max() - 1e-9) * (half > 1.01 * half.min())  # a ball has no end but its middle
+            points += [data.geom_xpos[k] + turn @ (centre + side * along) for side in (1, -1)]
+    turn = data.xmat[body].reshape(3, 3)
+    local = [turn.T @ (point - data.xpos[body]) for point in points]
+    if not local:
+        local = [2 * model.body_ipos[body] - model.jnt_pos[address.joint[joint]]]
+    distance = np.linalg.norm(np.array(local) - model.jnt_pos[address.joint[joint]], axis=1)
+    return np.asarray(local[int(np.argmax(distance))], dtype=np.float64)
+
+
+def with_point(
+    mass: Array, centre: Array, quat: Array, inertia: Array, point: Array, added: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Inertial parameters of bodies with a point mass, as ``mjModel`` keeps them.
+
+    Args:
+        mass: [kg]. Shape (rows,).
+        centre: Of mass, in the body's frame [m]. Shape (rows, 3).
+        quat: Of the principal axes in the body's frame. Shape (rows, 4).
+        inertia: Principal moments [kg·m²]. Shape (rows, 3).
+        point: Where the point sits, in the body's frame [m]. Shape (3,).
+        added: Its mass [kg]. Shape (rows,).
+
+    Returns:
+        The first four again, unchanged where nothing is added.
+    """
+    axes = Rotation.from_quat(quat[:, [1, 2, 3, 0]]).as_matrix()
+    total = mass + added
+    arm = point - centre
+    reduced = (mass * added / total)[:, None, None]
+    square = (arm**2).sum(-1)[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None, :]
+    moments, turns = np.linalg.eigh((axes * inertia[:, None, :]) @ axes.transpose(0, 2, 1) + reduced * square)
+    turns[:, :, 0] *= np.linalg.det(turns)[:, None]  # a rotation, not a reflection
+    new = Rotation.from_matrix(turns).as_quat()[:, [3, 0, 1, 2]]
+    same = (added == 0)[:, None]
+    return (
+        total,
+        centre + (added / total)[:, None] * arm,
+        np.where(same, quat, new),
+        np.where(same, inertia, moments),
+    )
+
+
+def _rigidly_held(model: mujoco.MjModel, body: int) -> set[int]:
+    """The body and those welded to it."""
+    return {k for k in range(model.nbody) if model.body_weldid[k] == model.body_weldid[body]}
+
+
+def _is_last(model: mujoco.MjModel, address: JointAddress, joint: int) -> bool:
+    """Whether no joint moves anything against the joint's link."""
+    held = _rigidly_held(model, int(address.body[joint]))
+    others = [k for k in range(model.nbody) if model.body_parentid[k] in held and k not in held]
+    return not others and carries_link(address, joint)
