@@ -28,6 +28,8 @@ from torchrl_athletic.effects.torque import fine_torque
 
 _TURNOVER = (0.5, 1.0)
 """Turnovers to try, per the one of the model's time constant."""
+_EARLY = 0.004
+"""Above it, friction is said to turn over before the motion does [s]."""
 _STRIBECK = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35)
 """Stribeck speeds to try, per the joint's greatest speed."""
 
@@ -88,18 +90,17 @@ class CoulombFriction(Effect):
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         plant.set_dry_friction(joint, values[:, 0])
-        dof = plant.address.dof[joint]
-        solref, solimp = plant.of("dof_solref"), plant.of("dof_solimp")
-        time_constant = 2 * values[:, 1] / plant.model.dof_solimp[dof, 1]
-        soft = time_constant > 2 * plant.model.opt.timestep
-        solref[soft, dof, 0] = time_constant[soft]
-        solimp[soft, dof] = plant.model.dof_solimp[dof]
+        dof, given, step = plant.address.dof[joint], plant.model.dof_solimp, float(plant.model.opt.timestep)
+        ideal = np.exp(-((values[:, 1] / step) ** 2))  # a smooth way from one form to the other, for the optimiser
+        plant.of("dof_solref")[:, dof, 0] = 2 * values[:, 1] / given[dof, 1] + 2 * step * ideal
+        solimp = plant.of("dof_solimp")
+        solimp[:, dof] = ideal[:, None] * solimp[:, dof] + (1 - ideal[:, None]) * given[dof]
 
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
         torque, turnover = parameters
-        form = "at once when the motion does, as in a bearing (turnover 0 ms)"
-        if values["turnover"] > 0:
-            early = f"{1e3 * values['turnover']:.3g} ms"
+        early = f"{1e3 * values['turnover']:.3g} ms"
+        form = f"at once when the motion does, as in a bearing (turnover {early})"
+        if values["turnover"] > _EARLY:
             form = f"{early} before the motion does, as MuJoCo's frictionloss with a soft solref"
         had = f"; the model has {torque.nominal:.3g} {torque.unit}" if torque.nominal else "; the model has none"
         if turnover.nominal:
