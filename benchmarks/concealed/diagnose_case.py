@@ -27,12 +27,16 @@ class Config:
     folder: tyro.conf.Positional[Path]
     without: tuple[str, ...] = ()
     """Names of effects taken out of the catalogue."""
+    only: tuple[str, ...] = ()
+    """Names of effects that make up the whole catalogue: the oracle's, which knows what is hidden."""
     time_budget: float | None = None
     """[s]"""
 
 
 def main(cfg: Config) -> None:
-    catalogue = [effect for effect in CATALOGUE if effect.name not in cfg.without]
+    catalogue = [
+        effect for effect in CATALOGUE if effect.name not in cfg.without and (not cfg.only or effect.name in cfg.only)
+    ]
     model = (cfg.folder / "model.xml").read_text(encoding="utf-8")
     fit, aside = read_recordings(cfg.folder / "fit"), read_recordings(cfg.folder / "aside")
     begin, cpu = time.monotonic(), time.process_time()

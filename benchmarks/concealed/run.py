@@ -159,11 +159,10 @@ def answer(cfg: Config, case: Case, folder: Path) -> dict[str, Any]:
     """
     here = Path(__file__).parent
     command = [sys.executable, str(here / "diagnose_case.py"), str(folder)]
-    if cfg.method != "diagnosis":
+    if cfg.method == "oracle":
+        command += ["--only", *({t.effect for t in case.truths} or {"none"})]
+    elif cfg.method != "diagnosis":
         command = [sys.executable, str(here / "baselines.py"), str(folder), "--method", cfg.method]
-        if cfg.method == "oracle":
-            truths = [{"effect": t.effect, "joint": t.joint} for t in case.truths]
-            (folder / "truth.json").write_text(json.dumps(truths), encoding="utf-8")
     if case.removed:
         command += ["--without", *case.removed]
     done = subprocess.run(
