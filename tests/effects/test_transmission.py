@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 from effects.arm import JOINTS, address, arm
 from effects.arm import record as record_arm
+from effects.slider import MASS as MASS_ON_RAIL
+from effects.slider import STEP, push
 from scipy.integrate import solve_ivp
+from scipy.signal import lsim
 
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.effects import JointAddress, Plant, project_recording
-from torchrl_athletic.effects.gear import CONTACT_STEP, Gear, Spring
+from torchrl_athletic.effects.gear import CONTACT_STEP, ROTOR_FLOOR, Gear, Spring
 from torchrl_athletic.effects.transmission import Backlash, Compliance
 from torchrl_athletic.recordings import Recording
 
@@ -168,6 +171,25 @@ def test_a_free_vibration_keeps_its_period_and_its_momentum(swing):
     if swing < 2.4:
         back = np.array(path[2:]) + np.array(path[:-2])  # x[n+1] + x[n-1] = 2 cos(swing) x[n]
         np.testing.assert_allclose(back, 2 * np.cos(swing) * np.array(path[1:-1]), atol=1e-12)
+
+
+def test_a_servo_behind_a_spring_holds_the_motor_and_not_the_link():
+    """A carriage whose model has no rotor gets one of 2 % of its mass; its encoder reads the motor."""
+    kp, kd, stiffness, damping, rotor = 400.0, 8.0, 300.0, 2.0, ROTOR_FLOOR * MASS_ON_RAIL
+    target = np.where(STEP * np.arange(800) < 0.1, 0.0, 0.05)
+    (position,) = push(target, (Compliance(), [stiffness, damping]), servo=(kp, kd))
+    a = [  # motor, its speed, carriage, its speed
+        [0, 1, 0, 0],
+        np.array([-stiffness - kp, -damping - kd, stiffness, damping]) / rotor,
+        [0, 0, 0, 1],
+        np.array([stiffness, damping, -stiffness, -damping]) / MASS_ON_RAIL,
+    ]
+    system = (a, [[0], [kp / rotor], [0], [0]], [[1, 0, 0, 0]], [[0]])
+    time = STEP * np.arange(801)
+    exact = lsim(system, np.append(target, target[-1]), time, interp=False)[1][1:]
+    np.testing.assert_allclose(position, exact, atol=0.03 * 0.05)
+    (rigid,) = push(target, servo=(kp, kd))
+    assert np.abs(rigid - exact).max() > 0.2 * 0.05
 
 
 def test_teeth_push_and_never_pull():

@@ -40,11 +40,11 @@ ONSET = 0.02
 """Over which the torque that it starts from is averaged [s]."""
 OBSERVER = 100.0
 """How fast the motor of an observer returns to the measured position [1/s]."""
-CONTACT_STEP = 0.0005
+CONTACT_STEP = 0.001
 """Time step of teeth that touch and part [s]."""
 ROTOR_FLOOR = 0.02
 """Least inertia of a rotor in simulation, per that of its link: a model without armature gives it none [1]."""
-COARSE = 0.01
+COARSE = 0.02
 """Step at which the derivatives of the dynamics are found; between, they are interpolated [s]."""
 
 
@@ -80,21 +80,19 @@ class LinkMotion:
     @cached_property
     def free_inertia(self) -> Array:
         """Inertia of each link about its joint, all other joints free to move [kg·m², kg]. Shape (S, J)."""
-        full, armature = inertia_matrix(self.model, self.address, self.position[:: self._stride]), self._armature
+        full, armature = inertia_matrix(self.model, self.address, self._some[0]), self._armature
         return self._between(1.0 / np.diagonal(np.linalg.inv(full), axis1=1, axis2=2) - armature)
 
     def slopes(self, joint: int) -> Array:
         """∂ID/∂q, ∂ID/∂q̇ and ∂ID/∂q̈ of all links for one joint's motion: G, C and M. Shape (3, S, J)."""
         if joint not in self.derivatives:
-            some = slice(None, None, self._stride)
-            motion = [x[some] for x in (self.position, self.velocity, self.acceleration)]
             out = []
-            for k, step in enumerate((1e-4, 1e-3, 1.0)):
-                up, down = [x.copy() for x in motion], [x.copy() for x in motion]
-                up[k][:, joint] += step
-                down[k][:, joint] -= step
-                rise = inverse_dynamics(self._links, self.address, *up)
-                out.append(self._between((rise - inverse_dynamics(self._links, self.address, *down)) / (2 * step)))
+            for k, step in enumerate((1e-5, 1e-4, 1.0)):
+                motion = list(self._some)
+                motion[k] = motion[k].copy()
+                motion[k][:, joint] += step
+                rise = inverse_dynamics(self._links, self.address, *motion) - self._some_load
+                out.append(self._between(rise / step))
             self.derivatives[joint] = np.stack(out)
         return self.derivatives[joint]
 
@@ -102,6 +100,16 @@ class LinkMotion:
         """Direction of sliding. Shape (S,)."""
         position = self.position[:, joint]
         return bristle(position, max(1.5e-3 * min(float(np.ptp(position)), 1.0), 1e-9))
+
+    @cached_property
+    def _some(self) -> tuple[Array, Array, Array]:
+        """Motion at the coarse step."""
+        q, v, a = (x[:: self._stride] for x in (self.position, self.velocity, self.acceleration))
+        return q, v, a
+
+    @cached_property
+    def _some_load(self) -> Array:
+        return inverse_dynamics(self._links, self.address, *self._some)
 
     @cached_property
     def _links(self) -> mujoco.MjModel:

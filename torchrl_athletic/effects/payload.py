@@ -18,8 +18,9 @@ from torchrl_athletic.effects.signals import JointAddress, Signals
 class Payload(Effect):
     """Something heavy sits at the end of the arm: a tool, a gripper, a workpiece.
 
-    Parameters: ``mass`` [kg] of a point at the far end of the last link: the site or end of a geom farthest from the joint
-    or, on a link without either, twice as far from it as its centre of mass. Only the last link of a chain has one.
+    Parameters: ``mass`` [kg] of a point at the far end of the last link: the site or end of a geom farthest from its
+    joint or, on a link without either, twice as far from it as its centre of mass. Only the last link of a chain has
+    one.
 
     Fingerprint: -∂ID/∂m on every joint, from the inverse dynamics with the point mass.
 
