@@ -268,7 +268,7 @@ class StribeckFriction(Effect):
         return (
             _dry("coulomb", model, address, joint),
             Parameter("stribeck", torque_unit(model, address, joint), 0.0, 0.0, bound, 0.02 * scale),
-            Parameter("stribeck_speed", speed, 1.0, 1e-4, 10.0, 0.02),  # any will do where nothing depends on it
+            Parameter("stribeck_speed", speed, 1.0, 1e-9, 20.0, 0.02),  # any will do where nothing depends on it
         )
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:

@@ -171,9 +171,9 @@ class Hysteresis(Effect):
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
         limit, unit = torque_scale(model, address, joint), torque_unit(model, address, joint)
-        way = Parameter("width", "rad", 1.0, 1e-3, 3.0, 0.01)
+        way = Parameter("width", "rad", 1.0, 1e-9, 3.0, 0.01)
         if is_slide(model, address, joint):
-            way = Parameter("width", "m", 1.0, 1e-5, 3.0, 0.001)
+            way = Parameter("width", "m", 1.0, 1e-9, 3.0, 0.001)
         return (Parameter("torque", unit, 0.0, 0.0, torque_bound(model, address, joint), 0.02 * limit), way)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:

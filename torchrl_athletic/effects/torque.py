@@ -216,15 +216,16 @@ class SpeedTorqueLimit(Effect):
         speed = "m/s" if is_slide(model, address, joint) else "rad/s"
         return (
             _limit_parameter("stall_torque", unit, model, address, joint, 0.02 * scale),
-            Parameter("no_load_speed", speed, _NO_LIMIT, 1e-3, _NO_LIMIT, 0.5),
+            Parameter("no_load_speed", speed, _NO_LIMIT, 1e-6, _NO_LIMIT, 0.5),
         )
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         u, v = np.abs(fine_torque(s, joint)), np.abs(s.fine_velocity[:, joint])
         if u.max() <= 0 or v.max() <= 0:
             return []
-        torques, speeds = float(u.max()) * np.array(_STALL), float(v.max()) * np.array(_NO_LOAD)
-        points = [{"stall_torque": float(t), "no_load_speed": float(n)} for t in torques for n in speeds]
+        most = self.parameters(s.nominal, s.address, joint)[0].upper
+        torques, speeds = np.minimum(float(u.max()) * np.array(_STALL), most), float(v.max()) * np.array(_NO_LOAD)
+        points = [{"stall_torque": float(t), "no_load_speed": float(n)} for t in np.unique(torques) for n in speeds]
         return [p for p in points if (u > p["stall_torque"] * (1 - np.minimum(v / p["no_load_speed"], 1))).any()]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
@@ -392,7 +393,7 @@ def _limit_parameter(
     """A limit below the model's; a model that states none has one beyond reach, and room above it says so."""
     bound = torque_bound(model, address, joint)
     stated = bool(np.isfinite(torque_range(model, address)[1][joint]))
-    return Parameter(name, unit, bound, 1e-3 * bound, bound if stated else 2 * bound, scale)
+    return Parameter(name, unit, bound, 1e-6 * bound, bound if stated else 2 * bound, scale)
 
 
 def _allows(limit: Parameter) -> str:
