@@ -409,7 +409,7 @@ def record(session: Session, step: float = plant.STEP) -> tuple[list[Recording],
             rng = generator(case.split, case.block, case.index, case.seed + 7919 * (take + 1))
             smaller = _smaller(robot, motion, shrink)
             drive = drive_for(robot, smaller, case.mode, session.kp, session.kd, session.sensors, take, rng)
-            command, reading, speed, clean, _ = _move(session.body, robot, drive, step)
+            command, reading, speed, clean, _ = move(session.body, robot, drive, step)
             if not _inside(robot, clean):
                 break
             source = f"take_{take + 1}" if take < session.fitted else f"aside_{take + 1 - session.fitted}"
@@ -419,7 +419,8 @@ def record(session: Session, step: float = plant.STEP) -> tuple[list[Recording],
     raise RuntimeError(f"{case.name}: the robot runs away whatever it is told. Draw it less severe.")
 
 
-def _move(body: Body, robot: Robot, drive: Drive, step: float = plant.STEP) -> tuple[Array, Array, Array, Array, Array]:
+def move(body: Body, robot: Robot, drive: Drive, step: float = plant.STEP) -> tuple[Array, Array, Array, Array, Array]:
+    """One take of a robot, by :func:`plant.simulate`, from rest at its centre."""
     out: tuple[Array, Array, Array, Array, Array] = plant.simulate(
         body.tree, body.laws, body.elements, body.gear_elements, drive, robot.centre, step
     )
@@ -485,7 +486,7 @@ def _missing(session: Session, body: Body) -> Array:
     for take, motion in enumerate(session.plans[: session.fitted]):
         rng = generator(case.split, case.block, case.index, case.seed + 7919 * (take + 1))
         drive = drive_for(robot, motion, case.mode, session.kp, session.kd, sensors, take, rng)
-        command, reading, speed, _, _ = _move(body, robot, drive)
+        command, reading, speed, _, _ = move(body, robot, drive)
         step = np.diff(drive.time)[:, None]
         q = 0.5 * (reading[1:] + reading[:-1]) - step / 8 * np.diff(speed, axis=0)
         v = np.diff(reading, axis=0) / step

@@ -1,0 +1,111 @@
+"""Scores of answers that are known: the right ones, the wrong ones, and those in between."""
+
+from __future__ import annotations
+
+from benchmarks.concealed.cases import Case
+from benchmarks.concealed.hidden import Truth
+from benchmarks.concealed.score import Row, numbers, tables
+
+FRICTION = Truth("coulomb_friction", "elbow", {"torque": 1.0})
+OFFSET = Truth("torque_offset", "wrist", {"torque": 0.5})
+
+
+def row(block, truths, findings, verdict="explained", seen=10.0, **more) -> Row:
+    case = Case("tuning", block, 0, 0, "arm2", "torque_command", 200.0, 2, tuple(truths), **more)
+    stated = [
+        {
+            "effect": e,
+            "joint": j,
+            "probability": p,
+            "parameters": {"torque": {"value": 1, "ci95": ci}},
+            "rivals": rivals,
+        }
+        for e, j, p, ci, rivals in findings
+    ]
+    answer = {"verdict": verdict, "findings": stated, "fit": {"heldout": {"share_closed": 0.9}}}
+    result = {"answer": answer, "visibility": [seen] * len(truths), "beyond_nuisance": [True] * len(truths)}
+    return Row(case, {**result, "seconds": 10.0, "megabytes": 300.0, "joints": 2})
+
+
+def said(effect, joint, probability=0.9, interval=(0.9, 1.1), rivals=()):
+    return effect, joint, probability, list(interval), [{"effect": e, "joint": j} for e, j in rivals]
+
+
+def test_the_truth_scores_one_and_another_joint_only_its_class():
+    n = numbers([row("single", [FRICTION], [said("coulomb_friction", "elbow")])])
+    assert n["single"]["name"] == n["single"]["class"] == n["single"]["joint"] == [1.0, 1]
+    assert n["single"]["wrong_name_over_half"] == [0.0, 1]
+    assert n["parameter_coverage"] == [1.0, 1]
+    assert n["calibration"]["ece"] == 0.1
+    n = numbers([row("single", [FRICTION], [said("viscous_friction", "wrist")])])
+    assert n["single"]["name"] == n["single"]["joint"] == [0.0, 1]
+    assert n["single"]["class"] == [1.0, 1]
+    assert n["single"]["wrong_name_over_half"] == [1.0, 1]
+    assert n["calibration"]["ece"] == 0.9
+
+
+def test_a_case_below_the_limit_does_not_count_and_is_not_forgotten():
+    n = numbers([row("single", [FRICTION], [], "nothing_missing", seen=2.0)])
+    assert n["single"]["name"] == [None, 0]
+    assert n["single"]["by_ratio"]["2 to 3"]["name"] == [0.0, 1]
+
+
+def test_a_law_that_holds_the_truth_is_listed_apart():
+    n = numbers([row("single", [FRICTION], [said("stribeck_friction", "elbow")])])
+    assert n["single"]["name"] == [0.0, 1]
+    assert n["single"]["name_or_superset"] == [1.0, 1]
+    assert n["single"]["wrong_name_over_half"] == [0.0, 1]
+
+
+def test_a_rival_counts_for_the_answer_set_alone():
+    findings = [said("viscous_friction", "elbow", 0.4, rivals=[("coulomb_friction", "elbow")])]
+    n = numbers([row("single", [FRICTION], findings)])
+    assert n["single"]["in_answer_set"] == [1.0, 1]
+    assert n["single"]["name_among_findings"] == [0.0, 1]
+    assert n["single"]["wrong_name_over_half"] == [0.0, 1]  # it was not stated above one half
+
+
+def test_an_identity_of_the_robot_is_as_right_as_the_truth():
+    late = Truth("clock_offset", None, {"offset": 0.01})
+    alike = ((("actuation_delay", "elbow"),),)
+    rows = [row("unidentifiable", [late], [said("actuation_delay", "elbow")], equivalents=alike)]
+    n = numbers(rows)
+    assert n["unidentifiable"]["one_of_the_set_named"] == [1.0, 1]
+    assert n["unidentifiable"]["truth_itself_in_answer_set"] == [0.0, 1]
+
+
+def test_any_name_is_a_false_alarm_where_nothing_is_hidden():
+    quiet = [row("nothing", [], [], "nothing_missing"), row("nuisance", [], [said("torque_offset", "elbow")])]
+    n = numbers(quiet)
+    assert n["quiet"]["false_alarm"] == [0.5, 2]
+    assert n["quiet"]["false_alarm_nothing"] == [0.0, 1]
+
+
+def test_outside_the_catalogue_only_doubt_is_right():
+    drag = Truth("drag", "elbow", {})
+    honest = row("outside", [drag], [], "unexplained")
+    part = row(
+        "outside", [drag], [said("viscous_friction", "elbow")], "partly_explained", tolerated=("viscous_friction",)
+    )
+    sure = row("outside", [drag], [said("viscous_friction", "elbow")], "explained", tolerated=("viscous_friction",))
+    blaming = row("outside", [drag], [said("torque_offset", "elbow")], "partly_explained")
+    n = numbers([honest, part, sure, blaming])
+    assert n["open_set"]["outside"] == [0.5, 4]
+    assert n["open_set"]["wrong_name_over_half"] == [0.25, 4]
+
+
+def test_two_effects_need_both_names():
+    both = [said("coulomb_friction", "elbow"), said("torque_offset", "wrist", interval=(0.6, 0.7))]
+    n = numbers([row("pairs", [FRICTION, OFFSET], both), row("pairs", [FRICTION, OFFSET], both[:1])])
+    assert n["pairs"]["both_named"] == [0.5, 2]
+    assert n["pairs"]["one_named"] == [1.0, 2]
+    assert n["parameter_coverage"] == [0.6667, 3]  # 0.5 is not within 0.6 to 0.7
+
+
+def test_an_answer_that_failed_is_no_right_one():
+    case = row("single", [FRICTION], []).case
+    failed = Row(case, {"error": "broke", "visibility": [9.0], "beyond_nuisance": [True]})
+    n = numbers([failed, row("single", [FRICTION], [said("coulomb_friction", "elbow")])])
+    assert n["failed"] == [0.5, 2]
+    assert n["single"]["name"] == [0.5, 2]
+    assert any("| failed | 0.500 (2) |" in text for text in tables([failed], n))
