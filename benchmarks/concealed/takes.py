@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter
 
 from benchmarks.concealed import plant
 from benchmarks.concealed.plant import Drive
@@ -97,7 +98,7 @@ def plan(robot: Robot, kind: str, duration: float, rate: float, amplitude: float
         velocity = np.gradient(position, 1 / rate, axis=0)
         acceleration = np.gradient(velocity, 1 / rate, axis=0)
         result = Plan(kind, time, position, velocity, acceleration, np.zeros_like(position))
-        torque = np.abs(nominal_torque(robot, result))
+        torque = np.abs(nominal_torque(robot, thinned(result)))
         if (torque < 0.6 * robot.torque_limit).all() or amplitude < 0.05:
             break
         amplitude *= 0.85
@@ -105,6 +106,13 @@ def plan(robot: Robot, kind: str, duration: float, rate: float, amplitude: float
         share = rng.uniform(0.05, 0.2) * np.sqrt((torque**2).mean(0))
         result = replace(result, dither=share * _telegraph(time, robot.joints, rng))
     return result
+
+
+def thinned(motion: Plan) -> Plan:
+    """The same motion about every 10 ms, which shows what it takes as well."""
+    every = slice(None, None, max(1, round(0.010 / (motion.time[1] - motion.time[0]))))
+    rows = (motion.time, motion.position, motion.velocity, motion.acceleration, motion.dither)
+    return Plan(motion.kind, *(x[every] for x in rows))
 
 
 def nominal_torque(robot: Robot, motion: Plan) -> Array:
@@ -146,8 +154,10 @@ def _square(t: Array, rng: np.random.Generator) -> Array:
 
 
 def _sweep(t: Array, rng: np.random.Generator) -> Array:
-    step, x, out, left, pace = t[1] - t[0], 0.0, np.empty(len(t)), 0.0, 0.0
-    for i in range(len(t)):
+    step, x, left, pace = 0.01, 0.0, 0.0, 0.0
+    coarse = np.arange(0.0, t[-1] + step, step)
+    out = np.empty(len(coarse))
+    for i in range(len(coarse)):
         if left <= 0.0:
             left = rng.uniform(0.8, 3.0)
             pace = float(np.exp(rng.uniform(np.log(0.06), np.log(1.2)))) * (1.0 if rng.random() < 0.5 else -1.0)
@@ -156,7 +166,7 @@ def _sweep(t: Array, rng: np.random.Generator) -> Array:
         x += pace * step
         left -= step
         out[i] = x
-    return np.asarray(gaussian_filter1d(out, 0.04 / step))
+    return np.asarray(gaussian_filter1d(np.interp(t, coarse, out), 0.04 / (t[1] - t[0])))
 
 
 def _random(t: Array, rng: np.random.Generator) -> Array:
@@ -198,12 +208,9 @@ def drive_for(
     jitter = np.clip(sensors.loop_jitter * rng.normal(size=samples), -0.3, 0.3)
     time = motion.time + period * jitter
     late = np.clip(sensors.stamp_jitter * rng.normal(size=samples), -0.1, 0.1) * period
-    white = rng.normal(size=(samples, n)) * sensors.noise
-    noise = np.empty_like(white)
-    noise[0] = white[0]
     rho = sensors.correlation
-    for k in range(1, samples):
-        noise[k] = rho * noise[k - 1] + np.sqrt(1 - rho**2) * white[k]
+    white = sensors.noise * rng.normal(size=(samples, n))
+    noise = lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], white, axis=0)
     resolution = np.where(robot.tree.slide, 1.0, 2 * np.pi) / 2.0**sensors.bits
     feedforward = nominal_torque(robot, motion) + motion.dither
     return Drive(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,7 @@ def test_what_diagnoses_knows_nothing_of_the_generator():
 
 def test_the_splits_share_no_robot():
     assert not set(SEALED) & set(TUNING)
-    drawn = {split: {prepare(split, "nuisance", k).robot.name for k in range(6)} for split in ("sealed", "tuning")}
+    drawn = {split: {prepare(split, "nuisance", k).robot.name for k in range(3)} for split in ("sealed", "tuning")}
     assert drawn["sealed"] <= set(SEALED)
     assert drawn["tuning"] <= set(TUNING)
 
@@ -52,7 +53,11 @@ def test_the_same_seed_is_the_same_case_and_another_one_is_not(session):
     assert again.case == session.case
     assert again.model_xml == session.model_xml
     assert prepare("sealed", "single", 0, seed=6).case != session.case
-    np.testing.assert_array_equal(record(again)[0][0].position, record(session)[0][0].position)
+
+
+def test_recording_it_again_gives_the_same_numbers(session):
+    short = replace(session, plans=session.plans[:1])
+    np.testing.assert_array_equal(record(short)[0][0].position, record(short)[0][0].position)
 
 
 def test_a_stretch_of_singles_holds_every_effect_and_every_severity():
@@ -92,12 +97,12 @@ def test_more_severe_is_more_of_it(session):
 
 def test_the_oracle_sees_a_gross_effect_and_hardly_a_faint_one():
     seen = {}
-    for k in (0, 28, 56, 84):  # the same effect, four severities
+    for k in (0, 84):  # the same effect, faint and gross
         session = prepare("tuning", "single", k, seed=1)
-        session = cases.replace(session, plans=session.plans[:1], fitted=1)
+        session = replace(session, plans=session.plans[:1], fitted=1)
         seen[session.case.severity] = visibility(session)[0]
         assert beyond_nuisance(session.case.truths[0], session)
-    assert set(seen) == {0, 1, 2, 3}
+    assert set(seen) == {0, 3}
     assert seen[3] > 3 * seen[0]
 
 
@@ -112,14 +117,14 @@ def test_the_diagnosis_is_given_a_model_and_takes_and_no_names(session, tmp_path
 
 
 def test_an_encoder_reads_in_whole_steps(session):
-    take = record(session)[0][0]
+    take = record(replace(session, plans=session.plans[:1]))[0][0]
     steps = take.position / (2 * np.pi / 2**session.sensors.bits)
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
 
 def test_the_seal_shows_a_digest_and_changes_with_what_is_hidden(tmp_path, monkeypatch, capsys):
     for block in COUNTS:
-        monkeypatch.setitem(COUNTS, block, 1)
+        monkeypatch.setitem(COUNTS, block, int(block in ("single", "pairs")))
     digests = []
     for seed in (1, 1, 2):
         seal(Seal(seed, tmp_path / "key.sha256"))
