@@ -14,7 +14,7 @@ from torchrl_athletic.effects import CATALOGUE, JointAddress
 
 EFFECTS = {e.name: e for e in (*CATALOGUE, *FIT_TRIMS)}
 NATIVE_TERMS = {
-    "coulomb_friction": [0.1],
+    "coulomb_friction": [0.1, 0.0],
     "viscous_friction": [0.12],
     "reflected_inertia": [0.02],
     "link_mass": [0.6],
@@ -73,7 +73,7 @@ def test_mjcf_alone_moves_as_the_corrected_simulation_when_it_can_say_all(name):
 
 
 def test_dry_friction_brings_its_stiffness_into_mjcf():
-    model = mujoco.MjModel.from_xml_string(corrected_xml(pendulum(), corrected({"coulomb_friction": [0.1]})))
+    model = mujoco.MjModel.from_xml_string(corrected_xml(pendulum(), corrected({"coulomb_friction": [0.1, 0.0]})))
     assert model.dof_frictionloss == pytest.approx([0.1])
     assert model.dof_solref[0] == pytest.approx([2 * model.opt.timestep, 1.0])
     assert model.dof_solimp[0, :2] == pytest.approx([0.99, 0.99])

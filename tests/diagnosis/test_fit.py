@@ -62,7 +62,7 @@ def test_parameters_of_an_independent_plant_come_back(effect, name, true):
     h = Hypothesis((Candidate(effect, 0, "pendulum", parameters),))
     takes = prepare(recordings, model).takes
     fitted = fit(h, takes, h.nominal + 0.5 * h.scale, np.random.default_rng(0), max_windows=12)
-    assert fitted.values == pytest.approx(list(true.values()), rel=0.05)
+    assert fitted.values[: len(true)] == pytest.approx(list(true.values()), rel=0.05)
 
 
 @pytest.mark.parametrize("start", [0.2, 3.0, 50.0])

@@ -29,7 +29,7 @@ BENCHES = {
     "two_link_arm": (two_link_arm(timestep=STEP), 25.0, 0.6),
 }
 VALUES = {
-    "coulomb_friction": [0.12],
+    "coulomb_friction": [0.12, 0.0],
     "viscous_friction": [0.05],
     "asymmetric_friction": [0.15, 0.05, 0.06, 0.02],
     "reflected_inertia": [0.006],
