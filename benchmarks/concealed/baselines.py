@@ -100,7 +100,9 @@ class Signals:
     u: Array
     """Torque that was commanded."""
     command: Sequence[tuple[Array, Array]]
-    """(stamps, torque held from them) of each take."""
+    """(stamps, command held from them) of each take: torques, or what targets ask for, ``kp * target``."""
+    feedback: Array
+    """What the drive adds to the command by itself: ``-kp q - kd v`` for targets, else nothing."""
     missing: Array
     """Torque that the model misses."""
 
@@ -120,28 +122,27 @@ def signals(model: mujoco.MjModel, takes: Sequence[Recording]) -> Signals:
         else:
             v = np.gradient(q, step, axis=0)
         a = np.gradient(v, step, axis=0)
-        held = take.torque_command
+        held, feedback = take.torque_command, np.zeros_like(q)
         if held is None:
             assert take.position_target is not None
             assert take.kp is not None
             assert take.kd is not None
-            speed = _resampled(take.time, t, v)
-            held = take.kp * (take.position_target - take.position) - take.kd * speed
+            held, feedback = take.kp * take.position_target, -take.kp * q - take.kd * v
         commands.append((take.time, held))
         keep = slice(20, -20, max(1, round(0.010 / step)))
-        parts.append([np.full(len(t), number)[keep], t[keep], q[keep], v[keep], a[keep],
-                      _held(commands[-1], t, 0.0, width)[keep]])  # fmt: skip
-    take_of, t, q, v, a, u = (np.concatenate(x) for x in zip(*parts, strict=True))
+        u = _held(commands[-1], t, 0.0) + feedback
+        parts.append([x[keep] for x in (np.full(len(t), number), t, q, v, a, u, feedback)])
+    take_of, t, q, v, a, u, feedback = (np.concatenate(x) for x in zip(*parts, strict=True))
     missing = inverse_dynamics(model, q, v, a) - u
-    return Signals(take_of.astype(np.int64), t, q, v, a, u, commands, missing)
+    return Signals(take_of.astype(np.int64), t, q, v, a, u, commands, feedback, missing)
 
 
 def _resampled(t: Array, stamps: Array, x: Array) -> Array:
     return np.stack([np.interp(t, stamps, column) for column in x.T], axis=1)
 
 
-def _held(command: tuple[Array, Array], t: Array, delay: float, width: float, lag: float = 0.0) -> Array:
-    """Torque that was held, after a delay and a lag, smoothed."""
+def _held(command: tuple[Array, Array], t: Array, delay: float, lag: float = 0.0) -> Array:
+    """Command that was held, after a delay and a lag, smoothed."""
     stamps, values = command
     fine = np.arange(t[0], t[-1] + 1e-9, 0.001)
     rows = np.clip(np.searchsorted(stamps, fine - delay, side="right") - 1, 0, None)
@@ -168,7 +169,7 @@ Columns = tuple[str, str | None, int | None, Array]
 """Effect, joint, row of the joint (None: all rows), and its columns: (T, k) of a joint or (T, J, k) of all."""
 
 
-def columns(xml: str, s: Signals, width: float, position_control: bool) -> Iterator[Columns]:
+def columns(xml: str, s: Signals, position_control: bool) -> Iterator[Columns]:
     """What each effect of the catalogue would make the model miss, its nonlinear parameters on a grid."""
     model = mujoco.MjModel.from_xml_string(xml)
     names = [model.joint(j).name for j in range(model.njnt)]
@@ -202,8 +203,8 @@ def columns(xml: str, s: Signals, width: float, position_control: bool) -> Itera
                 upper, lower = limit * np.clip(1 - v / top, 0, 1), -limit * np.clip(1 + v / top, 0, 1)
                 yield "speed_torque_limit", name, j, (np.clip(u, lower, upper) - u)[:, None]
         for tau in (0.002, 0.005, 0.01, 0.02):
-            yield "actuation_delay", name, j, (_delayed(s, j, tau, 0.0, width) - u)[:, None]
-            yield "actuation_lag", name, j, (_delayed(s, j, 0.0, tau, width) - u)[:, None]
+            yield "actuation_delay", name, j, (_delayed(s, j, tau, 0.0) - u)[:, None]
+            yield "actuation_lag", name, j, (_delayed(s, j, 0.0, tau) - u)[:, None]
         for tau in (5.0, 10.0, 15.0):
             yield "thermal_drift", name, j, (sign * np.exp(-t / tau))[:, None]
         for start in np.arange(2.0, 16.0, 0.5):
@@ -232,7 +233,7 @@ def columns(xml: str, s: Signals, width: float, position_control: bool) -> Itera
         changed.opt.gravity[axis] = 0.1
         tilts.append(inverse_dynamics(changed, s.q, s.v, s.a) - s.u - s.missing)
     yield "gravity_tilt", None, None, np.stack(tilts, axis=2)
-    late = np.stack([_delayed(s, j, 0.002, 0.0, width) for j in range(len(names))], axis=1)
+    late = np.stack([_delayed(s, j, 0.002, 0.0) for j in range(len(names))], axis=1)
     yield "clock_offset", None, None, (late - s.u)[:, :, None]
 
 
@@ -265,12 +266,12 @@ def _loaded(model: mujoco.MjModel, j: int) -> None:
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def _delayed(s: Signals, j: int, delay: float, lag: float, width: float) -> Array:
+def _delayed(s: Signals, j: int, delay: float, lag: float) -> Array:
     out = np.empty(len(s.time))
     for take, (stamps, values) in enumerate(s.command):
         rows = s.take == take
-        out[rows] = _held((stamps, values[:, j : j + 1]), s.time[rows], delay, width, lag)[:, 0]
-    return out
+        out[rows] = _held((stamps, values[:, j : j + 1]), s.time[rows], delay, lag)[:, 0]
+    return out + s.feedback[:, j]
 
 
 def _bristle(s: Signals, j: int, length: float) -> Array:
@@ -285,11 +286,10 @@ def _bristle(s: Signals, j: int, length: float) -> Array:
 def naive_bic(xml: str, takes: Sequence[Recording], without: Sequence[str]) -> list[Named]:
     """The effect of the lowest BIC; nothing only if no effect beats the empty model."""
     s = signals(mujoco.MjModel.from_xml_string(xml), takes)
-    width = SMOOTHING * takes[0].rate
     samples = len(s.missing)
     alone = samples * np.log((s.missing**2).mean(0))
     found: list[tuple[float, str, str | None]] = [(float(alone.sum()), "", None)]
-    for effect, joint, row, x in columns(xml, s, width, takes[0].position_target is not None):
+    for effect, joint, row, x in columns(xml, s, takes[0].position_target is not None):
         if effect in without:
             continue
         bic = alone.copy()

@@ -7,10 +7,12 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from benchmarks.concealed import cases
+from benchmarks.concealed.baselines import signals
 from benchmarks.concealed.cases import BLOCKS, beyond_nuisance, prepare, record, visibility
 from benchmarks.concealed.hidden import EFFECTS, OUTSIDE, draw
 from benchmarks.concealed.robots import SEALED, TUNING
@@ -132,3 +134,13 @@ def test_the_seal_shows_a_digest_and_changes_with_what_is_hidden(tmp_path, monke
     assert digests[0] == digests[1] != digests[2]
     assert len(digests[0]) == 64
     assert not [name for name in EFFECTS if name in capsys.readouterr().out]
+
+
+@pytest.mark.parametrize("index", [0, 5])  # torques sent; position targets sent
+def test_where_nothing_is_missing_mujoco_misses_what_the_sensors_noise_makes(index):
+    session = prepare("tuning", "nothing", index)
+    session = replace(session, plans=session.plans[:1], fitted=1)
+    takes, _ = record(session)
+    seen = signals(mujoco.MjModel.from_xml_string(session.model_xml), takes)
+    missing = np.sqrt((seen.missing**2).mean(0))
+    np.testing.assert_allclose(missing, cases._noise(session), rtol=0.25)
