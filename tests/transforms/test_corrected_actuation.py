@@ -20,7 +20,12 @@ from torchrl_athletic.recordings import Recording, sensor_noise
 from torchrl_athletic.robots import from_mjcf
 from torchrl_athletic.robots.benches import pendulum, two_link_arm
 from torchrl_athletic.transforms import CorrectedActuation, Decimation
-from torchrl_athletic.transforms.corrected_actuation import IN_THE_CHAIN, IN_THE_MODEL
+from torchrl_athletic.transforms.corrected_actuation import (
+    IN_THE_CHAIN,
+    IN_THE_MODEL,
+    NOT_ACTED_OUT,
+    OF_THE_RECORDING,
+)
 
 EFFECTS = {e.name: e for e in (*FIT_TRIMS, *CATALOGUE)}
 RATE, STEP, SECONDS = 100.0, 0.002, 1.2
@@ -220,4 +225,13 @@ def test_other_joints_and_another_time_step_are_refused():
 
 
 def test_it_knows_every_effect_of_the_catalogue():
-    assert set(EFFECTS) == {*IN_THE_CHAIN, *IN_THE_MODEL}
+    """Each is acted out, or in the model, or of no robot, or refused: one that is new has to be put somewhere."""
+    places = [set(IN_THE_CHAIN), set(IN_THE_MODEL), OF_THE_RECORDING, NOT_ACTED_OUT]
+    assert set(EFFECTS) == set().union(*places)
+    assert sum(map(len, places)) == len(EFFECTS)
+
+
+def test_how_a_recording_was_stamped_is_left_out():
+    content = correct("pendulum", {"torque_scale": [1.1]}).to_json()
+    content["trims"].append({"effect": "clock_shift", "joint": None, "parameters": {"offset": {"value": 0.002}}})
+    assert CorrectedActuation(content, timestep=STEP).torque_scale.item() == pytest.approx(1.1)

@@ -28,6 +28,7 @@ IN_THE_MODEL = {
     "reflected_inertia": ("armature",),
     "link_mass": ("mass",),
     "link_com": ("distance",),
+    "link_com_shift": ("x", "y", "z"),
     "link_inertia": ("scale",),
 }
 """Effects that ``corrected.xml`` holds, and their parameters."""
@@ -42,6 +43,28 @@ IN_THE_CHAIN = {
     "gain_mismatch": ("kp_scale", "kd_scale"),
 }
 """Effects that :class:`CorrectedActuation` acts out, and their parameters."""
+
+OF_THE_RECORDING = frozenset({"clock_offset", "clock_shift"})
+"""Effects of how the recording was stamped, which no robot has."""
+
+NOT_ACTED_OUT = frozenset(
+    {
+        "backlash",
+        "compliance",
+        "disturbance",
+        "encoder_scale",
+        "hysteresis",
+        "joint_spring",
+        "joint_stop",
+        "load_dependent_friction",
+        "speed_torque_limit",
+        "stribeck_friction",
+        "thermal_drift",
+        "torque_ripple",
+        "torque_saturation",
+    }
+)
+"""Effects that a diagnosis can find and :class:`CorrectedActuation` refuses, since neither model nor chain has them."""
 
 Correction: TypeAlias = str | os.PathLike[str] | Mapping[str, Any]
 """Path of a ``corrected.json``, or what stands in it."""
@@ -330,6 +353,8 @@ def _known_entries(
     entries = []
     for entry in (*content["effects"], *content["trims"]):
         effect, joint = entry["effect"], entry["joint"]
+        if effect in OF_THE_RECORDING:
+            continue
         if effect not in known:
             raise ValueError(
                 f"effect {effect!r} of {joint!r} is not one that CorrectedActuation can act out: it knows "
