@@ -91,7 +91,7 @@ def test_probabilities_are_shares_of_the_evidence_among_those_who_could_stand_th
     kept, term, rival, far = atom("payload"), atom("coulomb"), atom("stribeck"), atom("backlash")
     options = [scored(100.0, kept, term), scored(104.0, kept, rival), scored(140.0, far, kept)]
     monkeypatch.setattr(gates, "alternatives", lambda *_: options)
-    atoms, shares = gates._probabilities(SimpleNamespace(judge=None, best=options[0], simulated={}), term)
+    atoms, shares = gates._shares(SimpleNamespace(judge=None, best=options[0], simulated={}), term)
     assert atoms == [term, rival, far]
     assert sum(shares) == pytest.approx(1.0)
     assert shares[1] / shares[0] == pytest.approx(np.exp(-2.0))  # evidence is twice the log odds
@@ -103,7 +103,7 @@ def test_what_the_simulation_says_of_a_combination_counts_beside_the_torque_doma
     options = [scored(100.0, term), scored(104.0, rival)]
     monkeypatch.setattr(gates, "alternatives", lambda *_: options)
     part = SimpleNamespace(judge=None, best=options[0], simulated={frozenset({("coulomb", "elbow")}): 10.0})
-    shares = gates._probabilities(part, term)[1]
+    shares = gates._shares(part, term)[1]
     assert shares[1] / shares[0] == pytest.approx(np.exp(3.0))
 
 
@@ -112,7 +112,7 @@ def test_equals_share_the_probability_and_odds_do_not_depend_on_the_level(monkey
     for level in (-1e5, 0.0, 1e5):
         options = [scored(level, term), scored(level, rival)]
         monkeypatch.setattr(gates, "alternatives", lambda *_, options=options: options)
-        assert gates._probabilities(SimpleNamespace(judge=None, best=options[0], simulated={}), term)[1] == [0.5, 0.5]
+        assert gates._shares(SimpleNamespace(judge=None, best=options[0], simulated={}), term)[1] == [0.5, 0.5]
 
 
 WHERE = (Location("elbow", "everywhere", 0.8, (0.7, 0.9)), Location("elbow", "moving backwards", 0.6, (0.5, 0.7)))

@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -70,7 +71,20 @@ class Diagnosis:
     xml: str
     """The given model."""
     maps: tuple[RegimeMap, ...] = field(default=(), repr=False)
-    overlays: tuple[Overlay, ...] = field(default=(), repr=False)
+    recordings: tuple[Recording, ...] = field(default=(), repr=False)
+    """As they drove the simulation; empty after :meth:`load`."""
+    heldout: tuple[Recording, ...] = field(default=(), repr=False)
+
+    @cached_property
+    def overlays(self) -> tuple[Overlay, ...]:
+        """Recorded and simulated positions of some recordings."""
+        return tuple(
+            Overlay(
+                r.source, heldout, r.time, r.joint_names, r.position, self.nominal.rollout(r), self.corrected.rollout(r)
+            )
+            for heldout, recordings in ((True, self.heldout), (False, self.recordings))
+            for r in recordings[:OVERLAYS]
+        )
 
     def save(self, output: str | Path) -> None:
         """Write ``diagnosis.json``, ``corrected.json``, ``corrected.xml`` and ``report.html``.
@@ -352,7 +366,7 @@ class _Work:
         evidence = [
             e for e in (self.drive_evidence, self.options[self.chosen] if self.options else None) if e is not None
         ]
-        findings = judge_findings(evidence, fitted) if fitted is not None else ()
+        findings = judge_findings(evidence, fitted, scores.values()) if fitted is not None else ()
         is_open = self._is_open()
         verdict, share = verdict_of(evidence, findings, scores.get("train"), scores.get("heldout"), is_open)
         if verdict == "nothing_missing":
@@ -381,10 +395,14 @@ class _Work:
             seed=self.seed,
             remarks=self._remarks(evidence, corrected) if complete else (),
         )
-        maps, overlays = (
-            (self._maps(evidence), self._overlays(nominal, corrected)) if complete else (self._maps(evidence), ())
-        )
-        return Diagnosis(answer, nominal, corrected, self.xml, tuple(maps), tuple(overlays))
+        maps = tuple(self._maps(evidence))
+        if not complete:
+            return Diagnosis(answer, nominal, corrected, self.xml, maps)
+        driven = [
+            tuple(r.driven_by_measured_torque() if self.drive == "measured" else r for r in group)
+            for group in (self.recordings, self.heldout)
+        ]
+        return Diagnosis(answer, nominal, corrected, self.xml, maps, *driven)
 
     def _is_open(self) -> bool:
         """Whether some joint misses torque that noise does not explain and that motion and command predict."""
@@ -418,15 +436,6 @@ class _Work:
             return regime_maps(self.signals_bank, self.signals_bank.target, self._rng("maps"))
         part = evidence[-1]
         return regime_maps(part.judge.bank, part.judge.bank.rows(part.best.fit), self._rng("maps"))
-
-    def _overlays(self, nominal: Simulation, corrected: Simulation) -> list[Overlay]:
-        out = []
-        for heldout, recordings in ((True, self.heldout), (False, self.recordings)):
-            for r in recordings[:OVERLAYS]:
-                driven = r.driven_by_measured_torque() if self.drive == "measured" else r
-                before, after = nominal.rollout(driven), corrected.rollout(driven)
-                out.append(Overlay(r.source, heldout, r.time, r.joint_names, r.position, before, after))
-        return out
 
 
 def _search(

@@ -118,15 +118,20 @@ def fit(
     x = np.clip(start, low, high) / unit
     if not len(x):
         return Fitted(hypothesis, start, np.zeros((200, 0)), 0.0)
-    rounds = [draw_windows(takes, seconds, max_windows, rng) for seconds in SHOOTING]
+    stepped = any(_is_stepped(hypothesis, take) for take in takes)
+    if stepped:  # a hundred times dearer; the torque domain's start is good enough for one round
+        max_windows, max_iter = max_windows // 2, max_iter // 2
+    rounds = [draw_windows(takes, seconds, max_windows, rng) for seconds in (SHOOTING[1:] if stepped else SHOOTING)]
     for done, windows in enumerate(rounds):
         x = _solve(_Problem(hypothesis, windows, unit, x), x, low / unit, high / unit, max_iter)
         progress((done + 1) / (len(rounds) + 1))
     ends = [simulate(w, hypothesis.build, (x * unit)[None])[0] for w in rounds[-1]]
     typical = window_rmse(rounds[-1], ends)[0]
-    whole = [w for w in (windows_of(take, None) for take in takes) if _follows(hypothesis, w, x * unit, typical)]
+    ends_to_end = [] if stepped else [windows_of(take, None) for take in takes]
+    whole = [w for w in ends_to_end if _follows(hypothesis, w, x * unit, typical)]
     final = _Problem(hypothesis, rounds[-1] + whole, unit, x)
-    x = _solve(final, x, low / unit, high / unit, max_iter // 2)
+    if whole:
+        x = _solve(final, x, low / unit, high / unit, max_iter // 2)
     samples, cost = _bootstrap(final, x, rng, low / unit, high / unit)
     progress(1.0)
     return Fitted(hypothesis, np.clip(x * unit, low, high), samples * unit, cost)
@@ -143,6 +148,13 @@ def _solve(problem: _Problem, x: Array, low: Array, high: Array, max_iter: int) 
         verbose=minimize.Verbosity.SILENT,
     )
     return np.ravel(x)
+
+
+def _is_stepped(hypothesis: Hypothesis, take: Take) -> bool:
+    """Whether the replay has to look at the state at every physics step."""
+    plant = Plant(take.model, take.address, 1)
+    hypothesis.build(plant, hypothesis.nominal[None])
+    return take.recording.position_target is not None or not plant.open_loop
 
 
 def _follows(hypothesis: Hypothesis, whole: Windows, values: Array, typical: Array) -> bool:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_athletic.diagnosis.calibration import Grounds, probability
 from torchrl_athletic.diagnosis.compare import open_share
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
@@ -54,14 +55,20 @@ class Evidence:
         left = self.left()
         return float(left.max() if candidate.joint_name is None else left[candidate.joint])
 
+    def excess_of(self, candidate: Candidate) -> float:
+        """Mean square that stays there, beyond the noise and in its units."""
+        excess = self.judge.excess(self.best.fit)
+        return float(excess.max() if candidate.joint_name is None else excess[candidate.joint])
+
     def left(self) -> Array:
         """Share of each joint's excess missing torque that is left. Shape (J,)."""
-        before, after = (self.judge.excess(fit) for fit in (self.judge.score(()).fit, self.best.fit))
+        before, after = (self.judge.excess(fit) for fit in (self.judge.bare, self.best.fit))
         return np.where(before > 1.0, np.clip(after / np.maximum(before, 1e-12), 0.0, 1.0), 0.0)
 
 
-def judge_findings(evidence: Sequence[Evidence], fitted: Fitted) -> tuple[Finding, ...]:
+def judge_findings(evidence: Sequence[Evidence], fitted: Fitted, scores: Collection[Score] = ()) -> tuple[Finding, ...]:
     """State every term of the fitted hypothesis, most probable first."""
+    still_open = max((open_share(s) for s in scores), default=1.0)
     interval = fitted.interval()
     out = []
     for part in evidence:
@@ -70,7 +77,7 @@ def judge_findings(evidence: Sequence[Evidence], fitted: Fitted) -> tuple[Findin
             if chosen is not None:
                 values = fitted.hypothesis.values_of(chosen, fitted.values)
                 band = fitted.hypothesis.values_of(chosen, interval.T).T
-                out.append(_finding(part, term, values, band))
+                out.append(_finding(part, term, values, band, still_open))
     return tuple(sorted(out, key=lambda f: (-round(f.probability, 2), -f.energy_share)))
 
 
@@ -126,32 +133,41 @@ def summarise(
     return tuple(out)
 
 
-def _finding(part: Evidence, term: Atom, values: Array, band: Array) -> Finding:
+def _finding(part: Evidence, term: Atom, values: Array, band: Array, still_open: float) -> Finding:
     bank, candidate = part.judge.bank, term.candidate
-    rated = list(zip(*_probabilities(part, term), strict=True))
-    varies = scatter(bank, part.best.fit, term)
-    holds = 1.0 / (1.0 + (varies / INVARIANT) ** 4)
-    doubt = 1.0 - holds * (0.98 - 0.3 * part.left_of(candidate))
-    own = next(p for a, p in rated if a.candidate.key == candidate.key)
+    rated = list(zip(*_shares(part, term), strict=True))
+    own = next(share for a, share in rated if a.candidate.key == candidate.key)
+    grounds = Grounds(
+        share=own,
+        left=part.left_of(candidate),
+        excess=part.excess_of(candidate),
+        scatter=scatter(bank, part.best.fit, term),
+        open=still_open,
+        energy=_energy_share(part, term),
+        terms=part.best.fit.size,
+        strain=part.best.fit.strain,
+    )
+    likely = probability(grounds)
+    per_share = min(likely / own, (1.0 - likely) / max(1.0 - own, 1e-9))
     effect, joint = candidate.effect, candidate.where
     named = {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)}
     rivals = [
         Rival(
             a.candidate.effect.name,
             a.candidate.joint_name,
-            float(p * (1 - doubt)),
+            share * per_share,
             effect.experiment(a.candidate.effect.name, joint),
         )
-        for a, p in rated
-        if a.candidate.key != candidate.key and p > LEAST_PROBABILITY
+        for a, share in rated
+        if a.candidate.key != candidate.key and share > LEAST_PROBABILITY
     ]
     explained = bank.prediction(part.best.fit, term)
     return Finding(
         effect=effect.name,
         joint=candidate.joint_name,
-        probability=float(own * (1 - doubt)),
+        probability=likely,
         sentence=effect.sentence(joint, named, candidate.parameters)
-        if varies <= INVARIANT
+        if grounds.scatter <= INVARIANT
         else _stand_in(effect, joint),
         parameters={
             p.name: Estimate(float(v), (float(min(low, v)), float(max(high, v))), p.unit)
@@ -159,7 +175,8 @@ def _finding(part: Evidence, term: Atom, values: Array, band: Array) -> Finding:
         },
         regime=regime_of(bank, explained, candidate.joint, effect.shows_in),
         rivals=tuple(rivals),
-        energy_share=_energy_share(part, term),
+        energy_share=grounds.energy,
+        grounds=grounds.to_json(),
     )
 
 
@@ -171,7 +188,7 @@ def _stand_in(effect: Effect, joint: str) -> str:
     )
 
 
-def _probabilities(part: Evidence, term: Atom) -> tuple[list[Atom], list[float]]:
+def _shares(part: Evidence, term: Atom) -> tuple[list[Atom], list[float]]:
     """Who could stand in a term's place, and the share of the evidence that each has."""
     options = alternatives(part.judge, part.best, term)
     kept = {a.candidate.key for a in part.best.fit.terms if a is not term}
@@ -185,7 +202,7 @@ def _energy_share(part: Evidence, term: Atom) -> float:
     """Share of the joint's missing torque that comes back when the term is taken away."""
     joint = term.candidate.joint
     without = part.judge.bank.fit([a for a in part.best.fit.terms if a is not term])
-    before, rest, left = (float(fit.residual[joint].sum()) for fit in (part.judge.bank.fit(()), without, part.best.fit))
+    before, rest, left = (float(fit.residual[joint].sum()) for fit in (part.judge.bare, without, part.best.fit))
     gained = rest - left
     return float(np.clip(gained / max(before, 1e-12), 0.0, 1.0))
 

@@ -50,6 +50,8 @@ class Finding:
     rivals: tuple[Rival, ...] = ()
     energy_share: float = 0.0
     """Share of the joint's missing torque that this effect accounts for, 0..1."""
+    grounds: Mapping[str, float] = field(default_factory=dict)
+    """What the probability rests on (see :class:`~torchrl_athletic.diagnosis.calibration.Grounds`)."""
 
 
 @dataclass(frozen=True)

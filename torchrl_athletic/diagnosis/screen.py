@@ -299,18 +299,17 @@ class Bank:
                 Shape (J, S); ones if None.
             trimmed: Whether trims are fitted beside it.
         """
-        chosen = tuple(atoms)
-        if trimmed:
-            atoms = (*chosen, *(t for t in self.trims if all(t.candidate.allows(a.candidate) for a in chosen)))
-        gram = self.products.gram([0, *(n for atom in atoms for n in self.numbers(atom))])
-        low, high = _bounds(atoms)
+        trims = [t for t in self.trims if all(t.candidate.allows(a.candidate) for a in atoms)] if trimmed else []
+        together = (*atoms, *trims)
+        gram = self.products.gram([0, *(n for atom in together for n in self.numbers(atom))])
+        low, high = _bounds(together)
         total = gram.sum((0, 1)) if level is None else np.tensordot(1.0 / level, gram, 2)
-        doubt = self._doubt(atoms[len(chosen) :], low, high)
+        doubt = self._doubt(trims, low, high)
         normal = total[1:, 1:] + self.correlation * np.diag(doubt)
         coefficients = bounded_least_squares(normal, total[1:, 0], low, high)
         x = np.append(1.0, -coefficients)
         strain = float(doubt @ coefficients**2)
-        return Fit(atoms, len(chosen), coefficients, (low, high), strain, np.maximum((gram @ x) @ x, 0.0))
+        return Fit(together, len(atoms), coefficients, (low, high), strain, np.maximum((gram @ x) @ x, 0.0))
 
     def _doubt(self, trims: Sequence[Atom], low: Array, high: Array) -> Array:
         """Precision with which trims are known to be zero; zero for the rest, which stands before. Shape (columns,)."""
@@ -510,7 +509,7 @@ def bounded_least_squares(normal: Array, right: Array, low: Array, high: Array) 
 
 def _within(n: Array, r: Array, lower: Array, upper: Array, rounds: int = 20) -> Array | None:
     """The same by moving whole sets to and from their bounds (Stark, Parker 1995); None if that goes in circles."""
-    z = np.linalg.solve(n, r)
+    z: Array = np.asarray(np.linalg.solve(n, r), dtype=np.float64)
     bound = np.zeros(len(z), dtype=np.int8)
     for _ in range(rounds):
         out = np.where(bound == 0, np.where(z < lower, -1, np.where(z > upper, 1, 0)), 0)

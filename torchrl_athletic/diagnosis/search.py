@@ -64,6 +64,7 @@ class Judge:
         self.independent = bank.count / bank.correlation
         self.bare = bank.fit((), trimmed=False)
         """Nothing is adjusted."""
+        self._scores: dict[frozenset[Atom], Scored] = {}
 
     def mean_square(self, fit: Fit) -> Array:
         """Of the normalised residual, per joint and stretch. Shape (J, S)."""
@@ -83,13 +84,19 @@ class Judge:
 
         Rows weigh by what is left around them, so that something unknown does not bend what the rest says.
         """
+        key = frozenset(atoms)
+        if independent is None and key in self._scores:
+            return self._scores[key]
         fit = self.bank.fit(atoms)
         for _ in range(REWEIGHTED):
             fit = self.bank.fit(atoms, self.level(fit))
         count = self.independent if independent is None else independent
         penalty = np.log(max(count.sum(), 3.0)) * fit.freedom
         evidence = float((count * np.log(self.level(fit))).sum())
-        return Scored(fit, evidence + float(penalty) + fit.strain + sum(_doubt(a) for a in fit.terms))
+        scored = Scored(fit, evidence + float(penalty) + fit.strain + sum(_doubt(a) for a in fit.terms))
+        if independent is None:
+            self._scores[key] = scored
+        return scored
 
     def promise(self, atoms: Sequence[Atom], parent: Fit) -> float:
         """Evidence of a combination fitted with the weights of its parent: cheap, and not above its own."""
@@ -137,7 +144,9 @@ def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: No
         beam = [_refine(judge, s) for s in sorted(grown.values(), key=lambda s: s.evidence)[:BEAM]]
     else:
         finished.extend(beam)
-    polished = [_invariant(judge, _prune(judge, _simplify(judge, _exchange(judge, s)))) for s in finished]
+    distinct = {keys(s.fit.terms): s for s in sorted(finished, key=lambda s: -s.evidence)}
+    best = sorted(distinct.values(), key=lambda s: s.evidence)[:BEAM]
+    polished = [_invariant(judge, _prune(judge, _simplify(judge, _exchange(judge, s)))) for s in best]
     unique = {keys(s.fit.terms): s for s in sorted(polished, key=lambda s: -s.evidence)}
     return sorted(unique.values(), key=lambda s: s.evidence)
 

@@ -15,8 +15,10 @@ from torchrl_athletic.effects.friction import (
     StribeckFriction,
     ViscousFriction,
 )
+from torchrl_athletic.effects.gravity import GravityTilt
 from torchrl_athletic.effects.inertia import LinkCom, LinkInertia, LinkMass, ReflectedInertia
 from torchrl_athletic.effects.nuisance import ClockShift, LinkComShift
+from torchrl_athletic.effects.payload import Payload
 from torchrl_athletic.effects.plant import Law, Now, Plant, Start
 from torchrl_athletic.effects.presliding import Hysteresis
 from torchrl_athletic.effects.sensing import ClockOffset, EncoderOffset, EncoderScale
@@ -43,6 +45,8 @@ CATALOGUE: tuple[Effect, ...] = (
     ReflectedInertia(),
     LinkMass(),
     LinkCom(),
+    Payload(),
+    GravityTilt(),
     ActuationDelay(),
     ActuationLag(),
     TorqueScale(),
@@ -77,6 +81,7 @@ __all__ = [
     "EncoderScale",
     "Fingerprint",
     "GainMismatch",
+    "GravityTilt",
     "Hysteresis",
     "JointAddress",
     "JointSpring",
@@ -89,6 +94,7 @@ __all__ = [
     "LoadDependentFriction",
     "Now",
     "Parameter",
+    "Payload",
     "Plant",
     "ReflectedInertia",
     "Signals",

@@ -1,0 +1,71 @@
+"""How probable a statement is: learnt on concealed robots, scored on others (``benchmarks/concealed``)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """What the probability of a finding rests on."""
+
+    share: float
+    """Of the evidence among all effects that could stand in its place, 0..1."""
+    left: float
+    """Share of its joint's missing torque that stays unexplained, 0..1."""
+    excess: float
+    """Mean square of what stays there, beyond the noise, in units of the noise."""
+    scatter: float
+    """Relative spread of its strength between takes (see :func:`~torchrl_athletic.diagnosis.search.scatter`)."""
+    open: float
+    """Share of the simulation's error energy above the floor that stays, 0..1."""
+    energy: float
+    """Share of its joint's missing torque that it accounts for, 0..1."""
+    terms: int
+    """Findings beside it, itself included."""
+    strain: float
+    """Sum of squares of the trims, each in standard deviations of what it may be."""
+
+    def features(self) -> dict[str, float]:
+        """Numbers of order one, in which the log odds are linear."""
+        share = float(np.clip(self.share, 1e-3, 1 - 1e-3))
+        return {
+            "share": float(np.log(share / (1 - share))) / 3,
+            "left": float(np.log10(self.left + 1e-4)) + 2,
+            "excess": float(np.log10(self.excess + 0.1)),
+            "scatter": float(np.log10(self.scatter + 0.01)) + 1,
+            "open": float(np.log10(self.open + 1e-4)) + 2,
+            "energy": float(np.log10(self.energy + 1e-3)),
+            "terms": float(np.log2(self.terms)),
+            "strain": float(np.log10(self.strain + 1.0)),
+        }
+
+    def to_json(self) -> dict[str, float]:
+        """As plain numbers."""
+        return asdict(self)
+
+
+@cache
+def _weights() -> Mapping[str, float]:
+    content = json.loads(files(__package__).joinpath("calibration.json").read_text(encoding="utf-8"))
+    return {name: float(value) for name, value in content["weights"].items()}
+
+
+def probability(grounds: Grounds) -> float:
+    """That a finding with these grounds is true: a logistic regression's answer.
+
+    Example:
+        >>> clear = Grounds(share=0.99, left=0, excess=0, scatter=0.01, open=0, energy=1, terms=1, strain=1)
+        >>> vague = Grounds(share=0.6, left=0.4, excess=30, scatter=0.3, open=0.5, energy=0.5, terms=3, strain=30)
+        >>> probability(clear) > 0.8 > probability(vague)
+        True
+    """
+    weights = _weights()
+    odds = weights["intercept"] + sum(weights[name] * x for name, x in grounds.features().items())
+    return float(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))))
