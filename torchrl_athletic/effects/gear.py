@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-WARM_UP = (4.0, 2.0)
+WARM_UP = (4.0, 1.5)
 """After which a deflection has forgotten where it started from, without play and with [s]."""
 ONSET = 0.02
 """Over which the torque that it starts from is averaged [s]."""
@@ -143,6 +143,11 @@ class Spring:
     gap: Array
     """Total play [rad, m]."""
 
+    @cached_property
+    def play(self) -> bool:
+        """Whether any gap is open."""
+        return bool(self.gap.any())
+
     def softness(self, inertia: Array, step: float) -> Array:
         """Torque added by a step of unit relative acceleration, so that free vibration keeps its period [N·m·s²/rad].
 
@@ -165,13 +170,14 @@ class Spring:
             softness: See :meth:`softness`.
             step: [s].
         """
-        linear = (self.stiffness * x + self.damping * w + softness * push) / (1 + softness / inertia)
-        if not self.gap.any():
+        rigid, half = 1 + softness / inertia, self.gap / 2
+        linear = (self.stiffness * x + self.damping * w + softness * push) / rigid
+        if not self.play:
             return linear
-        half, ahead = self.gap / 2, x + step * w
+        ahead = x + step * w
         side = np.sign(ahead)
-        pressed = side * linear - self.stiffness * half / (1 + softness / inertia)
-        return np.where(np.abs(ahead) >= half, side * np.maximum(pressed, 0.0), 0.0)
+        pressed = np.maximum(side * linear - self.stiffness * half / rigid, 0.0)
+        return side * pressed * (side * ahead >= half)
 
 
 def deflection(
@@ -268,7 +274,7 @@ def observed(
 
 
 def _substeps(spring: Spring, period: float) -> int:
-    return int(np.ceil(period / CONTACT_STEP - 1e-6)) if spring.gap.any() else 1
+    return int(np.ceil(period / CONTACT_STEP - 1e-6)) if spring.play else 1
 
 
 @dataclass(eq=False)
@@ -295,7 +301,7 @@ class Gear:
         """
         link, j, dof = start.link, self.joint, plant.address.dof[self.joint]
         assert link is not None
-        back = np.arange(-max(1, int(WARM_UP[int(self.spring.gap.any())] / link.period)), 1)[:, None]
+        back = np.arange(-max(1, int(WARM_UP[int(self.spring.play)] / link.period)), 1)[:, None]
         before = np.maximum(start.sample + back, 0)
         load = link.load[before, j]
         if "dof_frictionloss" in plant.fields:
