@@ -33,13 +33,14 @@ class GravityTilt(Effect):
     equation = "g → Rx(-roll) Ry(-pitch) g"
     source = "Hollerbach, Khalil, Gautier 2016, Springer Handbook of Robotics, chapter 6"
     experiments: ClassVar[Mapping[str, str]] = {
-        "encoder_offset": "put a spirit level on the base, or hold the arm still in poses that differ in two joints: a "
-        "tilt turns with the first joint, an encoder's zero does not",
-        "torque_offset": "hold the arm still in several poses far apart: a tilt pulls with the cosine of the pose",
-        "link_mass": "put a spirit level on the base, or hold the arm still on both sides of the vertical",
-        "link_com": "put a spirit level on the base, or turn it by a quarter about the vertical and repeat the take",
-        "joint_spring": "put a spirit level on the base, or sweep the arm slowly through a full turn",
-        "payload": "put a spirit level on the base, or take the payload off and repeat the take",
+        "encoder_offset": "put a spirit level under {joint}, or hold still in poses that differ in two joints: a tilt "
+        "turns with the first joint, an encoder's zero does not",
+        "torque_offset": "hold {joint} still in several poses far apart: a tilt pulls with the cosine of the pose",
+        "link_mass": "put a spirit level under {joint}, or hold still on both sides of the vertical",
+        "link_com": "put a spirit level under {joint}, or turn the base by a quarter about the vertical and repeat the "
+        "take",
+        "joint_spring": "put a spirit level under {joint}, or sweep slowly through a full turn",
+        "payload": "put a spirit level under {joint}, or take the payload off and repeat the take",
     }
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
@@ -65,8 +66,8 @@ class GravityTilt(Effect):
         return Fingerprint(np.stack(columns, -1), fixed)
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
-        gravity = plant.of("opt.gravity")
-        gravity[:] = tilted(gravity, values)
+        if values.any():
+            plant.of("opt.gravity")[:] = tilted(plant.of("opt.gravity"), values)
 
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
         off = np.degrees(np.arccos(np.cos(values["roll"]) * np.cos(values["pitch"])))

@@ -36,9 +36,9 @@ class Payload(Effect):
         "link_mass": "hold {joint} still in two poses and shake it at 2 to 3 Hz: a point at the end has half again as "
         "much inertia per weight as the link",
         "link_com": "weigh the last link, or shake {joint} at 2 to 3 Hz: a shifted centre loads no other joint",
-        "torque_scale": "take the payload off and repeat the take: a wrong scale stays",
+        "torque_scale": "take the payload off {joint} and repeat the take: a wrong scale stays",
         "reflected_inertia": "hold {joint} still in two poses: a rotor has no weight",
-        "gravity_tilt": "take the payload off and repeat the take: a tilt stays",
+        "gravity_tilt": "take the payload off {joint} and repeat the take: a tilt stays",
     }
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
