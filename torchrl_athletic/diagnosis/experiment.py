@@ -1,20 +1,16 @@
 """Which experiment would tell rivals apart: planned along candidate motions, in the torque domain, before any is run.
 
-Every rival was fitted to the recordings, and its fingerprint says what torque it would add along a motion that nobody
-has recorded yet. Two rivals are as far apart as the torques that one predicts, on old and planned recordings together,
-are from anything that the other can still predict once its parameters and the trims are fitted again. That distance,
-in standard deviations of what the encoders let through, is maximised over candidate motions within the robot's limits
-(optimal design for model discrimination: Atkinson, Fedorov 1975, doi:10.1093/biomet/62.1.57).
+The separation of the rivals (:mod:`torchrl_athletic.diagnosis.separation`) is maximised over candidate motions within
+the robot's limits: optimal design for model discrimination (Atkinson, Fedorov 1975, doi:10.1093/biomet/62.1.57).
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations, permutations
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -25,11 +21,13 @@ from scipy.ndimage import gaussian_filter1d
 from torchrl_athletic.diagnosis.corrected import write_json
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.gates import LEAST_PROBABILITY, Evidence
+from torchrl_athletic.diagnosis.motions import MARGIN, RATE, ROUNDING, Limits, Motion, motions, touches, way
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.result import Finding
-from torchrl_athletic.diagnosis.screen import KERNEL_CORRELATION, Atom, Key, bounded_least_squares, row_noise
+from torchrl_athletic.diagnosis.screen import Atom, Key, row_noise
 from torchrl_athletic.diagnosis.search import Judge, Scored, alternatives
-from torchrl_athletic.effects.effect import is_slide, torque_scale
+from torchrl_athletic.diagnosis.separation import Products, Rivals, thinned
+from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.effects.payload import far_end
 from torchrl_athletic.effects.signals import (
     JointAddress,
@@ -38,74 +36,20 @@ from torchrl_athletic.effects.signals import (
     inverse_dynamics,
     project_recording,
     smooth_dynamics,
-    torque_range,
 )
-from torchrl_athletic.recordings import ExcitationError, Recording, Safety, chirp, multisine, sensor_noise, sine, square
+from torchrl_athletic.recordings import Recording
 
 Array = NDArray[np.float64]
-Cache: TypeAlias = dict[tuple[Key, tuple[tuple[str, float], ...]], Array]
-
-RATE = 200.0
-"""Of the command file [Hz]."""
-ENOUGH = 12.0
-"""Standard deviations beyond which rivals need not be farther apart: odds of e to the 72, were the noise all."""
-MARGIN = 0.9
-"""Share of a limit that a plan may use."""
-THINNED = 4
-"""Every fourth instant of the torque domain is nearly independent of the next: the rest costs time only."""
-DRAWS = 6
-"""Parameter sets of each rival, as uncertain as the recordings leave them."""
 SECONDS = 8.0
 """Length of the excitation, without the ways there and back [s]."""
 APART = 3.0
 """Standard deviations that separate a pair; one that no plan sets so far apart is not what a plan is chosen for."""
-MOST_PLANS = 60
 CONFIRMED = 2
 """Plans that are simulated under every rival before one is proposed."""
 GENTLE = 0.2
 """Share of its worth that a plan loses by using up all limits and half a minute."""
 BANDWIDTH = 3.0
 """Natural frequency of the position loop where the recordings state no gains [Hz]."""
-ROUNDING: Mapping[str, float] = {"steps": 0.02, "sweep": 0.05}
-"""Width of the Gaussian that rounds corners which no drive can follow [s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """What robot and surroundings can take. State yours; :meth:`of` guesses from the model and the recordings."""
-
-    position: Array
-    """Lowest and highest position [rad, m]. Shape (J, 2)."""
-    velocity: Array
-    """Fastest motion [rad/s, m/s]. Shape (J,)."""
-    torque: Array
-    """Largest torque [N·m, N]. Shape (J,)."""
-
-    @classmethod
-    def of(cls, takes: Sequence[Signals]) -> Limits:
-        """The model's joint and motor limits.
-
-        Where it states none, 1 rad to both sides of the start, and half more speed and torque than was recorded (but
-        1 rad/s, and what bears the link).
-        """
-        s = takes[0]
-        model, address, joints = s.nominal, s.address, range(s.num_joints)
-        slide = np.array([is_slide(model, address, j) for j in joints])
-        recorded = np.concatenate([t.recording.position for t in takes])
-        start = s.recording.position[0]
-        reach = np.where(slide, 0.0, 1.0)
-        low, high = np.minimum(recorded.min(0), start - reach), np.maximum(recorded.max(0), start + reach)
-        limited = model.jnt_limited[address.joint].astype(bool)
-        given = model.jnt_range[address.joint]
-        clear = np.where(slide, 0.05 * (given[:, 1] - given[:, 0]), 0.06)
-        low = np.where(limited, given[:, 0] + clear, low)
-        high = np.where(limited, given[:, 1] - clear, high)
-        fastest = np.max([np.abs(t.velocity).max(0) for t in takes], axis=0)
-        strongest = np.max([np.abs(t.command).max(0) for t in takes], axis=0)
-        motor = np.minimum(*np.abs(torque_range(model, address)))
-        typical = np.array([torque_scale(model, address, j) for j in joints])
-        torque = np.where(np.isfinite(motor), motor, np.maximum(1.5 * strongest, typical))
-        return cls(np.stack([low, high], -1), np.maximum(1.5 * fastest, np.where(slide, 0.0, 1.0)), torque)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,16 +58,8 @@ class Experiment:
 
     rivals: tuple[Key, ...]
     """(effect, joint) of each."""
-    joint: str
-    """The joint that moves, or all of them."""
-    kind: str
-    """'sine', 'sweep' (constant speeds both ways), 'steps', 'chirp' or 'multisine'."""
-    amplitude: float
-    """To both sides of the pose [rad, m]."""
-    frequency: float
-    """Of its repetition, or the highest of a band [Hz]."""
-    pose: tuple[float, ...]
-    """About which it moves [rad, m]. Length J."""
+    motions: tuple[Motion, ...]
+    """One, or two where no single one separates every pair."""
     payload: float
     """Mass to fasten at the far end of the last link, zero for none [kg]."""
     duration: float
@@ -163,21 +99,12 @@ class Experiment:
     @property
     def sentence(self) -> str:
         """What to do and what it tells, in words."""
-        size = f"±{self.amplitude:.2g} {self.unit}"
-        how = {
-            "sine": f"Move {self.joint} in a sine of {size} at {self.frequency:.2g} Hz",
-            "sweep": f"Move {self.joint} both ways over {size} at a constant "
-            f"{4 * self.amplitude * self.frequency:.2g} {self.unit}/s",
-            "steps": f"Step {self.joint} by {size} at {self.frequency:.2g} Hz",
-            "chirp": f"Move {self.joint} in a sine of {size} that rises from 0.2 to {self.frequency:.2g} Hz",
-            "multisine": f"Move all joints at once by up to {size}, up to {self.frequency:.2g} Hz",
-        }[self.kind]
-        pose = ", ".join(f"{q + 0.0:.2f}" for q in self.pose)
+        how = ", then ".join(m.words(self.unit) for m in self.motions)
         load = f" with {self.payload:g} kg fastened to the end" if self.payload else ""
         text = (
-            f"{how} about ({pose}){load} for {self.duration:.0f} s. It should set {_words(self.rivals)} at least "
-            f"{self.after:.1f} standard deviations apart; they are {self.before:.1f} apart now, and repeating the old "
-            f"motion would make it {self.repeated:.1f}."
+            f"{how[0].upper()}{how[1:]}{load}, {self.duration:.0f} s in all. It should set {_words(self.rivals)} at "
+            f"least {self.after:.1f} standard deviations apart; now they are {self.before:.1f} apart, and repeating "
+            f"the old motion would make it {self.repeated:.1f}."
         )
         if self.inseparable:
             which = "; ".join(_words(pair) for pair in self.inseparable)
@@ -196,12 +123,17 @@ class Experiment:
             ],
             "inseparable": [[list(a), list(b)] for a, b in self.inseparable],
             "expected_separation": {"before": self.before, "repeating": self.repeated, "after": self.after},
-            "joint": self.joint,
-            "kind": self.kind,
-            "amplitude": self.amplitude,
-            "unit": self.unit,
-            "frequency": self.frequency,
-            "pose": list(self.pose),
+            "motions": [
+                {
+                    "joint": m.joint,
+                    "kind": m.kind,
+                    "amplitude": m.amplitude,
+                    "unit": self.unit,
+                    "frequency": m.frequency,
+                    "pose": m.pose.tolist(),
+                }
+                for m in self.motions
+            ],
             "payload_kg": self.payload,
             "duration": self.duration,
             "rate": RATE,
@@ -293,31 +225,35 @@ def propose(
         raise ValueError(f"{len(rivals)} rival: an experiment separates at least two. Pass all of an answer set.")
     takes = judge.bank.takes
     limits = limits or Limits.of(takes)
-    scene = _Scene(judge, rivals, probabilities)
-    known = scene.products([_thinned(s) for s in takes])
+    scene = Rivals(judge, rivals, probabilities)
+    known = scene.products([thinned(s) for s in takes])
     before = scene.separations(known)
-    plans, gained = [], []
+    plans = []
     for mass, model in {0.0: takes[0].nominal, **(payloads or {})}.items():
         loop = _gains(takes, model)
-        for motion in _motions(takes, limits, _joints_of(rivals), seconds):
+        for motion in motions(takes, limits, _joints_of(rivals), seconds):
             plan = _planned(motion, mass, model, takes, limits, loop)
             if plan is not None:
-                s = _thinned(project_recording(plan.recording, model, scene.noise, kernel=takes[0].kernel))
-                plans.append(plan)
-                gained.append(scene.separations(known + scene.products([s]), row_noise([*takes, s])))
+                s = thinned(project_recording(plan.recording, model, scene.noise, kernel=takes[0].kernel))
+                plans.append(_judged(scene, known, plan, [s], scene.products([s])))
     if not plans:
         return None
-    hopeful = np.max(gained, axis=0) > APART
-    worth = [scene.worth(g, hopeful) * (1 - GENTLE * plan.effort) for g, plan in zip(gained, plans, strict=True)]
+    hopeful = np.max([p.separations for p in plans], axis=0) > APART
+    best = max(plans, key=lambda p: _worth(scene, p, hopeful))
+    for other in [p for p in plans if p.payload == best.payload]:
+        plans.append(
+            _judged(scene, known, _joined(best, other), [*best.signals, *other.signals], best.products + other.products)
+        )
+    hopeful = np.max([p.separations for p in plans], axis=0) > APART
     length = sum(float(np.ptp(s.time)) for s in takes)
-    for k in np.argsort(worth)[::-1][:CONFIRMED]:
-        plan = scene.compensated(plans[k])
+    for chosen in sorted(plans, key=lambda p: -_worth(scene, p, hopeful))[:CONFIRMED]:
+        plan = _compensated(scene, chosen)
         repeated = scene.separations(known + known.times(plan.recording.duration / length))
-        if scene.worth(gained[k], hopeful) <= scene.worth(repeated, hopeful):
+        if not (plan.separations - repeated)[hopeful].max(initial=0.0) > 1.0:
             return None
         paths = _simulated(plan, rivals)
         if _keeps(paths, limits):
-            return _experiment(plan, scene, (before, repeated, gained[k]), hopeful, paths, limits)
+            return _experiment(plan, scene, (before, repeated, plan.separations), hopeful, paths, limits)
     return None
 
 
@@ -362,229 +298,58 @@ def with_payload(xml: str, joint_names: Sequence[str], mass: float) -> mujoco.Mj
     body = spec.body(model.body(int(address.body[last])).name)
     weight = body.add_body(name="fastened_payload", pos=far_end(model, address, last))
     tiny = 1e-6 * mass
-    weight.mass, weight.inertia, weight.explicitinertial = mass, (tiny, tiny, tiny), True
+    weight.mass, weight.ipos, weight.inertia, weight.explicitinertial = mass, (0, 0, 0), (tiny, tiny, tiny), True
     return spec.compile()
-
-
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """A candidate: what moves how, about which pose."""
-
-    joint: str
-    kind: str
-    amplitude: float
-    frequency: float
-    pose: Array
-    wave: Array
-    """Position about the pose, from rest to rest. Shape (T, J)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
     """A motion that the robot can do, as the recording that it would leave."""
 
-    motion: _Motion
+    motions: tuple[Motion, ...]
     payload: float
     model: mujoco.MjModel
     recording: Recording
     torque: Array
     """Shape (T, J)."""
-    effort: float
-    """Of speed, torque and time, 0..1."""
+    share: tuple[float, float]
+    """Of the speed and torque limits that it uses."""
+    signals: tuple[Signals, ...] = ()
+    products: Products = field(default_factory=lambda: Products({}, np.zeros(0)))
+    separations: Array = field(default_factory=lambda: np.zeros(0))
+    """Of the pairs, with the recordings at hand. Shape (pairs,)."""
+
+    @property
+    def effort(self) -> float:
+        """Of speed, torque and time, 0..1."""
+        return float(np.mean([*self.share, min(self.recording.duration / 30, 1.0)]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Products:
-    """Inner products of what the rivals predict, one group of rows a joint and set of takes. G groups."""
-
-    of: dict[tuple[int, int], Array]
-    """(rival, rival) -> products of their columns, in variances of the noise. Shapes (G, K, K')."""
-    count: Array
-    """Independent samples in each group. Shape (G,)."""
-
-    def __add__(self, other: _Products) -> _Products:
-        of = {pair: np.concatenate([own, other.of[pair]]) for pair, own in self.of.items()}
-        return _Products(of, np.concatenate([self.count, other.count]))
-
-    def times(self, factor: float) -> _Products:
-        """Of takes that are longer by a factor."""
-        return _Products({pair: factor * own for pair, own in self.of.items()}, factor * self.count)
+def _judged(rivals: Rivals, known: Products, plan: _Plan, signals: Sequence[Signals], products: Products) -> _Plan:
+    """The plan with what it would separate."""
+    after = rivals.separations(known + products, row_noise([*rivals.takes, *signals]))
+    return replace(plan, signals=tuple(signals), products=products, separations=after)
 
 
-class _Scene:
-    """The rivals, what they predict, and how far apart they are."""
+def _worth(rivals: Rivals, plan: _Plan, hopeful: NDArray[np.bool_]) -> float:
+    """Between the closest pair's separation and the mean, where pairs weigh by how probable both are.
 
-    def __init__(self, judge: Judge, rivals: Sequence[Scored], probabilities: Sequence[float] | None) -> None:
-        bank, best = judge.bank, rivals[0]
-        p = np.asarray(probabilities if probabilities is not None else np.ones(len(rivals)), dtype=float)
-        self.rivals, self.takes = list(rivals), bank.takes
-        self.pairs = list(combinations(range(len(rivals)), 2))
-        self.weight = np.array([p[a] * p[b] for a, b in self.pairs]) / sum(p[a] * p[b] for a, b in self.pairs)
-        total, independent = judge.total, judge.independent.sum(1)
-        self.sigma = bank.noise
-        self.left = (total * judge.mean_square(best.fit)).sum(1) / total.sum(1)
-        """Mean square that the likeliest rival leaves, in variances of the noise. Shape (J,)."""
-        self.floor = (total * judge.floor).sum(1) / total.sum(1)
-        """Below it a difference is no evidence. Shape (J,)."""
-        self.level = np.maximum(self.left, self.floor)
-        self.memory = np.minimum(bank.independent_samples(bank.rows(best.fit)) / np.maximum(independent, 1e-9), 1.0)
-        """Share of the independent samples that the residual's autocorrelation leaves. Shape (J,)."""
-        noise = [sensor_noise(s.recording)[0] for s in bank.takes]
-        self.noise = np.asarray(np.median(noise, axis=0), dtype=np.float64)
-        """Of one position reading. Shape (J,)."""
-        self.known = [_Numbers(s, bank.takes[0]) for s in rivals]
-        self.draws: list[Array] | None = None
-
-    def products(self, takes: Sequence[Signals]) -> _Products:
-        """Of some takes, as one set."""
-        columns: list[list[Array]] = [[] for _ in self.rivals]
-        count = np.zeros(len(self.sigma))
-        for s in takes:
-            cache: Cache = {}
-            share = min(float(np.median(np.diff(s.time))) / (KERNEL_CORRELATION * s.kernel), 1.0) * self.memory
-            count += share * s.valid.sum(0)
-            weight = s.valid * np.sqrt(share) / self.sigma
-            for own, rival in zip(columns, self.known, strict=True):
-                own.append(rival.columns(s, cache) * weight[:, :, None])
-        whole = [np.concatenate(own).transpose(1, 0, 2) for own in columns]
-        many = range(len(whole))
-        pairs = [*permutations(many, 2), *((a, a) for a in many)]
-        return _Products({(a, b): whole[a].transpose(0, 2, 1) @ whole[b] for a, b in pairs}, count)
-
-    def separations(self, products: _Products, noise: Array | None = None) -> Array:
-        """Of each pair: root of the evidence for the truth against the rival's best answer to it. Shape (pairs,).
-
-        The larger of both directions, since an effect that contains the other can always imitate it, and only the
-        count of its parameters speaks against it then.
-
-        Args:
-            products: Of the recordings at hand, which come first, and of what is planned.
-            noise: Of a search through all of them [N·m], shape (J,); the bank's if None. Stronger motion asks for
-                torques in which more passes for noise.
-        """
-        if self.draws is None:
-            rng = np.random.default_rng(0)
-            weighted = [products.of[n, n] / self.level[:, None, None] for n in range(len(self.known))]
-            self.draws = [rival.draw(w.sum(0), rng) for rival, w in zip(self.known, weighted, strict=True)]
-        quiet = np.ones(len(self.sigma)) if noise is None else (self.sigma / noise) ** 2
-        out = []
-        for a, b in self.pairs:
-            ways = [
-                np.mean([min(np.sqrt(self._evidence(products, x, one, other, quiet)), ENOUGH) for x in self.draws[one]])
-                for one, other in ((a, b), (b, a))
-            ]
-            out.append(float(max(ways)))
-        return np.array(out)
-
-    def _evidence(self, products: _Products, truth: Array, a: int, b: int, quiet: Array) -> float:
-        """For rival a with coefficients ``truth`` against rival b fitted to what that predicts, as a search weighs.
-
-        ``quiet``: variance of the bank's noise in that of the search's. Shape (J,).
-        """
-        left, floor = self.left * quiet, 1.0 + (self.floor - 1.0) * quiet
-        level, scale = (np.resize(x, len(products.count)) for x in (np.maximum(left, floor), quiet))
-        left = np.resize(left, len(level))
-        own, other, cross = self.known[a], self.known[b], products.of[a, b]
-        weight = (scale / level)[:, None, None]
-        normal = (weight * products.of[b, b]).sum(0) + np.diag(other.doubt)
-        answer = bounded_least_squares(normal, truth @ (weight * cross).sum(0), other.low, other.high)
-        square = (products.of[a, a] @ truth) @ truth - 2 * truth @ cross @ answer
-        square = scale * np.maximum(square + (products.of[b, b] @ answer) @ answer, 0.0)
-        worse = np.maximum(left + square / np.maximum(products.count, 1e-9), level)
-        strain = float(other.doubt @ answer**2 - own.doubt @ truth**2)
-        return max(float(products.count @ np.log(worse / level)) + strain, 0.0)
-
-    def worth(self, separations: Array, hopeful: NDArray[np.bool_]) -> float:
-        """Between the closest pair's separation and the mean, where pairs weigh by how probable both are.
-
-        Without pairs that nothing separates.
-        """
-        if not hopeful.any():
-            return 0.0
-        some, weight = separations[hopeful], self.weight[hopeful]
-        return float(some.min() + weight @ some / max(weight.sum(), 1e-300)) / 2
-
-    def compensated(self, plan: _Plan) -> _Plan:
-        """The plan with targets that make the likeliest rival, not the given model, follow the reference."""
-        r = plan.recording
-        s = project_recording(r, plan.model, self.noise, kernel=self.takes[0].kernel)
-        missing = self.known[0].columns(s, {}) @ self.known[0].coefficients
-        added = CubicSpline(s.time, missing)(np.clip(r.time, s.time[0], s.time[-1]))
-        assert r.kp is not None
-        target = r.command - added / r.kp
-        return replace(plan, recording=replace(r, position_target=target), torque=plan.torque - added)
+    Without pairs that nothing separates; less for a plan that takes more effort.
+    """
+    if not hopeful.any():
+        return 0.0
+    some, weight = plan.separations[hopeful], rivals.weight[hopeful]
+    return float(some.min() + weight @ some / max(weight.sum(), 1e-300)) / 2 * (1 - GENTLE * plan.effort)
 
 
-class _Numbers:
-    """A rival's coefficients: of its linear parameters, and of small changes to its nonlinear ones."""
-
-    def __init__(self, scored: Scored, example: Signals) -> None:
-        fit, at = scored.fit, 0
-        self.parts: list[tuple[Atom, Array, list[tuple[str, float, float]]]] = []
-        numbers, low, high, doubt, prior = ([] for _ in range(5))  # type: tuple[list[float], ...]
-        for k, atom in enumerate(fit.atoms):
-            effect, parameters = atom.candidate.effect, atom.candidate.parameters
-            given = fit.coefficients[at : at + len(atom.linear)]
-            at += len(atom.linear)
-            sample = effect.fingerprint(_thinned(example, 50), atom.candidate.joint, atom.fixed)
-            free = [p for p in parameters if p.name not in atom.fixed][: sample.columns.shape[2]]
-            own = np.zeros(len(free) + (sample.constant is not None))
-            own[len(free) :] = 1.0
-            own[list(atom.shown)] = given
-            ends = [(effect.change(p, p.lower), effect.change(p, p.upper)) for p in free]
-            steps = []
-            for p in parameters:
-                if p.name in atom.fixed and p.upper > p.lower:
-                    size = max(abs(atom.fixed[p.name]), p.scale)
-                    step = 0.05 * size if atom.fixed[p.name] + 0.05 * size <= p.upper else -0.05 * size
-                    steps.append((p.name, step, 0.5 * size))
-            self.parts.append((atom, own, steps))
-            numbers += [*own, *(0.0 for _ in steps)]
-            low += [*(e[0] for e in ends), *own[len(free) :], *(-reach for _, _, reach in steps)]
-            high += [*(e[1] for e in ends), *own[len(free) :], *(reach for _, _, reach in steps)]
-            trim = k >= fit.size
-            doubt += [(4 / (e[1] - e[0])) ** 2 if trim else 0.0 for e in ends] + [0.0] * (len(own) - len(free))
-            doubt += [(2 / reach) ** 2 for _, _, reach in steps]
-            prior += [(0.1 / max(abs(effect.change(p, p.nominal + p.scale)), 1e-12)) ** 2 for p in free]
-            prior += [1.0] * (len(own) - len(free) + len(steps))
-        self.coefficients, self.low, self.high = np.array(numbers), np.array(low), np.array(high)
-        self.doubt, self.prior = np.array(doubt), np.array(prior)
-
-    def columns(self, s: Signals, cache: Cache) -> Array:
-        """Of all coefficients [N·m]. Shape (N, J, K)."""
-        out = []
-        for atom, own, steps in self.parts:
-            here = _fingerprint(s, atom, atom.fixed, cache)
-            out.append(here)
-            for name, step, _ in steps:
-                there = _fingerprint(s, atom, {**atom.fixed, name: atom.fixed[name] + step}, cache)
-                out.append(((there - here) @ own / step)[:, :, None])
-        return np.concatenate(out, axis=2)
-
-    def draw(self, gram: Array, rng: np.random.Generator) -> Array:
-        """The fitted coefficients, and others that the recordings allow as well. Shape (DRAWS, K)."""
-        normal = gram + np.diag(np.maximum(self.doubt, self.prior))
-        scale = 1 / np.sqrt(np.diag(normal))
-        root = np.linalg.cholesky(normal * scale * scale[:, None] + 1e-10 * np.eye(len(scale)))
-        steps = np.linalg.solve(root.T, rng.standard_normal((len(scale), DRAWS - 1))).T * scale
-        linear = np.concatenate([[1.0] * len(own) + [0.0] * len(steps) for _, own, steps in self.parts])
-        drawn = [
-            bounded_least_squares(normal, normal @ (self.coefficients + step), self.low, self.high) for step in steps
-        ]
-        return np.stack([self.coefficients, *drawn]) * linear
-
-
-def _fingerprint(s: Signals, atom: Atom, fixed: Mapping[str, float], cache: Cache) -> Array:
-    key = atom.candidate.key, tuple(sorted(fixed.items()))
-    if key not in cache:
-        f = atom.candidate.effect.fingerprint(s, atom.candidate.joint, fixed)
-        cache[key] = f.columns if f.constant is None else np.concatenate([f.columns, f.constant[:, :, None]], 2)
-    return cache[key]
-
-
-def _thinned(s: Signals, every: int = THINNED) -> Signals:
-    names = ("keep", "position", "velocity", "acceleration", "command", "required", "missing", "bias", "valid")
-    return replace(s, **{name: getattr(s, name)[::every] for name in names})
+def _compensated(rivals: Rivals, plan: _Plan) -> _Plan:
+    """The plan with targets that make the likeliest rival, not the given model, follow the reference."""
+    r = plan.recording
+    s = project_recording(r, plan.model, rivals.noise, kernel=rivals.takes[0].kernel)
+    added = CubicSpline(s.time, rivals.known[0].prediction(s))(np.clip(r.time, s.time[0], s.time[-1]))
+    assert r.kp is not None
+    target = r.command - added / r.kp
+    return replace(plan, recording=replace(r, position_target=target), torque=plan.torque - added)
 
 
 def _joints_of(rivals: Sequence[Scored]) -> list[int]:
@@ -593,72 +358,8 @@ def _joints_of(rivals: Sequence[Scored]) -> list[int]:
     return sorted(named | {j - 1 for j in named if j})
 
 
-def _motions(takes: Sequence[Signals], limits: Limits, joints: Sequence[int], seconds: float) -> Iterator[_Motion]:
-    """Candidates, the joints in turn, until there are enough."""
-    low, high = limits.position.T
-    start = np.clip(takes[0].recording.position[0], low, high)
-    names, middle, half = takes[0].recording.joint_names, (low + high) / 2, (high - low) / 2
-    poses = [start] if len(names) == 1 else [start, middle + 0.5 * half]
-    count = 0
-    streams = [_of_joint(names, j, pose, limits, seconds) for pose in poses for j in joints]
-    if len(names) > 1:
-        streams.append(_of_all(names, middle, half, seconds))
-    while streams and count < MOST_PLANS:
-        for stream in list(streams):
-            motion = next(stream, None)
-            if motion is None:
-                streams.remove(stream)
-            else:
-                count += 1
-                yield motion
-
-
-def _of_joint(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[_Motion]:
-    """Motions of one joint, wide and slow ones first."""
-    low, high = limits.position[joint]
-    name, fastest = names[joint], MARGIN * limits.velocity[joint]
-    for share in (1.0, 0.5, 0.2):
-        amplitude = share * MARGIN * (high - low) / 2
-        about = pose.copy()
-        about[joint] = np.clip(pose[joint], low + amplitude, high - amplitude)
-        centred = Safety(fade=0.0)
-        for speed in (0.8, 0.3, 0.1):
-            frequency = speed * fastest / (4 * amplitude)
-            whole = np.ceil(seconds * frequency) / frequency
-            if 1 / seconds <= frequency <= 2.0:
-                slewed = Safety(slew=speed * fastest)
-                wave = square(names, name, [(amplitude, frequency)], RATE, whole, "position_target", slewed)
-                yield _Motion(name, "sweep", amplitude, frequency, about, wave.command)
-        for frequency in (0.25, 0.5, 1.0, 2.0, 4.0):
-            if 2 * np.pi * frequency * amplitude < fastest:
-                faded = Safety(fade=min(1.0, 1 / frequency))
-                wave = sine(names, name, [(amplitude, frequency)], RATE, seconds, "position_target", faded)
-                yield _Motion(name, "sine", amplitude, frequency, about, wave.command)
-        highest = min(8.0, fastest / (2 * np.pi * amplitude))
-        if highest > 0.4:
-            faded = Safety(fade=0.5)
-            wave = chirp(names, name, amplitude, (0.2, highest), seconds, RATE, field="position_target", safety=faded)
-            yield _Motion(name, "chirp", amplitude, highest, about, wave.command)
-        if amplitude / (ROUNDING["steps"] * np.sqrt(2 * np.pi)) < fastest / 2:
-            wave = square(names, name, [(amplitude, 1.0)], RATE, seconds, "position_target", centred)
-            yield _Motion(name, "steps", amplitude, 1.0, about, wave.command)
-
-
-def _of_all(names: tuple[str, ...], middle: Array, half: Array, seconds: float) -> Iterator[_Motion]:
-    """All joints at once, each over the same share of its range."""
-    for share, highest in ((0.8, 0.6), (0.4, 1.2), (0.15, 3.0)):
-        try:
-            wave = multisine(
-                names, None, 1.0, (0.2, highest), seconds, rate=RATE, field="position_target", safety=Safety(fade=0.5)
-            )
-        except ExcitationError:  # fewer harmonics than joints
-            continue
-        amplitude = share * half
-        yield _Motion("all joints", "multisine", float(amplitude.max()), highest, middle, wave.command * amplitude)
-
-
 def _planned(
-    motion: _Motion,
+    motion: Motion,
     mass: float,
     model: mujoco.MjModel,
     takes: Sequence[Signals],
@@ -672,7 +373,7 @@ def _planned(
     if rounding is not None:
         rest = np.repeat(motion.pose[None], round(4 * rounding * RATE), axis=0)
         path = gaussian_filter1d(np.concatenate([rest, path, rest]), rounding * RATE, axis=0, mode="nearest")
-    path = np.concatenate([_way(start, path[0], limits), path, _way(path[-1], start, limits)])
+    path = np.concatenate([way(start, path[0], limits), path, way(path[-1], start, limits)])
     time = np.arange(len(path)) / RATE
     spline = CubicSpline(time, path)
     velocity, acceleration = spline(time, 1), spline(time, 2)
@@ -685,35 +386,28 @@ def _planned(
     smooth = smooth_dynamics(model)
     torque = inverse_dynamics(smooth, address, path, velocity, acceleration)
     speed_share, torque_share = np.abs(velocity) / limits.velocity, np.abs(torque) / limits.torque
-    if speed_share.max() > 1 or torque_share.max() > MARGIN or _touches(model, address, path):
+    if speed_share.max() > 1 or torque_share.max() > MARGIN or touches(model, address, path):
         return None
     kp, kd = loop
     target = path + (torque + kd * velocity) / kp
     recording = Recording(time, names, path, position_target=target, kp=kp, kd=kd, source="planned")
-    effort = float(np.mean([speed_share.max(), torque_share.max(), min(time[-1] / 30, 1.0)]))
-    return _Plan(motion, mass, model, recording, torque, effort)
+    return _Plan((motion,), mass, model, recording, torque, (float(speed_share.max()), float(torque_share.max())))
 
 
-def _way(start: Array, end: Array, limits: Limits) -> Array:
-    """From rest to rest, a fifth of a second of waiting at both ends, at half the fastest speed. Shape (T, J)."""
-    seconds = max(0.5, float((1.875 * np.abs(end - start) / (0.5 * limits.velocity)).max()))
-    x = np.linspace(0, 1, round(seconds * RATE))[:, None]
-    way = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)
-    wait = round(0.2 * RATE)
-    return np.concatenate([np.repeat(way[:1], wait, 0), way, np.repeat(way[-1:], wait, 0)])
-
-
-def _touches(model: mujoco.MjModel, address: JointAddress, path: Array) -> bool:
-    """Whether the motion makes parts of the model touch that do not at its start."""
-    data, first = mujoco.MjData(model), None
-    for q in path[:: round(0.1 * RATE)]:
-        data.qpos[address.qpos] = q
-        mujoco.mj_fwdPosition(model, data)
-        pairs = {tuple(c.geom) for c in data.contact[: data.ncon]}
-        first = pairs if first is None else first
-        if pairs - first:
-            return True
-    return False
+def _joined(one: _Plan, other: _Plan) -> _Plan:
+    """One after the other; both begin and end at rest in the same pose."""
+    a, b = one.recording, other.recording
+    assert a.position_target is not None
+    assert b.position_target is not None
+    recording = replace(
+        a,
+        time=np.concatenate([a.time, a.time[-1] + 1 / RATE + b.time]),
+        position=np.concatenate([a.position, b.position]),
+        position_target=np.concatenate([a.position_target, b.position_target]),
+    )
+    share = (max(one.share[0], other.share[0]), max(one.share[1], other.share[1]))
+    torque = np.concatenate([one.torque, other.torque])
+    return _Plan((*one.motions, *other.motions), one.payload, one.model, recording, torque, share)
 
 
 def _gains(takes: Sequence[Signals], model: mujoco.MjModel) -> tuple[Array, Array]:
@@ -747,13 +441,13 @@ def _keeps(paths: Array, limits: Limits) -> bool:
 
 def _experiment(
     plan: _Plan,
-    scene: _Scene,
+    scene: Rivals,
     separations: tuple[Array, Array, Array],
     hopeful: NDArray[np.bool_],
     paths: Array,
     limits: Limits,
 ) -> Experiment:
-    m, r = plan.motion, plan.recording
+    r = plan.recording
     keys = [_answer(s, scene.rivals) for s in scene.rivals]
     named = [(keys[a], keys[b]) for a, b in scene.pairs]
     before, repeated, after = (float(s[hopeful].min()) for s in separations)
@@ -762,11 +456,7 @@ def _experiment(
     assert r.kd is not None
     return Experiment(
         rivals=tuple(keys),
-        joint=m.joint,
-        kind=m.kind,
-        amplitude=float(m.amplitude),
-        frequency=float(m.frequency),
-        pose=tuple(m.pose.tolist()),
+        motions=plan.motions,
         payload=plan.payload,
         duration=r.duration,
         before=before,

@@ -1,0 +1,60 @@
+"""A second diagnosis takes over what the first one was made of."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from torchrl_athletic.diagnosis.continuation import recall, remember
+
+
+@dataclass(frozen=True)
+class Settings:
+    model: Path | None = None
+    recordings: tuple[Path, ...] = ()
+    continue_with: tuple[Path, ...] = ()
+    columns: Path | None = None
+    output: Path = Path("out")
+    dataset: str | None = None
+    seed: int = 0
+
+
+def test_new_recordings_join_the_old_ones_from_wherever_it_is_called(tmp_path, monkeypatch):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    remember(Settings(Path("robot.xml"), (Path("a"), Path("b")), seed=4), tmp_path / "out")
+    monkeypatch.chdir("elsewhere")
+    first = recall(Settings(continue_with=(Path("c"),), output=tmp_path / "out"), tmp_path / "out")
+    assert first.model == tmp_path / "robot.xml"
+    assert first.recordings == (tmp_path / "a", tmp_path / "b")
+    assert first.columns is None
+    assert first.seed == 4
+    assert first.output == tmp_path / "out"
+    assert [p.resolve() for p in first.continue_with] == [tmp_path / "elsewhere/c"]
+
+
+def test_what_joined_once_stays_and_joins_once_only(tmp_path):
+    remember(Settings(tmp_path / "robot.xml", (tmp_path / "a",), (tmp_path / "c",)), tmp_path)
+    again = recall(Settings(continue_with=(tmp_path / "c", tmp_path / "d")), tmp_path)
+    assert again.continue_with == (tmp_path / "c", tmp_path / "d")
+
+
+def test_a_public_dataset_can_be_continued_too(tmp_path):
+    remember(Settings(dataset="emps"), tmp_path)
+    assert recall(Settings(continue_with=(tmp_path / "new.npz",)), tmp_path).dataset == "emps"
+
+
+def test_without_new_recordings_nothing_is_recalled(tmp_path):
+    remember(Settings(dataset="emps"), tmp_path)
+    assert recall(Settings(), tmp_path) == Settings()
+
+
+def test_a_folder_without_a_diagnosis_cannot_be_continued(tmp_path):
+    with pytest.raises(FileNotFoundError, match="folder of the earlier diagnosis"):
+        recall(Settings(continue_with=(Path("c"),)), tmp_path)
+
+
+def test_inputs_of_another_version_are_refused(tmp_path):
+    (tmp_path / "inputs.json").write_text('{"schema": "other"}')
+    with pytest.raises(ValueError, match="another version"):
+        recall(Settings(continue_with=(Path("c"),)), tmp_path)

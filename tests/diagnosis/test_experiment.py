@@ -1,0 +1,236 @@
+"""What the proposed experiment promises comes true on a robot that shares no line with the catalogue nor MuJoCo."""
+
+import json
+from dataclasses import replace
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+import pytest
+
+from torchrl_athletic.diagnosis.experiment import (
+    Experiment,
+    answer_set,
+    next_experiment,
+    propose,
+    shares,
+    with_payload,
+    write,
+)
+from torchrl_athletic.diagnosis.gates import Evidence
+from torchrl_athletic.diagnosis.motions import RATE, Limits
+from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.result import Finding, Rival
+from torchrl_athletic.diagnosis.screen import TRIMS, Bank, candidates_for, trims_for
+from torchrl_athletic.diagnosis.search import Judge, Scored, search
+from torchrl_athletic.diagnosis.separation import ENOUGH
+from torchrl_athletic.effects import (
+    EncoderOffset,
+    GravityTilt,
+    JointSpring,
+    LinkCom,
+    LinkMass,
+    ReflectedInertia,
+    TorqueOffset,
+)
+from torchrl_athletic.recordings import Recording
+from torchrl_athletic.recordings.demo import (
+    HiddenEffect,
+    Machine,
+    Robot,
+    machine_with,
+    pendulum,
+    simulate,
+    two_link_arm,
+)
+
+CASES = {
+    "offset": (
+        HiddenEffect("torque_offset", "pendulum", {"torque": 0.25}),
+        ((0.15, 0.9), (0.10, 2.1)),
+        (TorqueOffset(), EncoderOffset(), JointSpring()),
+    ),
+    "mass": (  # shaken about the bottom, where weight hardly shows
+        HiddenEffect("link_mass", "pendulum", {"mass": 0.9}),
+        ((0.5, 3.0), (0.3, 4.0)),
+        (LinkMass(), ReflectedInertia(), LinkCom()),
+    ),
+    "rotor": (
+        HiddenEffect("reflected_inertia", "pendulum", {"armature": 0.02}),
+        ((0.5, 3.0), (0.3, 4.0)),
+        (LinkMass(), ReflectedInertia(), LinkCom()),
+    ),
+}
+
+
+def shaken(sines, seconds: float = 8.0) -> np.ndarray:
+    """Torques that start softly. Shape (T, 1)."""
+    time = np.arange(round(seconds * RATE)) / RATE
+    wave = sum(size * np.sin(2 * np.pi * f * time) for size, f in sines)
+    return (np.minimum(time, 1.0) * wave)[:, None]
+
+
+def recorded(robot: Robot, secret: HiddenEffect, command: np.ndarray, seed: int) -> Recording:
+    machine = machine_with(robot, [secret])
+    q, _ = simulate(machine, np.arange(len(command)) / RATE, command, step=0.001)
+    return logged(machine, q, seed, torque_command=command)
+
+
+def executed(robot: Robot, secret: HiddenEffect, e: Experiment, seed: int) -> Recording:
+    """The command file, replayed: targets at their stamps to a position loop with the stated gains."""
+    machine = machine_with(robot, [secret])
+    q, _ = simulate(machine, e.time, e.target, True, e.reference[0], (e.kp, e.kd), step=0.001)
+    return logged(machine, q, seed, position_target=e.target, kp=e.kp, kd=e.kd)
+
+
+def logged(machine: Machine, q: np.ndarray, seed: int, **command: np.ndarray) -> Recording:
+    read = q + [drive.offset for drive in machine.drives]
+    read = read + 1e-4 * np.random.default_rng(seed).standard_normal(q.shape)
+    return Recording(np.arange(len(q)) / RATE, machine.robot.joint_names, read, **command, source=f"take_{seed}")
+
+
+def searched(robot: Robot, takes, catalogue) -> tuple[Judge, Scored]:
+    signals = prepare(takes, mujoco.MjModel.from_xml_string(robot.model_xml)).signals
+    judge = Judge(Bank(signals, candidates_for(signals, catalogue), trims_for(signals, TRIMS)))
+    return judge, search(judge)[0]
+
+
+def answers(judge: Judge, best: Scored) -> dict:
+    """Share of each name that could stand for the only term."""
+    (term,) = best.fit.terms
+    return shares(answer_set(judge, best, term))
+
+
+def rivals_of(judge: Judge, best: Scored) -> list[Scored]:
+    (term,) = best.fit.terms
+    options = answer_set(judge, best, term)
+    return [options[key] for key in shares(options)]
+
+
+@lru_cache
+def solved(name: str):
+    robot, (secret, sines, catalogue) = pendulum(), CASES[name]
+    take = recorded(robot, secret, shaken(sines), 0)
+    judge, best = searched(robot, [take], catalogue)
+    return robot, secret, sines, catalogue, take, judge, best, propose(judge, rivals_of(judge, best))
+
+
+@pytest.fixture(params=CASES)
+def case(request):
+    return solved(request.param)
+
+
+def test_the_proposed_experiment_leaves_the_true_name_and_more_of_the_same_does_not(case):
+    robot, secret, sines, catalogue, take, judge, best, experiment = case
+    truth = secret.name, secret.joint
+    assert max(answers(judge, best).values()) < 0.8
+
+    new = executed(robot, secret, experiment, 1)
+    assert answers(*searched(robot, [take, new], catalogue))[truth] > 0.9
+
+    again = recorded(robot, secret, shaken(sines, new.duration), 2)
+    assert answers(*searched(robot, [take, again], catalogue)).get(truth, 0.0) < 0.9
+
+
+def test_it_promises_what_repeating_cannot(case):
+    *_, experiment = case
+    assert experiment.before < 1.5
+    assert experiment.repeated < 3.0
+    assert 5.0 < experiment.after <= ENOUGH
+
+
+def test_the_robot_follows_the_reference_within_the_limits_from_rest_to_rest(case):
+    robot, secret, *_, take, judge, _best, e = case
+    limits = Limits.of(judge.bank.takes)
+    np.testing.assert_array_equal(e.time, np.arange(len(e.time)) / RATE)
+    np.testing.assert_allclose(e.reference[[0, -1]], take.position[[0, 0]], atol=1e-9)
+    speed = np.diff(e.reference, axis=0) * RATE
+    np.testing.assert_allclose(speed[[0, -1]], 0, atol=1e-9)
+    assert (np.abs(speed) <= limits.velocity).all()
+    assert (np.abs(e.torque) <= limits.torque).all()
+    assert ((e.reference >= limits.position[:, 0]) & (e.reference <= limits.position[:, 1])).all()
+    assert np.abs(executed(robot, secret, e, 3).position - e.reference).max() < 0.02
+
+
+def test_the_command_file_can_be_replayed_without_this_library(case, tmp_path):
+    *_, e = case
+    write(e, tmp_path / "new")
+    with np.load(tmp_path / "new/next_experiment.npz", allow_pickle=False) as file:
+        assert file["joint_names"].tolist() == ["pendulum"]
+        np.testing.assert_array_equal(file["position_target"], e.target)
+        np.testing.assert_array_equal(file["reference_position"], e.reference)
+        np.testing.assert_array_equal(file["predicted_torque"], e.torque)
+        np.testing.assert_array_equal(file["kp"], e.kp)
+        metadata = json.loads(str(file["metadata"]))
+    assert metadata == json.loads((tmp_path / "new/next_experiment.json").read_text(encoding="utf-8"))
+    assert {(r["effect"], r["joint"]) for r in metadata["separates"]} == set(e.rivals)
+    assert metadata["expected_separation"]["after"] == e.after
+    assert "pendulum" in e.sentence
+
+
+@pytest.fixture(scope="module")
+def tilted():
+    """On one pendulum an encoder that reads off the zero and a base that leans are the same."""
+    robot = pendulum()
+    secret = HiddenEffect("encoder_offset", "pendulum", {"offset": 0.1})
+    takes = [recorded(robot, secret, shaken(CASES["offset"][1]), 0)]
+    return searched(robot, takes, (EncoderOffset(), GravityTilt(), TorqueOffset()))
+
+
+def test_what_no_motion_separates_is_said_and_not_recorded_for(tilted):
+    judge, best = tilted
+    (term,) = best.fit.terms
+    options = answer_set(judge, best, term)
+    offset, tilt = options["encoder_offset", "pendulum"], options["gravity_tilt", None]
+    assert propose(judge, [offset, tilt]) is None
+    experiment = propose(judge, [offset, tilt, options["torque_offset", "pendulum"]])
+    assert experiment.inseparable == ((("encoder_offset", "pendulum"), ("gravity_tilt", None)),)
+    assert "No motion" in experiment.sentence
+
+
+def test_one_name_needs_no_experiment(tilted):
+    judge, best = tilted
+    with pytest.raises(ValueError, match="at least two"):
+        propose(judge, [best])
+
+
+def test_narrow_limits_are_kept_or_nothing_is_proposed():
+    *_, judge, best, _ = solved("offset")
+    wide = Limits.of(judge.bank.takes)
+    narrow = replace(wide, position=0.2 * wide.position, velocity=0.5 * wide.velocity)
+    e = propose(judge, rivals_of(judge, best), limits=narrow)
+    assert e is None or (np.abs(e.reference) <= 0.2 * np.abs(wide.position).max() + 1e-3).all()
+    still = replace(wide, torque=1e-3 * wide.torque)
+    assert propose(judge, rivals_of(judge, best), limits=still) is None
+
+
+def test_the_finding_with_the_most_doubtful_name_is_asked_about():
+    *_, judge, best, _ = solved("offset")
+    share = answers(judge, best)
+    (effect, joint), *others = share
+    finding = Finding(effect, joint, share[effect, joint], "", {}, "", tuple(Rival(*k, share[k], "") for k in others))
+    sure = replace(finding, effect="none", probability=0.99, rivals=())
+    e = next_experiment([Evidence(judge, best)], [sure, finding])
+    assert set(e.rivals) == set(share)
+    assert next_experiment([Evidence(judge, best)], [sure]) is None
+
+
+def test_a_fastened_payload_weighs_and_resists_as_a_point_at_the_end_of_the_last_link():
+    robot = two_link_arm()
+    bare, loaded = (
+        mujoco.MjModel.from_xml_string(robot.model_xml),
+        with_payload(robot.model_xml, robot.joint_names, 0.5),
+    )
+    length = robot.links[1].length
+
+    def elbow(model: mujoco.MjModel, acceleration: float) -> float:
+        data = mujoco.MjData(model)
+        data.qpos[:] = 0.0, np.pi / 2  # the forearm level
+        data.qacc[1] = acceleration
+        mujoco.mj_inverse(model, data)
+        return data.qfrc_inverse[1]
+
+    still = elbow(loaded, 0.0) - elbow(bare, 0.0)
+    assert still == pytest.approx(0.5 * 9.81 * length, rel=0.1)  # the end of a capsule is round
+    reach = still / (0.5 * 9.81)
+    assert elbow(loaded, 1.0) - elbow(bare, 1.0) - still == pytest.approx(0.5 * reach**2, rel=1e-3)

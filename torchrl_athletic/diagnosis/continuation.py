@@ -1,0 +1,65 @@
+"""What a diagnosis was made of, kept in its folder, so that new recordings can join the old ones."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from torchrl_athletic.diagnosis.corrected import write_json
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    Settings = TypeVar("Settings", bound=DataclassInstance)
+
+SCHEMA = "torchrl_athletic/inputs/1"
+FILE = "inputs.json"
+JOINED = "continue_with"
+"""The field of the settings that names new recordings."""
+
+
+def remember(settings: DataclassInstance, output: Path) -> None:
+    """Write ``inputs.json``: all settings but the folder itself, with paths made absolute."""
+    content = {f.name: _plain(getattr(settings, f.name)) for f in fields(settings) if f.name != "output"}
+    write_json(output / FILE, {"schema": SCHEMA, **content})
+
+
+def recall(settings: Settings, output: Path) -> Settings:
+    """The settings of the earlier diagnosis in a folder, with the new recordings added to those added before.
+
+    Settings that name no new recordings come back as they are.
+
+    Raises:
+        FileNotFoundError: If the folder holds no earlier diagnosis.
+        ValueError: If its inputs are of another schema.
+    """
+    new: tuple[Path, ...] = getattr(settings, JOINED)
+    if not new:
+        return settings
+    path = output / FILE
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} does not exist, so there is nothing to continue. Name the folder of the earlier diagnosis as "
+            "--output, or give --model and --recordings without --continue."
+        )
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if content.pop("schema", None) != SCHEMA:
+        raise ValueError(f"{path} is of another version. Give --model and --recordings, with the new ones among them.")
+    known = {f.name: getattr(settings, f.name) for f in fields(settings)}
+    earlier = {name: _like(known[name], value, name) for name, value in content.items() if name in known}
+    earlier[JOINED] = (*earlier.get(JOINED, ()), *(p for p in new if p.resolve() not in earlier.get(JOINED, ())))
+    return replace(settings, **earlier)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Path):
+        return str(value.resolve())
+    return [_plain(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _like(known: Any, value: Any, name: str) -> Any:
+    if isinstance(known, tuple):
+        return tuple(Path(item) for item in value)
+    return Path(value) if value is not None and name in ("model", "columns") else value

@@ -1,0 +1,184 @@
+"""Motions that a robot may be asked for: sines, constant speeds, steps, chirps, all joints at once, within limits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.effects.effect import is_slide, torque_scale
+from torchrl_athletic.effects.signals import JointAddress, Signals, torque_range
+from torchrl_athletic.recordings import ExcitationError, Safety, chirp, multisine, sine, square
+
+Array = NDArray[np.float64]
+
+RATE = 200.0
+"""Of the command [Hz]."""
+MARGIN = 0.9
+"""Share of a limit that a motion may use."""
+MOST_MOTIONS = 40
+ROUNDING: Mapping[str, float] = {"steps": 0.02, "sweep": 0.05}
+"""Width of the Gaussian that rounds corners which no drive can follow [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What robot and surroundings can take. State yours; :meth:`of` guesses from the model and the recordings."""
+
+    position: Array
+    """Lowest and highest position [rad, m]. Shape (J, 2)."""
+    velocity: Array
+    """Fastest motion [rad/s, m/s]. Shape (J,)."""
+    torque: Array
+    """Largest torque [N·m, N]. Shape (J,)."""
+
+    @classmethod
+    def of(cls, takes: Sequence[Signals]) -> Limits:
+        """The model's joint and motor limits.
+
+        Where it states none, 1 rad to both sides of the start, and half more speed and torque than was recorded (but
+        2 rad/s, and what bears the link).
+        """
+        s = takes[0]
+        model, address, joints = s.nominal, s.address, range(s.num_joints)
+        slide = np.array([is_slide(model, address, j) for j in joints])
+        recorded = np.concatenate([t.recording.position for t in takes])
+        start = s.recording.position[0]
+        reach = np.where(slide, 0.0, 1.0)
+        low, high = np.minimum(recorded.min(0), start - reach), np.maximum(recorded.max(0), start + reach)
+        limited = model.jnt_limited[address.joint].astype(bool)
+        given = model.jnt_range[address.joint]
+        clear = np.where(slide, 0.05 * (given[:, 1] - given[:, 0]), 0.06)
+        low = np.where(limited, given[:, 0] + clear, low)
+        high = np.where(limited, given[:, 1] - clear, high)
+        fastest = np.max([np.abs(t.velocity).max(0) for t in takes], axis=0)
+        strongest = np.max([np.abs(t.command).max(0) for t in takes], axis=0)
+        motor = np.minimum(*np.abs(torque_range(model, address)))
+        typical = np.array([torque_scale(model, address, j) for j in joints])
+        torque = np.where(np.isfinite(motor), motor, np.maximum(1.5 * strongest, typical))
+        return cls(np.stack([low, high], -1), np.maximum(1.5 * fastest, np.where(slide, 0.0, 2.0)), torque)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What moves how, about which pose."""
+
+    joint: str
+    """The joint that moves, or 'all joints'."""
+    kind: str
+    """'sine', 'sweep' (constant speeds both ways), 'steps', 'chirp' or 'multisine'."""
+    amplitude: float
+    """To both sides of the pose [rad, m]."""
+    frequency: float
+    """Of its repetition, or the highest of a band [Hz]."""
+    pose: Array
+    """About which it moves [rad, m]. Shape (J,)."""
+    wave: Array
+    """Position about the pose. Shape (T, J)."""
+
+    def words(self, unit: str) -> str:
+        """As an instruction; ``unit`` of the amplitude."""
+        size = f"±{self.amplitude:.2g} {unit}"
+        how = {
+            "sine": f"move {self.joint} in a sine of {size} at {self.frequency:.2g} Hz",
+            "sweep": f"move {self.joint} both ways over {size} at a constant "
+            f"{4 * self.amplitude * self.frequency:.2g} {unit}/s",
+            "steps": f"step {self.joint} by {size} at {self.frequency:.2g} Hz",
+            "chirp": f"move {self.joint} in a sine of {size} that rises from 0.2 to {self.frequency:.2g} Hz",
+            "multisine": f"move all joints at once by up to {size}, up to {self.frequency:.2g} Hz",
+        }[self.kind]
+        return f"{how} about ({', '.join(f'{q + 0.0:.2f}' for q in self.pose)})"
+
+
+def motions(takes: Sequence[Signals], limits: Limits, joints: Sequence[int], seconds: float) -> Iterator[Motion]:
+    """Candidates, the joints in turn, until there are enough."""
+    low, high = limits.position.T
+    start = np.clip(takes[0].recording.position[0], low, high)
+    names, middle, half = takes[0].recording.joint_names, (low + high) / 2, (high - low) / 2
+    poses = [start] if len(names) == 1 else [start, middle + 0.5 * half]
+    count = 0
+    streams = [_of_joint(names, j, pose, limits, seconds) for pose in poses for j in joints]
+    if len(names) > 1:
+        streams.append(_of_all(names, middle, half, seconds))
+    while streams and count < MOST_MOTIONS:
+        for stream in list(streams):
+            motion = next(stream, None)
+            if motion is None:
+                streams.remove(stream)
+            else:
+                count += 1
+                yield motion
+
+
+def _of_joint(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[Motion]:
+    """Motions of one joint, wide and slow ones first."""
+    low, high = limits.position[joint]
+    name, fastest = names[joint], MARGIN * limits.velocity[joint]
+    for share in (1.0, 0.5, 0.2):
+        amplitude = share * MARGIN * (high - low) / 2
+        about = pose.copy()
+        about[joint] = np.clip(pose[joint], low + amplitude, high - amplitude)
+        for speed in (0.8, 0.3, 0.1):
+            frequency = speed * fastest / (4 * amplitude)
+            whole = np.ceil(seconds * frequency) / frequency
+            if 1 / seconds <= frequency <= 2.0:
+                slewed = Safety(slew=speed * fastest)
+                wave = square(names, name, [(amplitude, frequency)], RATE, whole, "position_target", slewed)
+                yield Motion(name, "sweep", amplitude, frequency, about, _home(wave.command, speed * fastest))
+        for frequency in (1 / seconds, 0.25, 0.5, 1.0, 2.0, 4.0):
+            if 2 * np.pi * frequency * amplitude < fastest:
+                faded = Safety(fade=min(1.0, 1 / frequency))
+                wave = sine(names, name, [(amplitude, frequency)], RATE, seconds, "position_target", faded)
+                yield Motion(name, "sine", amplitude, frequency, about, wave.command)
+        highest = min(8.0, fastest / (2 * np.pi * amplitude))
+        if highest > 0.4:
+            faded = Safety(fade=0.5)
+            wave = chirp(names, name, amplitude, (0.2, highest), seconds, RATE, field="position_target", safety=faded)
+            yield Motion(name, "chirp", amplitude, highest, about, wave.command)
+        if amplitude / (ROUNDING["steps"] * np.sqrt(2 * np.pi)) < fastest / 2:
+            wave = square(names, name, [(amplitude, 1.0)], RATE, seconds, "position_target")
+            yield Motion(name, "steps", amplitude, 1.0, about, _home(wave.command, fastest))
+
+
+def _home(wave: Array, speed: float) -> Array:
+    """The wave, and from where it ends back to zero at a constant speed. Shape (T, J)."""
+    count = int(np.ceil(np.abs(wave[-1]).max() / speed * RATE))
+    return np.concatenate([wave, wave[-1] * np.linspace(1, 0, count + 1)[1:, None]])
+
+
+def _of_all(names: tuple[str, ...], middle: Array, half: Array, seconds: float) -> Iterator[Motion]:
+    """All joints at once, each over the same share of its range."""
+    for share, highest in ((0.8, 0.6), (0.4, 1.2), (0.15, 3.0)):
+        try:
+            wave = multisine(
+                names, None, 1.0, (0.2, highest), seconds, rate=RATE, field="position_target", safety=Safety(fade=0.5)
+            )
+        except ExcitationError:  # fewer harmonics than joints
+            continue
+        amplitude = share * half
+        yield Motion("all joints", "multisine", float(amplitude.max()), highest, middle, wave.command * amplitude)
+
+
+def way(start: Array, end: Array, limits: Limits) -> Array:
+    """From rest to rest, a fifth of a second of waiting at both ends, at half the fastest speed. Shape (T, J)."""
+    seconds = max(0.5, float((1.875 * np.abs(end - start) / (0.5 * limits.velocity)).max()))
+    x = np.linspace(0, 1, round(seconds * RATE))[:, None]
+    way = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)
+    wait = round(0.2 * RATE)
+    return np.concatenate([np.repeat(way[:1], wait, 0), way, np.repeat(way[-1:], wait, 0)])
+
+
+def touches(model: mujoco.MjModel, address: JointAddress, path: Array) -> bool:
+    """Whether the motion makes parts of the model touch that do not at its start."""
+    data, first = mujoco.MjData(model), None
+    for q in path[:: round(0.1 * RATE)]:
+        data.qpos[address.qpos] = q
+        mujoco.mj_fwdPosition(model, data)
+        pairs = {tuple(c.geom) for c in data.contact[: data.ncon]}
+        first = pairs if first is None else first
+        if pairs - first:
+            return True
+    return False

@@ -1,0 +1,222 @@
+"""How far rival explanations are apart, on recordings at hand and along motions that nobody has recorded yet.
+
+In the torque domain a rival's fingerprint says what torque it adds along any motion. Two rivals are as far apart as the
+torques that one predicts are from anything that the other can still predict, once its parameters and the trims are
+fitted again to old and planned recordings together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.diagnosis.screen import KERNEL_CORRELATION, Atom, Key, bounded_least_squares
+from torchrl_athletic.diagnosis.search import Judge, Scored
+from torchrl_athletic.effects import Signals
+from torchrl_athletic.recordings import sensor_noise
+
+Array = NDArray[np.float64]
+Cache: TypeAlias = dict[tuple[Key, tuple[tuple[str, float], ...]], Array]
+
+ENOUGH = 12.0
+"""Standard deviations beyond which rivals need not be farther apart: odds of e to the 72, were the noise all."""
+THINNED = 4
+"""Every fourth instant of the torque domain is nearly independent of the next: the rest costs time only."""
+DRAWS = 6
+"""Parameter sets of each rival, as uncertain as the recordings leave them."""
+LIKELY = 10.0
+"""Standard deviation of a parameter that the recordings do not show, in units of its scale."""
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Inner products of what the rivals predict, one group of rows a joint and set of takes. G groups."""
+
+    of: dict[tuple[int, int], Array]
+    """(rival, rival) -> products of their columns, in variances of the noise. Shapes (G, K, K')."""
+    count: Array
+    """Independent samples in each group. Shape (G,)."""
+
+    def __add__(self, other: Products) -> Products:
+        of = {pair: np.concatenate([own, other.of[pair]]) for pair, own in self.of.items()}
+        return Products(of, np.concatenate([self.count, other.count]))
+
+    def times(self, factor: float) -> Products:
+        """Of takes that are longer by a factor."""
+        return Products({pair: factor * own for pair, own in self.of.items()}, factor * self.count)
+
+
+class Rivals:
+    """The rivals, what they predict, and how far apart they are."""
+
+    def __init__(self, judge: Judge, rivals: Sequence[Scored], probabilities: Sequence[float] | None) -> None:
+        bank, best = judge.bank, rivals[0]
+        p = np.asarray(probabilities if probabilities is not None else np.ones(len(rivals)), dtype=float)
+        self.rivals, self.takes = list(rivals), bank.takes
+        self.pairs = list(combinations(range(len(rivals)), 2))
+        self.weight = np.array([p[a] * p[b] for a, b in self.pairs]) / sum(p[a] * p[b] for a, b in self.pairs)
+        total, independent = judge.total, judge.independent.sum(1)
+        self.sigma = bank.noise
+        self.left = (total * judge.mean_square(best.fit)).sum(1) / total.sum(1)
+        """Mean square that the likeliest rival leaves, in variances of the noise. Shape (J,)."""
+        self.floor = (total * judge.floor).sum(1) / total.sum(1)
+        """Below it a difference is no evidence. Shape (J,)."""
+        self.level = np.maximum(self.left, self.floor)
+        self.memory = np.minimum(bank.independent_samples(bank.rows(best.fit)) / np.maximum(independent, 1e-9), 1.0)
+        """Share of the independent samples that the residual's autocorrelation leaves. Shape (J,)."""
+        noise = [sensor_noise(s.recording)[0] for s in bank.takes]
+        self.noise = np.asarray(np.median(noise, axis=0), dtype=np.float64)
+        """Of one position reading. Shape (J,)."""
+        self.known = [Coefficients(s, bank.takes[0]) for s in rivals]
+        self.draws: list[Array] | None = None
+
+    def products(self, takes: Sequence[Signals]) -> Products:
+        """Of some takes, as one set."""
+        columns: list[list[Array]] = [[] for _ in self.rivals]
+        count = np.zeros(len(self.sigma))
+        for s in takes:
+            cache: Cache = {}
+            share = min(float(np.median(np.diff(s.time))) / (KERNEL_CORRELATION * s.kernel), 1.0) * self.memory
+            count += share * s.valid.sum(0)
+            weight = s.valid * np.sqrt(share) / self.sigma
+            for own, rival in zip(columns, self.known, strict=True):
+                own.append(rival.columns(s, cache) * weight[:, :, None])
+        whole = [np.concatenate(own).transpose(1, 0, 2) for own in columns]
+        many = range(len(whole))
+        pairs = [*permutations(many, 2), *((a, a) for a in many)]
+        return Products({(a, b): whole[a].transpose(0, 2, 1) @ whole[b] for a, b in pairs}, count)
+
+    def separations(self, products: Products, noise: Array | None = None) -> Array:
+        """Of each pair: root of the evidence for the truth against the rival's best answer to it. Shape (pairs,).
+
+        The larger of both directions, since an effect that contains the other can always imitate it, and only the
+        count of its parameters speaks against it then.
+
+        Args:
+            products: Of the recordings at hand, which come first, and of what is planned.
+            noise: Of a search through all of them [N·m], shape (J,); the bank's if None. Stronger motion asks for
+                torques in which more passes for noise.
+        """
+        if self.draws is None:
+            rng = np.random.default_rng(0)
+            weighted = [products.of[n, n] / self.level[:, None, None] for n in range(len(self.known))]
+            self.draws = [rival.draw(w.sum(0), rng) for rival, w in zip(self.known, weighted, strict=True)]
+        quiet = np.ones(len(self.sigma)) if noise is None else (self.sigma / noise) ** 2
+        out = []
+        for a, b in self.pairs:
+            ways = [
+                np.mean([min(np.sqrt(self._evidence(products, x, one, other, quiet)), ENOUGH) for x in self.draws[one]])
+                for one, other in ((a, b), (b, a))
+            ]
+            out.append(float(max(ways)))
+        return np.array(out)
+
+    def _evidence(self, products: Products, truth: Array, a: int, b: int, quiet: Array) -> float:
+        """For rival a with coefficients ``truth`` against rival b fitted to what that predicts, as a search weighs.
+
+        ``quiet``: variance of the bank's noise in that of the search's. Shape (J,).
+        """
+        left, floor = self.left * quiet, 1.0 + (self.floor - 1.0) * quiet
+        level, scale = (np.resize(x, len(products.count)) for x in (np.maximum(left, floor), quiet))
+        left = np.resize(left, len(level))
+        own, other, cross = self.known[a], self.known[b], products.of[a, b]
+        weight = (scale / level)[:, None, None]
+        normal = (weight * products.of[b, b]).sum(0) + np.diag(other.doubt)
+        answer = bounded_least_squares(normal, truth @ (weight * cross).sum(0), other.low, other.high)
+        square = (products.of[a, a] @ truth) @ truth - 2 * truth @ cross @ answer
+        square = scale * np.maximum(square + (products.of[b, b] @ answer) @ answer, 0.0)
+        worse = np.maximum(left + square / np.maximum(products.count, 1e-9), level)
+        strain = float(other.doubt @ answer**2 - own.doubt @ truth**2)
+        return max(float(products.count @ np.log(worse / level)) + strain, 0.0)
+
+
+class Coefficients:
+    """A rival's coefficients: of its linear parameters, and of small changes to its nonlinear ones. K in all."""
+
+    def __init__(self, scored: Scored, example: Signals) -> None:
+        fit, at, rows = scored.fit, 0, []
+        self.parts: list[tuple[Atom, Array, list[tuple[str, float]]]] = []
+        for k, atom in enumerate(fit.atoms):
+            given = fit.coefficients[at : at + len(atom.linear)]
+            at += len(atom.linear)
+            own, ends, steps = _numbers(atom, given, example)
+            self.parts.append((atom, own, [(name, 0.1 * reach) for name, reach in steps]))
+            trim = k >= fit.size
+            for value, (low, high, likely) in zip(own, ends, strict=True):
+                doubt = (4 / (high - low)) ** 2 if trim else 0.0
+                rows.append((value, low, high, doubt, likely**-2))
+            rows += [(0.0, -abs(reach), abs(reach), (2 / reach) ** 2, 1.0) for _, reach in steps]
+        self.values, self.low, self.high, self.doubt, prior = np.array(rows).T
+        self.prior = np.maximum(prior, self.doubt)
+        """Precision about the fitted values of what nobody has recorded."""
+
+    def columns(self, s: Signals, cache: Cache) -> Array:
+        """Of all coefficients [N·m]. Shape (N, J, K)."""
+        out = []
+        for atom, own, steps in self.parts:
+            here = _fingerprint(s, atom, atom.fixed, cache)
+            out.append(here)
+            for name, step in steps:
+                there = _fingerprint(s, atom, {**atom.fixed, name: atom.fixed[name] + step}, cache)
+                out.append(((there - here) @ own / step)[:, :, None])
+        return np.concatenate(out, axis=2)
+
+    def prediction(self, s: Signals) -> Array:
+        """Missing torque along a motion [N·m]. Shape (N, J)."""
+        return np.asarray(self.columns(s, {}) @ self.values)
+
+    def draw(self, gram: Array, rng: np.random.Generator) -> Array:
+        """The fitted coefficients, and others that the recordings allow as well. Shape (DRAWS, K)."""
+        normal = gram + np.diag(self.prior)
+        scale = 1 / np.sqrt(np.diag(normal))
+        root = np.linalg.cholesky(normal * scale * scale[:, None] + 1e-10 * np.eye(len(scale)))
+        steps = np.linalg.solve(root.T, rng.standard_normal((len(scale), DRAWS - 1))).T * scale
+        linear = np.concatenate([[1.0] * len(own) + [0.0] * len(steps) for _, own, steps in self.parts])
+        drawn = [bounded_least_squares(normal, normal @ (self.values + step), self.low, self.high) for step in steps]
+        return np.stack([self.values, *drawn]) * linear
+
+
+def _numbers(
+    atom: Atom, given: Array, example: Signals
+) -> tuple[Array, list[tuple[float, float, float]], list[tuple[str, float]]]:
+    """Coefficients of an atom, also of columns that its recordings did not show; their bounds and likely sizes.
+
+    Then the nonlinear parameters, each with the change over which it is taken as linear.
+    """
+    effect, parameters = atom.candidate.effect, atom.candidate.parameters
+    sample = effect.fingerprint(thinned(example, 50), atom.candidate.joint, atom.fixed)
+    free = [p for p in parameters if p.name not in atom.fixed][: sample.columns.shape[2]]
+    own = np.zeros(len(free))
+    ends = []
+    for p in free:
+        likely = LIKELY * max(abs(effect.change(p, p.nominal + p.scale)), 1e-12)
+        ends.append((effect.change(p, p.lower), effect.change(p, p.upper), likely))
+    if sample.constant is not None:
+        own = np.append(own, 1.0)
+        ends.append((1.0, 1.0, 1.0))
+    own[list(atom.shown)] = given
+    steps = []
+    for p in parameters:
+        if p.name in atom.fixed and p.upper > p.lower:
+            value = atom.fixed[p.name]
+            reach = 0.5 * max(abs(value), p.scale)
+            steps.append((p.name, reach if value + 0.1 * reach <= p.upper else -reach))
+    return own, ends, steps
+
+
+def _fingerprint(s: Signals, atom: Atom, fixed: Mapping[str, float], cache: Cache) -> Array:
+    key = atom.candidate.key, tuple(sorted(fixed.items()))
+    if key not in cache:
+        f = atom.candidate.effect.fingerprint(s, atom.candidate.joint, fixed)
+        cache[key] = f.columns if f.constant is None else np.concatenate([f.columns, f.constant[:, :, None]], 2)
+    return cache[key]
+
+
+def thinned(s: Signals, every: int = THINNED) -> Signals:
+    names = ("keep", "position", "velocity", "acceleration", "command", "required", "missing", "bias", "valid")
+    return replace(s, **{name: getattr(s, name)[::every] for name in names})
