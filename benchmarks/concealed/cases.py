@@ -70,6 +70,13 @@ CLASSES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 CLASS_OF = {effect: name for name, effects in CLASSES.items() for effect in effects}
 
+CLASHES: tuple[set[str], ...] = (
+    {"joint_spring", "torque_offset"}, {"torque_scale", "gain_mismatch"}, {"coulomb_friction", "thermal_drift"},
+    {"stribeck_friction", "thermal_drift"}, {"load_dependent_friction", "thermal_drift"},
+    {"asymmetric_friction", "thermal_drift"}, {"encoder_scale", "torque_scale"},
+)  # fmt: skip
+"""Pairs that would be one law on one joint, such as a spring that rests elsewhere."""
+
 DETECTABLE = 3.0
 """An effect counts as detectable from this ratio on: root mean square of the torque that it makes the model miss, over
 that of the sensors' noise in the same band. With three, the noise holds a tenth of the energy of the missing torque,
@@ -209,7 +216,12 @@ def _choose(split: Split, block: str, index: int, rng: np.random.Generator) -> t
         return (), robots[index % len(robots)], mode, -1
     if block == "outside":
         laws = OUTSIDE_SEALED if split == "sealed" else OUTSIDE_TUNING
-        return (laws[index % len(laws)],), robots[(index // len(laws) + index) % len(robots)], mode, 2 + index % 2
+        return (
+            (laws[index % len(laws)],),
+            robots[(index // len(laws) + index) % len(robots)],
+            mode,
+            2 + (index // len(laws)) % 2,
+        )
     if block == "unidentifiable":
         kind = ALIKE[index % len(ALIKE)]
         made = {
@@ -228,7 +240,10 @@ def _choose(split: Split, block: str, index: int, rng: np.random.Generator) -> t
             effect = str(rng.choice([e for e in EFFECTS if e not in ("clock_offset", "disturbance")]))
             if effect == "gain_mismatch":
                 mode = "position_target"
-            if CLASS_OF[effect] not in [CLASS_OF[n] for n in names] and _possible(effect, robot, split):
+            apart = CLASS_OF[effect] not in [CLASS_OF[n] for n in names]
+            if robot in single:
+                apart = apart and not any({effect, n} in CLASHES for n in names)
+            if apart and _possible(effect, robot, split):
                 names.append(effect)
         return tuple(names), robot, mode, int(rng.integers(2, 4))
     effect = EFFECTS[index % len(EFFECTS)]
@@ -287,8 +302,13 @@ def _truths(
     truths: list[Truth] = []
     for effect in effects:
         joints = list(range(robot.joints)) if effect in OUTSIDE else eligible(effect, robot)
-        taken = [robot.joint_names.index(t.joint) for t in truths if t.joint is not None]
-        free = [j for j in joints if j not in taken] if rng.random() < 0.6 else joints
+        elsewhere = rng.random() < 0.6
+        taken = [
+            robot.joint_names.index(t.joint)
+            for t in truths
+            if t.joint is not None and (elsewhere or {effect, t.effect} in CLASHES)
+        ]
+        free = [j for j in joints if j not in taken]
         j = int(rng.choice(free or joints))
         truths.append(draw(effect, robot, j, severity, typical, tree, rich, rng))
     return tuple(truths)
@@ -299,13 +319,15 @@ def identities(truth: Truth, robot: Robot, mode: Mode) -> tuple[tuple[str, str |
     effect, joint, alone = truth.effect, truth.joint, robot.joints == 1
     first = robot.joint_names[0]
     slide = alone and bool(robot.tree.slide[0])
+    level = slide and abs(float(robot.tree.turn[0][2] @ robot.tree.axis[0])) < 1e-9
+    masses = (("link_mass", first), ("payload", first), ("reflected_inertia", first))
     out: list[tuple[str, str | None]] = []
     if alone and effect in ("actuation_delay", "clock_offset"):
         out = [("clock_offset", None), ("actuation_delay", first)]
-    elif effect == "asymmetric_friction":
-        out = []  # a composition of two names: scored through SUPERSETS
     elif mode == "position_target" and effect == "torque_scale":
-        out = [("gain_mismatch", joint)]
+        out = [("gain_mismatch", joint), *(masses if level else ())]
+    elif effect == "torque_scale" and level:
+        out = list(masses)
     elif effect == "payload" or (effect == "link_mass" and joint == robot.joint_names[-1]):
         out = [("payload", joint), ("link_mass", joint)] if slide else []
     elif effect == "torque_offset" and slide:

@@ -216,11 +216,13 @@ def draw(effect: str, robot: Robot, j: int, level: int, typical: Typical, true: 
             h = {"cubic": 14 * f * t / range_**3 * 2, "torque": 0.6 * f * t, "width": 0.1 * unit,
                  "stiffness": 2 * f * t / range_}  # fmt: skip
         case "torque_loop_resonance":
-            h = {"frequency": 2 * np.pi * (40.0, 20.0, 12.0, 7.0)[level], "damping": float(rng.uniform(0.1, 0.25))}
+            h = {"frequency": 2 * np.pi * (60.0, 40.0, 26.0, 18.0)[level], "damping": float(rng.uniform(0.15, 0.3))}
         case "rubbing":
             h = {"torque": 4 * f * t, "period": float(rng.uniform(3, 7)), "at": float(robot.centre[j]), "side": sign}
         case "encoder_eccentricity":
-            h = {"wave": unit * _share(level, (0.004, 0.012, 0.03, 0.08), rng), "phase": float(rng.uniform(0, 6))}
+            around = 1.0 if unit == 1.0 else float(np.pi / robot.reach[j])  # a slide's pinion turns once in its stroke
+            wave = unit * _share(level, (0.004, 0.012, 0.03, 0.08), rng)
+            h = {"wave": wave, "phase": float(rng.uniform(0, 6)), "periods": around}
         case _:
             raise ValueError(f"{effect!r} is not known; known are {', '.join((*EFFECTS, *OUTSIDE))}.")
     return Truth(effect, joint, {k: float(x) for k, x in p.items()}, {k: float(x) for k, x in h.items()})
@@ -256,6 +258,8 @@ def eligible(effect: str, robot: Robot) -> list[int]:
     hinges = [j for j in range(n) if not slide[j]]
     if effect == "encoder_offset":
         return [j for j in hinges if not upright(robot, j) and n > 1]
+    if effect == "encoder_scale":
+        return list(range(n)) if n > 1 else hinges
     if effect == "gravity_tilt":
         return [n - 1] if len(hinges) >= 2 else []
     if effect in ("link_mass", "link_com"):
@@ -398,4 +402,5 @@ def conceal(body: Body, robot: Robot, truth: Truth, rich: bool, rng: np.random.G
             law["stop_position"], law["stop_side"] = h["at"], h["side"]
         case "encoder_eccentricity":
             law["encoder_wave"], law["encoder_wave_phase"] = h["wave"], h["phase"]
+            law["encoder_wave_periods"] = h["periods"]
     return Body(tree, body.laws, body.elements, body.gear_elements, body.clock)

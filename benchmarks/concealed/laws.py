@@ -88,8 +88,9 @@ FIELDS: dict[str, float] = {
     # encoder, on the motor's side
     "encoder_scale": 1.0,
     "encoder_offset": 0.0,  # [rad]
-    "encoder_wave": 0.0,  # [rad] once per turn, by eccentricity
+    "encoder_wave": 0.0,  # [rad] by eccentricity
     "encoder_wave_phase": 0.0,
+    "encoder_wave_periods": 1.0,  # per turn
 }  # fmt: skip
 
 JOINT = np.dtype([(name, np.float64) for name in FIELDS])
@@ -231,11 +232,12 @@ def encoder(p, position):  # type: ignore[no-untyped-def]
     """What the encoder would read without noise and steps [rad]."""
     reading = p.encoder_scale * position + p.encoder_offset
     if p.encoder_wave != 0.0:
-        reading += p.encoder_wave * np.sin(position + p.encoder_wave_phase)
+        reading += p.encoder_wave * np.sin(p.encoder_wave_periods * position + p.encoder_wave_phase)
     return reading
 
 
 @njit(cache=True)
 def encoder_gain(p, position):  # type: ignore[no-untyped-def]
     """Read speed over true speed [1]."""
-    return p.encoder_scale + p.encoder_wave * np.cos(position + p.encoder_wave_phase)
+    n = p.encoder_wave_periods
+    return p.encoder_scale + n * p.encoder_wave * np.cos(n * position + p.encoder_wave_phase)
