@@ -166,6 +166,8 @@ def test_the_command_file_can_be_replayed_without_this_library(case, tmp_path):
     assert {(r["effect"], r["joint"]) for r in metadata["separates"]} == set(e.rivals)
     assert metadata["expected_separation"]["after"] == e.after
     assert "pendulum" in e.sentence
+    write(None, tmp_path / "new")  # nothing is left to ask
+    assert list((tmp_path / "new").iterdir()) == []
 
 
 @pytest.fixture(scope="module")

@@ -48,8 +48,11 @@ CONFIRMED = 2
 """Plans that are simulated under every rival before one is proposed."""
 GENTLE = 0.2
 """Share of its worth that a plan loses by using up all limits and half a minute."""
-BANDWIDTH = 3.0
-"""Natural frequency of the position loop where the recordings state no gains [Hz]."""
+BANDWIDTH = 1.5
+"""Natural frequency of the position loop where the recordings state no gains [Hz].
+
+Soft, because a drive that is half a millisecond late makes friction of its stiffness, kp times that, which nobody logs.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,14 +260,18 @@ def propose(
     return None
 
 
-def write(experiment: Experiment, folder: str | Path) -> None:
+def write(experiment: Experiment | None, folder: str | Path) -> None:
     """Write ``next_experiment.npz``, to replay, and ``next_experiment.json``, to read.
 
     The archive holds ``time``, ``joint_names``, ``position_target``, ``kp``, ``kd``, ``reference_position``,
     ``predicted_torque`` and ``metadata`` (JSON). Send each target at its stamp to the position loop with these gains,
-    from rest at the first one, and log as ever.
+    from rest at the first one, and log as ever. Without an experiment, files of an earlier one are removed.
     """
     folder = Path(folder)
+    if experiment is None:
+        for name in ("next_experiment.npz", "next_experiment.json"):
+            (folder / name).unlink(missing_ok=True)
+        return
     folder.mkdir(parents=True, exist_ok=True)
     report = experiment.report()
     with (folder / "next_experiment.npz").open("wb") as file:

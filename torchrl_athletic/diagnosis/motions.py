@@ -118,11 +118,11 @@ def _of_joint(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, s
     low, high = limits.position[joint]
     name, fastest = names[joint], MARGIN * limits.velocity[joint]
     for share in (1.0, 0.5, 0.2):
-        amplitude = share * MARGIN * (high - low) / 2
+        amplitude = float(share * MARGIN * (high - low) / 2)
         about = pose.copy()
         about[joint] = np.clip(pose[joint], low + amplitude, high - amplitude)
         for speed in (0.8, 0.3, 0.1):
-            frequency = speed * fastest / (4 * amplitude)
+            frequency = float(speed * fastest / (4 * amplitude))
             whole = np.ceil(seconds * frequency) / frequency
             if 1 / seconds <= frequency <= 2.0:
                 slewed = Safety(slew=speed * fastest)
@@ -133,7 +133,7 @@ def _of_joint(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, s
                 faded = Safety(fade=min(1.0, 1 / frequency))
                 wave = sine(names, name, [(amplitude, frequency)], RATE, seconds, "position_target", faded)
                 yield Motion(name, "sine", amplitude, frequency, about, wave.command)
-        highest = min(8.0, fastest / (2 * np.pi * amplitude))
+        highest = min(8.0, float(fastest / (2 * np.pi * amplitude)))
         if highest > 0.4:
             faded = Safety(fade=0.5)
             wave = chirp(names, name, amplitude, (0.2, highest), seconds, RATE, field="position_target", safety=faded)
