@@ -361,7 +361,8 @@ def _compensated(rivals: Rivals, plan: _Plan) -> _Plan:
 
 def _joints_of(rivals: Sequence[Scored]) -> list[int]:
     """Joints that the rivals speak of, and the one before each, whose motion its effects feel."""
-    named = {a.candidate.joint for s in rivals for a in s.fit.terms}
+    answers = {_answer(s, rivals) for s in rivals}
+    named = {a.candidate.joint for s in rivals for a in s.fit.terms if a.candidate.key in answers}
     return sorted(named | {j - 1 for j in named if j})
 
 

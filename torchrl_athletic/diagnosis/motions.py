@@ -52,8 +52,8 @@ class Limits:
         limited = model.jnt_limited[address.joint].astype(bool)
         given = model.jnt_range[address.joint]
         clear = np.where(slide, 0.05 * (given[:, 1] - given[:, 0]), 0.06)
-        low = np.where(limited, given[:, 0] + clear, low)
-        high = np.where(limited, given[:, 1] - clear, high)
+        low = np.where(limited, np.minimum(given[:, 0] + clear, start), low)
+        high = np.where(limited, np.maximum(given[:, 1] - clear, start), high)
         fastest = np.max([np.abs(t.velocity).max(0) for t in takes], axis=0)
         strongest = np.max([np.abs(t.command).max(0) for t in takes], axis=0)
         motor = np.minimum(*np.abs(torque_range(model, address)))
@@ -96,13 +96,13 @@ class Motion:
 def motions(takes: Sequence[Signals], limits: Limits, joints: Sequence[int], seconds: float) -> Iterator[Motion]:
     """Candidates, the joints in turn, until there are enough."""
     low, high = limits.position.T
-    start = np.clip(takes[0].recording.position[0], low, high)
+    start = takes[0].recording.position[0]
     names, middle, half = takes[0].recording.joint_names, (low + high) / 2, (high - low) / 2
     poses = [start] if len(names) == 1 else [start, middle + 0.5 * half]
     count = 0
     streams = [_of_joint(names, j, pose, limits, seconds) for pose in poses for j in joints]
     if len(names) > 1:
-        streams.append(_of_all(names, middle, half, seconds))
+        streams.append(_of_all(names, middle, half, limits, seconds))
     while streams and count < MOST_MOTIONS:
         for stream in list(streams):
             motion = next(stream, None)
@@ -149,17 +149,18 @@ def _home(wave: Array, speed: float) -> Array:
     return np.concatenate([wave, wave[-1] * np.linspace(1, 0, count + 1)[1:, None]])
 
 
-def _of_all(names: tuple[str, ...], middle: Array, half: Array, seconds: float) -> Iterator[Motion]:
-    """All joints at once, each over the same share of its range."""
+def _of_all(names: tuple[str, ...], middle: Array, half: Array, limits: Limits, seconds: float) -> Iterator[Motion]:
+    """All joints at once, each over the same share of its range, or as far as its speed allows."""
     for share, highest in ((0.8, 0.6), (0.4, 1.2), (0.15, 3.0)):
         try:
             wave = multisine(
                 names, None, 1.0, (0.2, highest), seconds, rate=RATE, field="position_target", safety=Safety(fade=0.5)
-            )
+            ).command
         except ExcitationError:  # fewer harmonics than joints
             continue
-        amplitude = share * half
-        yield Motion("all joints", "multisine", float(amplitude.max()), highest, middle, wave.command * amplitude)
+        fastest = RATE * np.abs(np.diff(wave, axis=0)).max(0)
+        amplitude = np.minimum(share * half, MARGIN * limits.velocity / fastest)
+        yield Motion("all joints", "multisine", float(amplitude.max()), highest, middle, wave * amplitude)
 
 
 def way(start: Array, end: Array, limits: Limits) -> Array:

@@ -1,0 +1,82 @@
+"""Motions keep what robot and surroundings can take."""
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis.plants import pendulum, record, smooth_torque
+
+from torchrl_athletic.diagnosis.motions import RATE, Limits, motions, touches, way
+from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.effects import JointAddress
+from torchrl_athletic.recordings.demo import make_recordings, two_link_arm
+
+
+@pytest.fixture(scope="module")
+def takes():
+    robot = two_link_arm()
+    return prepare(make_recordings(robot, duration=4.0), mujoco.MjModel.from_xml_string(robot.model_xml)).signals
+
+
+def test_every_candidate_stays_within_range_and_speed(takes):
+    limits = Limits.of(takes)
+    found = list(motions(takes, limits, [0, 1], 8.0))
+    assert {m.kind for m in found} >= {"sine", "sweep", "chirp", "multisine"}
+    assert {m.joint for m in found} == {"shoulder", "elbow", "all joints"}
+    for m in found:
+        path = m.pose + m.wave
+        assert (path >= limits.position[:, 0] - 1e-9).all()
+        assert (path <= limits.position[:, 1] + 1e-9).all()
+        if m.kind != "steps":  # rounded later
+            assert (np.abs(np.diff(path, axis=0)) * RATE <= limits.velocity).all()
+        np.testing.assert_allclose(np.abs(m.wave[-1]), 0, atol=0.02)
+
+
+def test_only_the_named_joint_moves(takes):
+    for m in motions(takes, Limits.of(takes), [1], 8.0):
+        if m.joint == "elbow":
+            assert not np.ptp(m.wave[:, 0])
+            assert np.abs(m.wave[:, 1]).max() == pytest.approx(m.amplitude, rel=0.02)
+
+
+def signals_of(joint: str = ""):
+    take = record(pendulum(joint=joint), smooth_torque(3.0))
+    return prepare([take], mujoco.MjModel.from_xml_string(pendulum(joint=joint))).signals
+
+
+def test_the_models_range_holds_clear_of_the_stops():
+    limits = Limits.of(signals_of('range="-60 80" limited="true"'))
+    assert limits.position == pytest.approx(np.deg2rad([[-60, 80]]) + [[0.06, -0.06]])
+
+
+def test_without_a_range_a_radian_to_both_sides_of_the_start_is_taken():
+    s = signals_of()
+    start = s[0].recording.position[0, 0]
+    assert Limits.of(s).position == pytest.approx(np.array([[start - 1, start + 1]]))
+
+
+def test_the_motors_range_is_the_limit_where_there_is_one(takes):
+    assert Limits.of(takes).torque == pytest.approx(two_link_arm().torque_limit)
+
+
+def test_the_way_is_from_rest_to_rest_at_half_the_speed(takes):
+    limits = Limits.of(takes)
+    start, end = np.array([0.0, 0.3]), np.array([0.9, -0.2])
+    path = way(start, end, limits)
+    speed = np.diff(path, axis=0) * RATE
+    np.testing.assert_array_equal(path[0], start)
+    np.testing.assert_allclose(path[-1], end)
+    np.testing.assert_allclose(speed[[0, -1]], 0, atol=1e-12)
+    assert (np.abs(speed) / limits.velocity).max() == pytest.approx(0.5, rel=0.02)
+
+
+def test_parts_that_would_collide_are_seen_and_those_that_always_touch_are_not():
+    xml = """<mujoco><worldbody>
+      <geom name="post" type="box" size=".05 .05 .05" pos=".4 0 0"/>
+      <geom name="socket" size=".06" pos="0 0 .02"/>
+      <body><joint name="arm" axis="0 -1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.4" size=".02"/></body>
+    </worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+    address = JointAddress.of(model, ("arm",))
+    swing = np.linspace(0, 1, 400)[:, None]
+    assert not touches(model, address, 0.5 * swing)
+    assert touches(model, address, 1.7 * swing)

@@ -1,0 +1,99 @@
+"""How far apart two explanations are, where it can be worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from diagnosis.columns import Given, candidate, signals
+
+from torchrl_athletic.diagnosis.screen import Bank
+from torchrl_athletic.diagnosis.search import Judge
+from torchrl_athletic.diagnosis.separation import ENOUGH, THINNED, Rivals, thinned
+from torchrl_athletic.effects import Fingerprint
+
+N = 2000
+PHASE = 2 * np.pi * np.arange(N) / 50
+SINE, COSINE = np.sqrt(2) * np.sin(PHASE), np.sqrt(2) * np.cos(PHASE)
+
+
+class Along(Given):
+    """Predicts sums of the shoulder's position (first number) and velocity (second), one for each parameter."""
+
+    def __init__(self, name: str, *sums: tuple[float, float], **bounds: float) -> None:
+        super().__init__(name, np.zeros((1, len(sums))), **bounds)
+        self.sums = sums
+
+    def fingerprint(self, s, joint, fixed):
+        q, v = s.position[:, 0], s.velocity[:, 0]
+        out = np.zeros((len(q), 2, len(self.sums)))
+        out[:, 0] = np.stack([a * q + b * v for a, b in self.sums], -1)
+        return Fingerprint(out, fixed)
+
+
+def motion(first, second, missing=None):
+    """The shoulder moves; the elbow rests."""
+    still = np.zeros_like(first)
+    missing = still if missing is None else missing
+    return signals(
+        np.stack([missing, still], -1), position=np.stack([first, still], -1), velocity=np.stack([second, still], -1)
+    )
+
+
+def rivals(*effects: Along, size: float = 0.5, second=None):
+    """Fitted to a take where the first column makes the missing torque, beside unit noise."""
+    noise = np.random.default_rng(0).standard_normal(N)
+    take = motion(SINE, SINE if second is None else second, size * SINE + noise)
+    judge = Judge(Bank([take], [candidate(e) for e in effects], noise=np.ones(2)))
+    scored = [judge.score([atom]) for atom in judge.bank.atoms]
+    rivals = Rivals(judge, scored, None)
+    known = rivals.products([thinned(take)])
+    return rivals, known, rivals.separations(known)
+
+
+def planned(rivals: Rivals, known, first, second) -> np.ndarray:
+    return rivals.separations(known + rivals.products([thinned(motion(first, second))]))
+
+
+def test_two_names_for_one_torque_are_never_apart():
+    pair, known, now = rivals(Along("one", (1, 0)), Along("other", (2, 0)))
+    assert now == pytest.approx([0], abs=1e-3)
+    assert planned(pair, known, 5 * COSINE, SINE) == pytest.approx([0], abs=1e-3)
+
+
+def test_what_looks_the_same_in_one_motion_is_told_apart_by_another_as_far_as_the_noise_lets_it():
+    pair, known, now = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.1)
+    assert now == pytest.approx([0], abs=1e-3)  # position and velocity were the same there
+    # the first predicts 0.1 of a unit sine, which no cosine answers; as much in the old take it can, so both share
+    after = planned(pair, known, SINE, -SINE)
+    # the best answer is zero: 0.1² is left of both halves, whose noise has the variance 1
+    expected = np.sqrt(2 * N / THINNED * np.log(1 + 0.1**2))
+    assert after == pytest.approx([expected], rel=0.35)  # the sizes drawn scatter by a third
+    assert planned(pair, known, 3 * SINE, -3 * SINE) > after
+
+
+def test_more_parameters_that_absorb_the_difference_take_it_away():
+    truth = Along("one", (1, 0))
+    pair, known, _ = rivals(truth, Along("two", (0, 1), (1, 0)))
+    assert planned(pair, known, SINE, -SINE)[0] > 3  # not the way round, as the larger may be the truth
+    known_of_pair = known + pair.products([thinned(motion(SINE, -SINE))])
+    own = pair.draws[0][0]
+    assert pair._evidence(known_of_pair, own, 0, 1, np.ones(2)) == pytest.approx(0, abs=1e-6)
+
+
+def test_bounds_keep_a_rival_from_answering():
+    free, known, _ = rivals(Along("one", (1, 0)), Along("other", (1, 0)))
+    _, _, now = rivals(Along("one", (1, 0)), Along("other", (1, 0), lower=-0.8, upper=0.8), size=2.0)
+    assert free.separations(known) == pytest.approx([0], abs=1e-3)
+    assert now[0] > 3
+
+
+def test_twice_the_recording_is_twice_the_evidence():
+    pair, known, now = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.15, second=COSINE)
+    assert 2 < now[0] < ENOUGH / 2
+    assert pair.separations(known.times(2.0)) == pytest.approx(np.sqrt(2) * now, rel=0.02)
+    assert pair.separations(known + known) == pytest.approx(np.sqrt(2) * now, rel=0.02)
+
+
+def test_noise_that_a_search_will_allow_hides_what_is_below_it():
+    pair, known, now = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.15, second=COSINE)
+    assert pair.separations(known, noise=2 * np.ones(2)) < now / 2
