@@ -141,13 +141,13 @@ class LinkCom(Effect):
         return (Parameter("distance", "m", distance, 0.2 * distance, 3 * distance, 0.05 * distance),)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
-        return [{}]
+        return [{}] if self.parameters(s.nominal, s.address, joint) else []
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         lever, model = _lever(s.model, s.address, joint), s.model.__copy__()
         model.body_ipos[s.address.body[joint]] += 0.01 * lever
         recompute_constants(model)
-        step = 0.01 * float(np.linalg.norm(lever))
+        step = max(0.01 * float(np.linalg.norm(lever)), 1e-6)  # without a lever nothing moves, and nothing is predicted
         return Fingerprint(-((s.inverse(model) - s.rigid) / step)[:, :, None], fixed)
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
@@ -170,7 +170,19 @@ def carries_link(address: JointAddress, joint: int) -> bool:
 
 def recompute_constants(model: mujoco.MjModel) -> None:
     """MuJoCo takes the inertia of a simple body, such as a carriage, from constants that only this updates."""
+    free_of_simple_bodies(model)
     mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def free_of_simple_bodies(model: mujoco.MjModel) -> None:
+    """Let centres of mass move off their frames, in place; ``mj_setConst`` refuses that of bodies compiled as simple.
+
+    A wheel or a carriage is one. With several joints, it stays so: its inertia matrix has no room for what would couple
+    them.
+    """
+    alone = model.body_dofnum == 1
+    model.body_simple[alone] = model.body_sameframe[alone] = 0
+    model.dof_simplenum[alone[model.dof_bodyid]] = 0
 
 
 def _lever(model: mujoco.MjModel, address: JointAddress, joint: int) -> Array:
