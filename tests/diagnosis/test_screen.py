@@ -192,7 +192,8 @@ def test_trims_lie_within_a_share_of_the_given_numbers(take):
 
 def test_every_effect_is_a_candidate_on_every_joint(take):
     found = {c.key for c in candidates_for([take])}
-    assert found == {(e.name, name) for e in CATALOGUE for name in ((None,) if e.whole_robot else NAMES)}
+    expected = {(e.name, name) for e in CATALOGUE for name in ((None,) if e.whole_robot else NAMES)}
+    assert found == expected - {("payload", "shoulder")}  # it hangs at the end
     bank = Bank([take], [candidate(GainMismatch())], noise=NOISE)
     assert bank.atoms == []  # torque control has no gains
 

@@ -101,6 +101,11 @@ class Atom:
     shown: tuple[int, ...]
     """Which of the fingerprint's columns these are; the constant comes last."""
 
+    @property
+    def freedom(self) -> int:
+        """Number of parameters that are not held at the given model's value."""
+        return sum(self.fixed.get(p.name) != p.nominal for p in self.candidate.parameters)
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -127,7 +132,7 @@ class Fit:
     @property
     def freedom(self) -> int:
         """Number of parameters of the combination."""
-        return sum(len(atom.candidate.parameters) for atom in self.terms)
+        return sum(atom.freedom for atom in self.terms)
 
     def values(self) -> list[Array]:
         """Parameters of each atom in physical units. A list of (P,)."""

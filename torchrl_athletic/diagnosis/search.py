@@ -15,7 +15,7 @@ from torchrl_athletic.diagnosis.screen import Atom, Bank, Fit, Key
 
 Array = NDArray[np.float64]
 
-OPEN = 2.0
+OPEN = 1.25
 """Mean square of the normalised missing torque above which a joint misses something.
 
 Sensor noise alone gives about 1.
@@ -26,6 +26,10 @@ BEAM = 4
 MOST_PER_JOINT = 4
 DECISIVE = 10.0
 """Evidence (twice the log odds) that a term must bring: odds of 150 to 1."""
+TERM = 2 * np.log(20.0)
+"""Evidence against each term: of the catalogue's effects one or two are missing, not most."""
+RIVAL_PRICE = 2.0
+"""Price of a parameter among rivals (Akaike 1974): whatever fits as well may be true, also if it has a number more."""
 MATERIAL = 0.10
 """Share of what is still open on its joints that a term must close."""
 RICHER = 0.25
@@ -79,10 +83,15 @@ class Judge:
         above = self.level(fit) - self.floor
         return np.asarray((self.total * above).sum(1) / self.total.sum(1))
 
-    def score(self, atoms: Sequence[Atom], independent: Array | None = None) -> Scored:
+    def score(self, atoms: Sequence[Atom], independent: Array | None = None, price: float | None = None) -> Scored:
         """Fit a combination and weigh it.
 
         Rows weigh by what is left around them, so that something unknown does not bend what the rest says.
+
+        Args:
+            atoms: The combination.
+            independent: Independent samples in each stretch of each joint, if not those of white noise. Shape (J, S).
+            price: Of a parameter; the logarithm of the number of samples (Schwarz 1978) if None.
         """
         key = frozenset(atoms)
         if independent is None and key in self._scores:
@@ -91,7 +100,7 @@ class Judge:
         for _ in range(REWEIGHTED):
             fit = self.bank.fit(atoms, self.level(fit))
         count = self.independent if independent is None else independent
-        penalty = np.log(max(count.sum(), 3.0)) * fit.freedom
+        penalty = (np.log(max(count.sum(), 3.0)) if price is None else price) * fit.freedom + TERM * fit.size
         evidence = float((count * np.log(self.level(fit))).sum())
         scored = Scored(fit, evidence + float(penalty) + fit.strain + sum(_doubt(a) for a in fit.terms))
         if independent is None:
@@ -101,7 +110,7 @@ class Judge:
     def promise(self, atoms: Sequence[Atom], parent: Fit) -> float:
         """Evidence of a combination fitted with the weights of its parent: cheap, and not above its own."""
         fit = self.bank.fit(atoms, self.level(parent))
-        penalty = np.log(max(self.independent.sum(), 3.0)) * fit.freedom
+        penalty = np.log(max(self.independent.sum(), 3.0)) * fit.freedom + TERM * fit.size
         return float((self.independent * np.log(self.level(fit))).sum()) + float(penalty) + fit.strain
 
     def is_open(self, fit: Fit) -> NDArray[np.bool_]:
@@ -194,11 +203,11 @@ def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
     samples = judge.bank.independent_samples(judge.bank.rows(best.fit))
     independent = judge.independent * np.minimum(1.0, samples / np.maximum(judge.independent.sum(1), 1e-9))[:, None]
     rest = [a for a in best.fit.terms if a is not term]
-    own = judge.score(best.fit.terms, independent)
+    own = judge.score(best.fit.terms, independent, RIVAL_PRICE)
     out = {term.candidate.key: own}
     kept = judge.score(rest)
     for atom in _promising(judge, kept, _shortlist(judge, kept), 2 * PROMISING):
-        scored = judge.score([*rest, atom], independent)
+        scored = judge.score([*rest, atom], independent, RIVAL_PRICE)
         key = atom.candidate.key
         if _contains(atom, term) and judge.closes(best.fit, scored.fit) < RICHER:
             continue  # the same statement with more numbers
@@ -292,8 +301,7 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
         smaller = [
             atom
             for atom in _shortlist(judge, kept)
-            if atom.candidate.joint == term.candidate.joint
-            and len(atom.candidate.parameters) < len(term.candidate.parameters)
+            if atom.candidate.joint == term.candidate.joint and atom.freedom < term.freedom
         ]
         simpler = [judge.score([*rest, atom]) for atom in _promising(judge, kept, smaller, 4)]
         if simpler:
@@ -374,7 +382,7 @@ def _doubt(atom: Atom) -> float:
 def _contains(larger: Atom, smaller: Atom) -> bool:
     """Whether one effect is the other with more parameters."""
     a, b = larger.candidate, smaller.candidate
-    return a.joint == b.joint and b.effect.name in a.effect.excludes and len(a.parameters) > len(b.parameters)
+    return a.joint == b.joint and b.effect.name in a.effect.excludes and larger.freedom > smaller.freedom
 
 
 def keys(atoms: Iterable[Atom]) -> frozenset[Key]:

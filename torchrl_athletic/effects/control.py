@@ -31,7 +31,9 @@ class GainMismatch(Effect):
     shows_in = "load"
     equation = "τ = a kp (q* - q) - c kd q̇"
     source = "Isaac Lab, actuators; PACE (Bjelonic et al. 2025, arXiv:2509.06342)"
-    excludes = frozenset({"torque_scale"})
+    excludes = frozenset(
+        {"torque_scale", "link_mass", "link_com", "viscous_friction"}
+    )  # a loop shows their ratios only
     experiments: ClassVar[Mapping[str, str]] = {
         "torque_scale": "hang a known weight on {joint} and hold it at two gains",
         "viscous_friction": "let {joint} swing freely with the drive off",

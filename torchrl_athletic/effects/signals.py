@@ -318,6 +318,8 @@ def project_recording(
     noise = np.sqrt(
         np.mean((draft.inertia**2 @ (sigma_a**2)[:, None])[..., 0], axis=0) + (_damping(draft) * sigma_v) ** 2
     )
+    if recording.kp is not None and recording.kd is not None:  # the torque is computed from the readings
+        noise = np.sqrt(noise**2 + (recording.kp * gain[0] * position_noise) ** 2 + (recording.kd * sigma_v) ** 2)
     return replace(
         draft,
         required=required,
