@@ -152,6 +152,13 @@ def test_the_robot_follows_the_reference_within_the_limits_from_rest_to_rest(cas
     assert np.abs(executed(robot, secret, e, 3).position - e.reference).max() < 0.02
 
 
+def test_the_predicted_torque_is_what_the_loop_then_sends():
+    robot, secret, *_, e = solved("offset")
+    q = executed(robot, secret, e, 3).position
+    sent = e.kp * (e.target - q) - e.kd * np.gradient(q, 1 / RATE, axis=0)
+    assert np.sqrt(np.mean((sent - e.torque) ** 2)) < 0.05 * np.sqrt(np.mean(e.torque**2))
+
+
 def test_the_command_file_can_be_replayed_without_this_library(case, tmp_path):
     *_, e = case
     write(e, tmp_path / "new")

@@ -45,7 +45,7 @@ def signals_of(joint: str = ""):
 
 def test_the_models_range_holds_clear_of_the_stops():
     limits = Limits.of(signals_of('range="-60 80" limited="true"'))
-    assert limits.position == pytest.approx(np.deg2rad([[-60, 80]]) + [[0.06, -0.06]])
+    assert limits.position == pytest.approx(np.add(np.deg2rad([[-60, 80]]), [[0.06, -0.06]]))
 
 
 def test_without_a_range_a_radian_to_both_sides_of_the_start_is_taken():

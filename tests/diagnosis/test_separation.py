@@ -87,6 +87,16 @@ def test_bounds_keep_a_rival_from_answering():
     assert now[0] > 3
 
 
+def test_what_no_answer_meets_counts_by_the_logarithm_of_the_error_that_it_leaves():
+    pair, _, now = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.15, second=COSINE)
+    left, level = pair.left[0], max(pair.left[0], pair.floor[0])
+
+    def apart(sizes):  # of sines against cosines, which answer nothing
+        return np.mean([np.sqrt(N / THINNED * np.log(max(left + c**2, level) / level)) for (c,) in sizes])
+
+    assert now == pytest.approx([max(apart(sizes) for sizes in pair.draws)], rel=1e-3)
+
+
 def test_twice_the_recording_is_twice_the_evidence():
     pair, known, now = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.15, second=COSINE)
     assert 2 < now[0] < ENOUGH / 2
