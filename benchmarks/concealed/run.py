@@ -19,8 +19,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from multiprocessing import Value
+from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any, Literal
 
@@ -97,10 +99,20 @@ def main(cfg: Config) -> None:
     wanted = [(block, k) for block in blocks for k in range(cfg.first, cfg.first + _count(block, cfg))]
     todo = [w for w in wanted if cfg.fresh or not is_done(folder / f"{name_of(cfg.split, *w, cfg.seed)}.json")]
     print(f"{len(wanted)} cases, {len(wanted) - len(todo)} of them done")
-    with ProcessPoolExecutor(cfg.jobs) as pool:
+    todo.sort(key=lambda w: (w[1] / max(_count(w[0], cfg), 1), w[0]))  # a run cut short has a share of every block
+    with ProcessPoolExecutor(cfg.jobs, initializer=_pin, initargs=(Value("i", 0),)) as pool:
         pending = [pool.submit(run_case, cfg, block, k) for block, k in todo]
-        for done in tqdm(pending, unit="case"):
+        for done in tqdm(as_completed(pending), total=len(pending), unit="case"):
             tqdm.write(done.result())
+
+
+def _pin(counter: Synchronized[int]) -> None:
+    """Give each worker, and what it starts, a processor of its own: many threads on few cores slow each other down."""
+    if hasattr(os, "sched_setaffinity"):
+        with counter.get_lock():
+            mine, counter.value = counter.value, counter.value + 1
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[mine % len(cores)]})
 
 
 def is_done(path: Path) -> bool:
