@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from torchrl_athletic.diagnosis.corrected import write_json
+from torchrl_athletic.recordings import RecordingError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -33,7 +34,7 @@ def recall(settings: Settings, output: Path) -> Settings:
 
     Raises:
         FileNotFoundError: If the folder holds no earlier diagnosis.
-        ValueError: If its inputs are of another schema.
+        RecordingError: If its inputs are of another schema.
     """
     new: tuple[Path, ...] = getattr(settings, JOINED)
     if not new:
@@ -46,7 +47,9 @@ def recall(settings: Settings, output: Path) -> Settings:
         )
     content = json.loads(path.read_text(encoding="utf-8"))
     if content.pop("schema", None) != SCHEMA:
-        raise ValueError(f"{path} is of another version. Give --model and --recordings, with the new ones among them.")
+        raise RecordingError(
+            f"{path} is of another version. Give --model and --recordings, with the new ones among them."
+        )
     known = {f.name: getattr(settings, f.name) for f in fields(settings)}
     earlier = {name: _like(known[name], value, name) for name, value in content.items() if name in known}
     earlier[JOINED] = (*earlier.get(JOINED, ()), *(p for p in new if p.resolve() not in earlier.get(JOINED, ())))
