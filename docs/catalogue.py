@@ -8,7 +8,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from torchrl_athletic.effects import CATALOGUE, Effect, JointAddress, LinkInertia, Parameter, Plant
+from torchrl_athletic.diagnosis.screen import FIT_TRIMS, TRIMS
+from torchrl_athletic.effects import CATALOGUE, Effect, JointAddress, Parameter, Plant
 
 PAGE = Path(__file__).with_name("effects.md")
 BEGIN, END = "<!-- from here on written by docs/catalogue.py -->\n", "<!-- to here -->\n"
@@ -24,18 +25,41 @@ def page(text: str) -> str:
     """The page with the catalogue's part written anew."""
     before, _, rest = text.partition(BEGIN)
     _, _, after = rest.partition(END)
-    effects = (*CATALOGUE, LinkInertia())
-    return before + BEGIN + "\n".join([overview(), *(section(effect) for effect in effects)]) + END + after
+    found = {e.name for e in CATALOGUE}
+    trims = [e for e in FIT_TRIMS if e.name not in found]
+    parts = [overview(), tolerances(), *(section(effect) for effect in (*CATALOGUE, *trims))]
+    return before + BEGIN + "\n".join(parts) + END + after
 
 
 def overview() -> str:
     """A row for each effect."""
     rows = [
-        f"| [{e.name}](#{e.name}) | `{_cell(e.equation)}` | {parameters(e)} | {e.shows_in} | {e.source} |"
+        f"| {e.family} | [{e.name}](#{e.name}) | `{_cell(e.equation)}` | {parameters(e)} | {e.shows_in} |"
         for e in CATALOGUE
     ]
-    head = "| effect | equation | parameters [hinge; slide] | shows along | source |"
+    head = "| class | effect | equation | parameters [hinge; slide] | shows along |"
     return "\n".join(["", head, "|---|---|---|---|---|", *rows, ""])
+
+
+def tolerances() -> str:
+    """A row for each trim."""
+    rows = [
+        f"| [{e.name}](#{e.name}) | {tolerance(e, share)} | {'naming and fit' if e in TRIMS else 'fit'} |"
+        for e, share in FIT_TRIMS.items()
+    ]
+    return "\n".join(["\n### Trims\n", "| trim | tolerance, either way | moves in |", "|---|---|---|", *rows, ""])
+
+
+def tolerance(effect: Effect, share: float) -> str:
+    """By how much a trim may move: percent of the given number, or of the link's size where that is zero."""
+    p = _parameters(effect, HINGE)[0]
+    if p.nominal:
+        return f"{100 * share * p.scale / p.nominal:.2g} %"
+    if effect.name == "link_com_shift":
+        return f"{100 * share * p.scale / p.upper:.2g} % of the link's size along each axis"
+    of_hinge, of_slide = (_parameters(effect, model)[0] for model in (HINGE, SLIDE))
+    both = [f"{1e3 * share * q.scale:.2g} m{q.unit}" for q in (of_hinge, of_slide)]
+    return "; ".join(dict.fromkeys(both))
 
 
 def section(effect: Effect) -> str:
@@ -50,6 +74,8 @@ def section(effect: Effect) -> str:
             said[key] = _line(f"{head.removeprefix(key).removeprefix(',').strip()}: {rest}".removeprefix(": "))
         else:
             said["Notes"] = _line(f"{said['Notes']} {paragraph}")
+    if effect.whole_robot:
+        said["Notes"] = f"{said['Notes']} It belongs to the whole robot, so that its finding names no joint.".strip()
     lines = [f"\n### {effect.name}\n", said["Summary"] + (f" {said['Notes']}" if said["Notes"] else ""), ""]
     lines += [
         f"- **Equation:** `{effect.equation}`",
@@ -57,6 +83,9 @@ def section(effect: Effect) -> str:
         f"- **Fingerprint:** {said['Fingerprint']} Shows along {effect.shows_in}.",
         f"- **Simulation:** {said['Simulation']} Changes {_listed(changes(effect))}.",
     ]
+    if effect.identical_to:
+        same = " or ".join(" with ".join(f"`{name}`" for name in sorted(names)) for names in effect.identical_to)
+        lines.append(f"- **States the same physics as:** {same}")
     excluded = {e.name for e in CATALOGUE if e.name in effect.excludes or effect.name in e.excludes}
     if excluded:
         lines.append(f"- **Not on one joint with:** {_listed(sorted(excluded))}")
@@ -75,12 +104,16 @@ def parameters(effect: Effect) -> str:
 
 
 def changes(effect: Effect) -> list[str]:
-    """What the effect touches in a simulation: fields of ``mjModel``, and what stands between command and torque."""
+    """What the effect touches in a simulation: fields of ``mjModel``, the torque's way, laws, gears."""
     plant = Plant(HINGE, _address(HINGE), 1)
     given = {name: value.copy() for name, value in vars(plant).items() if isinstance(value, np.ndarray)}
-    effect.apply(plant, 0, np.array([[p.nominal + p.scale for p in _parameters(effect, HINGE)]]))
+    changed = [
+        p.nominal + (p.scale if p.nominal + p.scale <= p.upper else -p.scale) for p in _parameters(effect, HINGE)
+    ]
+    effect.apply(plant, 0, np.array([changed]))
     chain = [f"Plant.{name}" for name, value in given.items() if (getattr(plant, name) != value).any()]
-    return [*(f"mjModel.{name}" for name in plant.fields), *chain, *(["Plant.laws"] if plant.laws else [])]
+    lists = [f"Plant.{name}" for name in ("motor", "laws", "gears") if getattr(plant, name)]
+    return [*(f"mjModel.{name}" for name in plant.fields), *chain, *lists]
 
 
 def _parameters(effect: Effect, model: mujoco.MjModel) -> tuple[Parameter, ...]:
