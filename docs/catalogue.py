@@ -107,10 +107,8 @@ def changes(effect: Effect) -> list[str]:
     """What the effect touches in a simulation: fields of ``mjModel``, the torque's way, laws, gears."""
     plant = Plant(HINGE, _address(HINGE), 1)
     given = {name: value.copy() for name, value in vars(plant).items() if isinstance(value, np.ndarray)}
-    changed = [
-        p.nominal + (p.scale if p.nominal + p.scale <= p.upper else -p.scale) for p in _parameters(effect, HINGE)
-    ]
-    effect.apply(plant, 0, np.array([changed]))
+    steps = [p.scale if p.nominal + p.scale <= p.upper else -p.scale for p in _parameters(effect, HINGE)]
+    effect.apply(plant, 0, np.array([[p.nominal for p in _parameters(effect, HINGE)]]) + steps)
     chain = [f"Plant.{name}" for name, value in given.items() if (getattr(plant, name) != value).any()]
     lists = [f"Plant.{name}" for name in ("motor", "laws", "gears") if getattr(plant, name)]
     return [*(f"mjModel.{name}" for name in plant.fields), *chain, *lists]

@@ -4,13 +4,14 @@ import importlib.util
 import re
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from effects.arm import JOINTS, address, arm, record
 
 from torchrl_athletic.diagnosis.screen import Bank, candidates_for
 from torchrl_athletic.diagnosis.search import Judge, search
-from torchrl_athletic.effects import CATALOGUE, Effect, project_recording
+from torchrl_athletic.effects import CATALOGUE, CoulombFriction, Effect, JointAddress, project_recording
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "effects.md").read_text(encoding="utf-8")
@@ -49,6 +50,24 @@ def test_each_effect_says_its_equation_parameters_fingerprint_simulation_rivals_
         assert f"`{p.name}`" in part
     for rival in effect.experiments:
         assert f"| `{rival}` |" in part
+
+
+def test_every_class_is_introduced_and_every_identity_stated():
+    classes = PAGE[PAGE.index("## Classes") : PAGE.index("## Identities")]
+    assert set(re.findall(r"^\| (\w+) \|", classes, re.M)) - {"class"} == {e.family for e in CATALOGUE}
+    for effect in CATALOGUE:
+        part = PAGE.partition(f"### {effect.name}\n")[2].partition("\n### ")[0]
+        assert ("States the same physics as" in part) == bool(effect.identical_to)
+        assert ("names no joint" in part) == effect.whole_robot
+
+
+def test_dry_friction_turns_over_as_early_as_the_page_says():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="joint" axis="0 1 0" frictionloss="0.1"/>'
+        '<inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>'
+    )
+    turnover = CoulombFriction().parameters(model, JointAddress.of(model, ("joint",)), 0)[1]
+    assert f"| {1e3 * turnover.nominal:.2g} ms | a simulation's" in PAGE
 
 
 def test_the_way_to_an_effect_of_ones_own_is_short():
