@@ -10,7 +10,8 @@ from diagnosis.plants import pendulum, record, smooth_torque
 from torchrl_athletic.diagnosis.corrected import NATIVE, Simulation, corrected_xml, write_atomically, write_json
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate
-from torchrl_athletic.effects import CATALOGUE, JointAddress
+from torchrl_athletic.effects import CATALOGUE, JointAddress, Plant
+from torchrl_athletic.robots.benches import two_link_arm
 
 EFFECTS = {e.name: e for e in (*CATALOGUE, *FIT_TRIMS)}
 NATIVE_TERMS = {
@@ -18,12 +19,42 @@ NATIVE_TERMS = {
     "viscous_friction": [0.12],
     "reflected_inertia": [0.02],
     "link_mass": [0.6],
+    "link_com": [0.35],
+    "link_com_shift": [0.02, 0.0, -0.03],
+    "link_inertia": [1.4],
+    "payload": [0.2],
+    "gravity_tilt": [0.05, 0.2],
+    "joint_spring": [0.8, 0.3],
 }
-MEMORY_TERMS = {"actuation_delay": [0.02], "torque_scale": [1.2], "torque_offset": [-0.1], "encoder_offset": [0.05]}
+PART_TERMS = {
+    "asymmetric_friction": [0.1, 0.05, 0.02, 0.01],
+    "stribeck_friction": [0.1, 0.05, 0.1],
+    "load_dependent_friction": [0.1, 0.1],
+}
+MEMORY_TERMS = {
+    "actuation_delay": [0.02],
+    "actuation_lag": [0.02],
+    "torque_scale": [1.2],
+    "torque_offset": [-0.1],
+    "torque_saturation": [0.5],
+    "speed_torque_limit": [0.8, 5.0],
+    "torque_ripple": [0.05, 0.02, 7.0],
+    "hysteresis": [0.1, 0.05],
+    "compliance": [40.0, 0.1],
+    "backlash": [0.03, 60.0],
+    "joint_stop": [0.3, 1.0, 20.0],
+    "encoder_offset": [0.05],
+    "encoder_scale": [1.05],
+    "clock_offset": [0.01],
+    "clock_shift": [0.001],
+    "gain_mismatch": [1.1, 0.9],
+    "thermal_drift": [0.1, 0.1, 20.0],
+    "disturbance": [0.2, 0.5, 0.1, 0.0],
+}
 
 
-def corrected(terms, trims=None, name="pendulum", effects=EFFECTS) -> Simulation:
-    model = mujoco.MjModel.from_xml_string(pendulum(name=name))
+def corrected(terms, trims=None, name="pendulum", effects=EFFECTS, xml=None) -> Simulation:
+    model = mujoco.MjModel.from_xml_string(pendulum(name=name) if xml is None else xml)
     address = JointAddress.of(model, (name,))
 
     def candidates(named):
@@ -60,15 +91,17 @@ def test_an_effect_of_another_catalogue_is_refused_by_name():
 
 
 @pytest.mark.parametrize("name", [*sorted(NATIVE_TERMS), "all"])
-def test_mjcf_alone_moves_as_the_corrected_simulation_when_it_can_say_all(name):
+@pytest.mark.parametrize("angle", ["degree", "radian"])
+def test_mjcf_alone_moves_as_the_corrected_simulation_when_it_can_say_all(name, angle):
+    given = pendulum().replace("<option", f'<compiler angle="{angle}"/><option')
     terms = NATIVE_TERMS if name == "all" else {name: NATIVE_TERMS[name]}
-    simulation = corrected(terms)
-    xml = corrected_xml(pendulum(), simulation)
+    simulation = corrected(terms, xml=given)
+    xml = corrected_xml(given, simulation)
     alone = Simulation(mujoco.MjModel.from_xml_string(xml), ("pendulum",), Hypothesis(()), np.zeros(0))
     r = recording()
     for window in (0.5, None):
-        np.testing.assert_allclose(alone.rollout(r, window), simulation.rollout(r, window), rtol=0, atol=1e-9)
-    assert np.abs(alone.rollout(r, None) - corrected({}).rollout(r, None)).max() > 1e-2
+        np.testing.assert_allclose(alone.rollout(r, window), simulation.rollout(r, window), rtol=0, atol=2e-5)
+    assert np.abs(alone.rollout(r, None) - corrected({}).rollout(r, None)).max() > 5e-3
     assert "not expressed" not in xml
 
 
@@ -87,14 +120,52 @@ def test_mass_keeps_the_rest_of_the_link():
     assert body.ipos == pytest.approx([0, 0, -0.4])
 
 
-def test_what_mjcf_cannot_say_is_named_in_a_comment():
-    xml = corrected_xml(pendulum(), corrected({**NATIVE_TERMS, **MEMORY_TERMS}))
+def test_a_turned_link_of_two_keeps_its_principal_axes():
+    given = two_link_arm()
+    model = mujoco.MjModel.from_xml_string(given)
+    names = tuple(model.joint(i).name for i in range(model.njnt))
+    payload = EFFECTS["payload"]
+    held = Candidate(payload, 1, names[1], payload.parameters(model, JointAddress.of(model, names), 1))
+    simulation = Simulation(model, names, Hypothesis((held,)), np.array([0.4]))
+    heavier = mujoco.MjModel.from_xml_string(corrected_xml(given, simulation))
+    body = int(model.jnt_bodyid[1])
+    assert heavier.body_mass[body] == pytest.approx(model.body_mass[body] + 0.4, rel=1e-5)  # six digits
+    other = np.arange(model.nbody) != body
+    for field in ("body_mass", "body_ipos", "body_inertia", "body_iquat"):
+        np.testing.assert_allclose(getattr(heavier, field)[other], getattr(model, field)[other], rtol=1e-5, atol=1e-9)
+    plant = Plant(model, JointAddress.of(model, names), 1)
+    payload.apply(plant, 1, np.array([[0.4]]))
+    inertia = [
+        turned(quat, moments)
+        for quat, moments in (
+            (heavier.body_iquat[body], heavier.body_inertia[body]),
+            (plant.fields["body_iquat"][0, body], plant.fields["body_inertia"][0, body]),
+        )
+    ]
+    np.testing.assert_allclose(inertia[0], inertia[1], atol=1e-6)
+
+
+def turned(quat: np.ndarray, moments: np.ndarray) -> np.ndarray:
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, quat)
+    return turn.reshape(3, 3) @ np.diag(moments) @ turn.reshape(3, 3).T
+
+
+def test_what_mjcf_cannot_say_or_not_wholly_is_named_in_a_comment():
+    xml = corrected_xml(pendulum(), corrected({**NATIVE_TERMS, **PART_TERMS, **MEMORY_TERMS}))
     head = xml[: xml.index("-->")]
-    assert {n for n in EFFECTS if f"not expressed here, see corrected.json: {n} of pendulum" in head} == set(
-        MEMORY_TERMS
-    )
-    assert NATIVE.isdisjoint(MEMORY_TERMS)
+    for said, terms in (("not expressed", MEMORY_TERMS), ("in part only", PART_TERMS)):
+        assert {n for n in EFFECTS if f"{said} here, see corrected.json: {n} of pendulum" in head} == set(terms)
+    assert set(NATIVE_TERMS) == NATIVE
+    assert {*NATIVE, *PART_TERMS, *MEMORY_TERMS} == set(EFFECTS)
     mujoco.MjModel.from_xml_string(xml)
+
+
+def test_trims_that_mjcf_cannot_say_are_named_too():
+    xml = corrected_xml(pendulum(), corrected({"link_mass": [0.6]}, {"clock_shift": [0.001], "link_inertia": [1.1]}))
+    head = xml[: xml.index("-->")]
+    assert "clock_shift of pendulum" in head
+    assert "link_inertia" not in head
 
 
 @pytest.mark.parametrize("name", ["left elbow", "épaule/関節", "a--b", "R&amp;D &lt;1&gt;"])
