@@ -5,8 +5,11 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
+import tyro
+
+from torchrl_athletic.diagnosis.continuation import recall, remember
 from torchrl_athletic.diagnosis.diagnose import Diagnosis, ModelError, diagnose
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.report import terminal_summary
@@ -25,6 +28,9 @@ class Config:
     """Files or folders kept aside, best of another kind of motion: the fit is scored on them."""
     output: Path = Path("out/diagnosis")
     """Folder for diagnosis.json, report.html, corrected.xml and corrected.json; a stopped run resumes from it."""
+    continue_with: Annotated[tuple[Path, ...], tyro.conf.arg(name="continue")] = ()
+    """New files or folders that join those of the earlier diagnosis in the output folder, such as a recording of its
+    next_experiment.npz."""
     columns: Path | None = None
     """JSON column map for foreign names and units."""
     drive: Literal["command", "measured"] = "command"
@@ -44,7 +50,10 @@ def main(config: Config) -> Diagnosis:
     try:
         if config.output.is_file():  # said now, not after the fit
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
+        config = recall(config, config.output)
         model, recordings, heldout = inputs(config)
+        recordings += joined(config)
+        remember(config, config.output)
         with Progress() as progress:
             diagnosis = diagnose(
                 model,
@@ -65,6 +74,12 @@ def main(config: Config) -> Diagnosis:
     if not diagnosis.answer.complete:
         print("Stopped early. The same command goes on from here.")
     return diagnosis
+
+
+def joined(config: Config) -> list[Recording]:
+    """The new recordings."""
+    columns = None if config.columns is None else ColumnMap.load(config.columns)
+    return read_recordings(config.continue_with, columns) if config.continue_with else []
 
 
 def inputs(config: Config) -> tuple[Path | str, list[Recording], list[Recording]]:

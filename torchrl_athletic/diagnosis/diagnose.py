@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torchrl_athletic.diagnosis.checkpoint import Checkpoint, inputs_digest
 from torchrl_athletic.diagnosis.compare import score
 from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml, write_atomically, write_json
+from torchrl_athletic.diagnosis.experiment import Experiment, next_experiment, write
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, fit, idle_terms, without
 from torchrl_athletic.diagnosis.gates import Evidence, judge_findings, summarise, verdict_of
 from torchrl_athletic.diagnosis.locate import locate, regime_maps
@@ -74,6 +75,12 @@ class Diagnosis:
     recordings: tuple[Recording, ...] = field(default=(), repr=False)
     """As they drove the simulation; empty after :meth:`load`."""
     heldout: tuple[Recording, ...] = field(default=(), repr=False)
+    evidence: tuple[Evidence, ...] = field(default=(), repr=False)
+
+    @cached_property
+    def experiment(self) -> Experiment | None:
+        """What to record next, where a finding has rivals."""
+        return next_experiment(self.evidence, self.answer.findings)
 
     @cached_property
     def overlays(self) -> tuple[Overlay, ...]:
@@ -95,6 +102,7 @@ class Diagnosis:
         write_json(output / "diagnosis.json", self.answer.to_json())
         write_json(output / "corrected.json", {**self.corrected.to_json(), "model_xml": self.xml})
         write_atomically(output / "corrected.xml", corrected_xml(self.xml, self.corrected))
+        write(self.experiment, output)
         write_report(self.answer, self.maps, self.overlays, output / "report.html")
 
     @classmethod
@@ -398,11 +406,11 @@ class _Work:
         maps = tuple(self._maps(evidence))
         if not complete:
             return Diagnosis(answer, nominal, corrected, self.xml, maps)
-        driven = [
+        recordings, heldout = (
             tuple(r.driven_by_measured_torque() if self.drive == "measured" else r for r in group)
             for group in (self.recordings, self.heldout)
-        ]
-        return Diagnosis(answer, nominal, corrected, self.xml, maps, *driven)
+        )
+        return Diagnosis(answer, nominal, corrected, self.xml, maps, recordings, heldout, tuple(evidence))
 
     def _is_open(self) -> bool:
         """Whether some joint misses torque that noise does not explain and that motion and command predict."""

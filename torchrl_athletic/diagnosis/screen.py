@@ -204,10 +204,16 @@ class Bank:
 
         None if it predicts nothing that the noise would let through.
         """
-        for atom, columns in self._predict(candidate, [fixed]):
+        added = self.add_all(candidate, [fixed])
+        return added[0] if added else None
+
+    def add_all(self, candidate: Candidate, grid: Sequence[Mapping[str, float]]) -> list[Atom]:
+        """Predict a candidate at several points of its grid, without those that the noise would not let through."""
+        out = []
+        for atom, columns in self._predict(candidate, grid):
             self._take(atom, columns)
-            return atom
-        return None
+            out.append(atom)
+        return out
 
     def _predict(self, candidate: Candidate, grid: Sequence[Mapping[str, float]]) -> Iterator[tuple[Atom, Array]]:
         """Atoms that the noise lets through, with their weighted columns. Shapes (rows, J, K)."""

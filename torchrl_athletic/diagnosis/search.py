@@ -32,6 +32,10 @@ RIVAL_PRICE = 2.0
 """Price of a parameter among rivals (Akaike 1974): whatever fits as well may be true, also if it has a number more."""
 MATERIAL = 0.10
 """Share of what is still open on its joints that a term must close."""
+MISFIT = {"friction": 0.02, "presliding": 0.02, "change": 0.02, "transmission": 0.03}
+"""Share of a joint's missing torque that the right name of a class may leave, its law being simpler than nature's."""
+EXACT = 0.005
+"""The same of the other classes."""
 RICHER = 0.25
 """Share of what is open that an effect must close beyond a simpler one that it contains."""
 INVARIANT = 0.4
@@ -42,6 +46,8 @@ SHORTLIST = 2
 """Points of a nonlinear grid that are weighed for each candidate, the best by what they would close alone."""
 PROMISING = 10
 """Candidates beside a combination that are weighed in full."""
+FINEST = 0.02
+"""Relative step below which the simulation's fit finds a nonlinear parameter better."""
 FOLDS = 5
 STRETCHES = 6
 """Parts that fewer than three takes are cut into to see whether a term holds everywhere."""
@@ -121,15 +127,28 @@ class Judge:
         return np.asarray(whole | ((self.mean_square(fit) > usual * chance) & (self.bank.count > 0)).any(1))
 
     def helps(self, before: Fit, after: Fit) -> bool:
-        """Whether the step closes a material share of what was open, or relieves the trims."""
-        return self.closes(before, after) > MATERIAL or before.strain - after.strain > DECISIVE / 2
+        """Whether the step closes a material share of what was open, or relieves the trims.
+
+        What a true term leaves, because a real bearing is no formula, is not to be explained by another.
+        """
+        if before.strain - after.strain > DECISIVE / 2:
+            return True
+        joint, share = self._closed(before, after)
+        here = [a.candidate.effect.family for a in before.terms if a.candidate.joint == joint]
+        least = max((MISFIT.get(family, EXACT) for family in here), default=0.0)
+        bare = float(self.excess(self.bare)[joint])
+        gained = float(self.excess(before)[joint] - self.excess(after)[joint])
+        return share > MATERIAL and gained >= least * bare
 
     def closes(self, before: Fit, after: Fit) -> float:
         """Share of what was open that the step closes, on the joint where it does most."""
+        return self._closed(before, after)[1]
+
+    def _closed(self, before: Fit, after: Fit) -> tuple[int, float]:
         was, left = self.excess(before), self.excess(after)
         gained = (self.independent * np.log(self.level(before) / self.level(after))).sum(1)
         joint = int(np.argmax(gained))
-        return float(1.0 - left[joint] / was[joint]) if was[joint] > 0 else 0.0
+        return joint, float(1.0 - left[joint] / was[joint]) if was[joint] > 0 else 0.0
 
 
 def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: None) -> list[Scored]:
@@ -244,24 +263,26 @@ def _promising(judge: Judge, parent: Scored, atoms: Sequence[Atom], most: int = 
 
 
 def _refine(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
-    """Halve the grid around every nonlinear parameter.
+    """Halve the grid around every nonlinear parameter of the newest term.
 
     What a coarse delay leaves would otherwise be given other names.
     """
-    for place, term in enumerate(scored.fit.terms):
-        own = {p.name for p in term.candidate.parameters}
-        for name in sorted(own & term.fixed.keys()):
-            for _ in range(rounds):
-                here = scored.fit.terms[place]
-                same = [a for a in judge.bank.atoms if a.candidate is here.candidate and _differs_in(a, here, name)]
-                grid = sorted({a.fixed[name] for a in same})
-                at = grid.index(here.fixed[name])
-                near = [grid[k] for k in (at - 1, at + 1) if 0 <= k < len(grid)]
-                for value in near:
-                    atom = judge.bank.add(here.candidate, {**here.fixed, name: (value + here.fixed[name]) / 2})
-                    if atom is not None:
-                        terms = [atom if k == place else t for k, t in enumerate(scored.fit.terms)]
-                        scored = min(scored, judge.score(terms), key=lambda s: s.evidence)
+    if not scored.fit.terms:
+        return scored
+    place = scored.fit.size - 1
+    own = {p.name for p in scored.fit.terms[place].candidate.parameters}
+    for name in sorted(own & scored.fit.terms[place].fixed.keys()):
+        for _ in range(rounds):
+            here = scored.fit.terms[place]
+            value = here.fixed[name]
+            same = [a for a in judge.bank.atoms if a.candidate is here.candidate and _differs_in(a, here, name)]
+            grid = sorted({a.fixed[name] for a in same})
+            at = grid.index(value)
+            near = [(grid[k] + value) / 2 for k in (at - 1, at + 1) if 0 <= k < len(grid)]
+            near = [x for x in near if abs(x - value) > FINEST * abs(value)]
+            for atom in judge.bank.add_all(here.candidate, [{**here.fixed, name: x} for x in near]):
+                terms = [*scored.fit.terms[:place], atom]
+                scored = min(scored, judge.score(terms), key=lambda s: s.evidence)
     return scored
 
 

@@ -63,6 +63,7 @@ class Payload(Effect):
         )
         model.body_mass[body], model.body_ipos[body] = mass[0], centre[0]
         model.body_iquat[body], model.body_inertia[body] = quat[0], inertia[0]
+        model.body_simple[body] = model.dof_simplenum[s.address.dof[joint]] = 0  # no longer centred on its frame
         recompute_constants(model)
         return Fingerprint(-((s.inverse(model) - s.rigid) / step)[:, :, None], fixed)
 

@@ -92,23 +92,31 @@ def smooth_dynamics(model: mujoco.MjModel) -> mujoco.MjModel:
 
 def inverse_dynamics(model: mujoco.MjModel, address: JointAddress, q: Array, v: Array, a: Array) -> Array:
     """Joint torques that the motion asks for [N·m]. Shapes (N, J) in and out."""
-    data, torque = mujoco.MjData(model), np.empty_like(q)
+    data, torque = mujoco.MjData(model), np.empty((len(q), model.nv))
+    full_q, full_v, full_a = np.tile(model.qpos0, (len(q), 1)), np.zeros_like(torque), np.zeros_like(torque)
+    full_q[:, address.qpos], full_v[:, address.dof], full_a[:, address.dof] = q, v, a
+    qpos, qvel, qacc, wanted = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
+    everything = int(mujoco.mjtStage.mjSTAGE_NONE)
     for k in range(len(q)):
-        data.qpos[address.qpos], data.qvel[address.dof], data.qacc[address.dof] = q[k], v[k], a[k]
-        mujoco.mj_inverse(model, data)
-        torque[k] = data.qfrc_inverse[address.dof]
-    return torque
+        qpos[:], qvel[:], qacc[:] = full_q[k], full_v[k], full_a[k]
+        mujoco.mj_inverseSkip(model, data, everything, 1)
+        torque[k] = wanted
+    return torque[:, address.dof]
 
 
 def inertia_matrix(model: mujoco.MjModel, address: JointAddress, q: Array) -> Array:
     """Joint-space inertia at each sample. Shape (N, J, J)."""
-    data, full, out = mujoco.MjData(model), np.zeros((model.nv, model.nv)), np.empty((*q.shape, q.shape[1]))
+    data, out = mujoco.MjData(model), np.empty((len(q), model.nv, model.nv))
+    full_q = np.tile(model.qpos0, (len(q), 1))
+    full_q[:, address.qpos] = q
+    qpos = data.qpos
     for k in range(len(q)):
-        data.qpos[address.qpos] = q[k]
-        mujoco.mj_forward(model, data)
-        mujoco.mj_fullM(model, data, full)
-        out[k] = full[np.ix_(address.dof, address.dof)]
-    return out
+        qpos[:] = full_q[k]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeM(model, data)
+        mujoco.mj_fullM(model, data, out[k])
+    return out[:, address.dof[:, None], address.dof]
 
 
 def held_command(time: Array, command: Array, edges: Array) -> Array:
