@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 
 from torchrl_athletic.diagnosis.result import (
@@ -28,6 +29,17 @@ class Sample:
     answer: Answer
     maps: tuple[RegimeMap, ...]
     overlays: tuple[Overlay, ...]
+    model: mujoco.MjModel
+
+
+SLIDER = """
+<mujoco model="emps"><worldbody><body name="carriage"><joint name="carriage" type="slide" axis="1 0 0"/>
+  <geom type="box" size=".06 .04 .03" mass="95"/></body></worldbody></mujoco>"""
+ARM = """
+<mujoco model="two_link_arm"><worldbody><body name="upper_arm"><joint name="shoulder" axis="0 -1 0"/>
+  <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".5"/>
+  <body name="forearm" pos="0 0 -.3"><joint name="elbow" axis="0 -1 0"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -.25" size=".015" mass=".4"/></body></body></worldbody></mujoco>"""
 
 
 def slider() -> Sample:
@@ -62,6 +74,16 @@ def slider() -> Sample:
                     ),
                 ),
                 energy_share=0.78,
+                grounds={
+                    "share": 0.97,
+                    "left": 0.21,
+                    "excess": 4.1,
+                    "scatter": 0.06,
+                    "open": 0.22,
+                    "energy": 0.78,
+                    "terms": 1,
+                    "strain": 2.0,
+                },
             ),
         ),
         locations=(
@@ -121,7 +143,7 @@ def slider() -> Sample:
         _overlay(rng, "emps.npz", False, 24.8, ("carriage",), (0.12,), (0.82e-3,), (0.31e-3,), 2e-6),
         _overlay(rng, "emps_pulses.npz", True, 24.8, ("carriage",), (0.12,), (1.05e-3,), (0.52e-3,), 2e-6),
     )
-    return Sample(answer, maps, overlays)
+    return Sample(answer, maps, overlays, mujoco.MjModel.from_xml_string(SLIDER))
 
 
 def arm() -> Sample:
@@ -175,6 +197,8 @@ def arm() -> Sample:
             ),
         ),
         locations=(
+            Location("elbow", "everywhere", 0.69, (0.62, 0.75)),
+            Location("shoulder", "everywhere", 0.3, (0.25, 0.38)),
             Location("elbow", "below 2 rad/s", 0.58, (0.51, 0.65)),
             Location("shoulder", "accelerations above 20 rad/s²", 0.31, (0.25, 0.36)),
             Location("elbow", "accelerations above 20 rad/s²", 0.11, (0.07, 0.15)),
@@ -252,7 +276,7 @@ def arm() -> Sample:
         _overlay(rng, f"multisine_{i}.csv", i > 3, 10.0, joints, (0.9, 1.4), (0.082, 0.296), (0.019, 0.033), 5e-4)
         for i in range(1, 6)
     )
-    return Sample(answer, maps, overlays)
+    return Sample(answer, maps, overlays, mujoco.MjModel.from_xml_string(ARM))
 
 
 def nothing_missing() -> Sample:
@@ -281,7 +305,7 @@ def nothing_missing() -> Sample:
             rng, "multisine_4.csv", True, 10.0, ("shoulder", "elbow"), (0.9, 1.4), (0.013, 0.013), (0.013, 0.013), 5e-4
         ),
     )
-    return Sample(answer, maps, overlays)
+    return Sample(answer, maps, overlays, s.model)
 
 
 def unexplained() -> Sample:
@@ -310,7 +334,7 @@ def unexplained() -> Sample:
     )
     maps = tuple(replace(m, after=0.85 * m.before, after_band=0.85 * m.before_band) for m in s.maps)
     overlays = tuple(replace(o, after=o.measured + 0.87 * (o.before - o.measured)) for o in s.overlays)
-    return Sample(answer, maps, overlays)
+    return Sample(answer, maps, overlays, s.model)
 
 
 def partial() -> Sample:
@@ -326,7 +350,7 @@ def partial() -> Sample:
         fit={"train": s.answer.fit["train"]},
         summary=("So far, dry friction in the elbow explains most of the error.",),
     )
-    return Sample(answer, s.maps[:4], ())
+    return Sample(answer, s.maps[:4], (), s.model)
 
 
 SAMPLES = {f.__name__: f for f in (slider, arm, nothing_missing, unexplained, partial)}

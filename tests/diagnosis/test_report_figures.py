@@ -12,10 +12,12 @@ from torchrl_athletic.diagnosis.report.figures import (
     regime_figure,
     summary_figure,
     svg,
+    why_figure,
 )
 from torchrl_athletic.diagnosis.report.telling import (
     by_telling,
     joint_order,
+    map_of,
     telling_overlays,
     telling_window,
     visible_energy,
@@ -33,6 +35,30 @@ def test_a_regime_map_shows_what_it_is_given():
     np.testing.assert_allclose(drawn["after-line"], m.after)
     labels = [t.get_text() for t in regime_figure(m).axes[0].texts] + [regime_figure(m).axes[0].get_xlabel()]
     assert labels == ["missing force [N]", "speed [m/s]"]
+
+
+def test_the_law_is_what_the_correction_takes_away():
+    m = slider().maps[1]
+    drawn = lines(why_figure(m))
+    np.testing.assert_allclose(drawn["law-line"], m.before - m.after)
+    np.testing.assert_allclose(drawn["before-line"], m.before)
+    np.testing.assert_allclose(drawn["after-line"], m.after)
+
+
+def test_both_parts_of_a_why_share_the_quantity_and_hold_their_bands():
+    m = slider().maps[1]
+    missing, left = why_figure(m).axes
+    assert missing.get_xlim() == left.get_xlim()
+    assert missing.get_ylim()[1] > np.abs(m.before_band).max()
+    assert left.get_ylim()[1] > max(np.abs(m.after_band).max(), m.noise)
+
+
+def test_a_finding_is_shown_along_the_quantity_of_its_effect():
+    s = arm()
+    inertia = s.answer.findings[1]
+    assert map_of(inertia, s.maps).feature == "acceleration"
+    assert map_of(replace(inertia, effect="my_own_effect", regime="at large load"), s.maps).feature == "load"
+    assert map_of(replace(inertia, joint="wrist"), s.maps) is None
 
 
 def test_the_axis_of_a_regime_map_holds_curves_bands_and_noise():

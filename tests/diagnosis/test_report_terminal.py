@@ -5,6 +5,8 @@ from diagnosis.sample import SAMPLES, arm, nothing_missing, partial, slider
 
 from torchrl_athletic.diagnosis.report import terminal_summary
 from torchrl_athletic.diagnosis.report.terminal import WIDTH
+from torchrl_athletic.diagnosis.report.words import lead, would_change
+from torchrl_athletic.diagnosis.result import Estimate
 
 VERDICT_WORDS = {
     "nothing_missing": "nothing is missing",
@@ -42,37 +44,66 @@ def test_lines_fit_a_terminal_and_none_ends_in_blanks(answer):
     assert [line for line in lines if line != line.rstrip()] == []
 
 
+def row(text: str, name: str) -> list[str]:
+    """The cells of the row of a table that starts with a name."""
+    [line] = [line for line in text.splitlines() if line.strip().startswith(name)]
+    return line.strip().removeprefix(name).split()
+
+
 def test_parameters_come_with_interval_and_unit():
     text = terminal_summary(slider().answer)
-    assert "Viscous backward  240.4 N·s/m  (95 %: 236.1 to 244.9)" in text
+    assert "viscous backward  240.4 N·s/m  (95 %: 236.1 to 244.9)" in text
     assert "Coulomb forward   20.14 N  (95 %: 19.60 to 20.70)" in text
 
 
-def test_the_fit_is_in_the_units_of_the_joint():
-    assert "error 1.05 → 0.52 mm over 0.5 s (noise floor 0.06 mm), 54 % of the gap closed" in flat(
-        terminal_summary(slider().answer)
-    )
+@pytest.mark.parametrize("name", ["side", "take", "turnover"])
+def test_a_parameter_that_names_a_case_has_no_interval(name):
+    answer = arm().answer
+    chosen = replace(answer.findings[0], parameters={name: Estimate(1.0, (1.0, 1.0), "1")})
+    text = terminal_summary(replace(answer, findings=(chosen,)))
+    assert name in text
+    assert "95 %:" not in text
+
+
+def test_the_answer_comes_first_and_in_at_most_three_sentences(answer):
+    paragraphs = terminal_summary(answer).split("\n\n")
+    told = paragraphs[1 + (not answer.complete)]
+    assert flat(told) == flat(" ".join([*lead(answer), "What would change this?", would_change(answer)]))
+    assert 1 <= len(lead(answer)) <= 3
+
+
+def test_the_errors_stand_below_each_other_in_the_unit_of_the_joint():
+    assert row(terminal_summary(slider().answer), "kept aside, carriage [mm]") == ["1.05", "0.52", "0.06", "54", "%"]
     text = terminal_summary(arm().answer)
-    assert "error 217 → 27 mrad" in text
-    assert "elbow     296 → 33 mrad (floor 16 mrad)" in text
+    assert row(text, "kept aside, all joints [mrad]")[:3] == ["217", "27", "13"]
+    assert row(text, "kept aside, elbow [mrad]") == ["296", "33", "16", "94", "%"]
+    rows = [line for line in text.splitlines() if "[mrad]" in line]
+    assert len({len(line) for line in rows}) == 1
 
 
 def test_hinges_and_slides_are_not_pooled_into_one_number():
     mixed = replace(arm().answer, quality={"units": {"shoulder": "rad", "elbow": "m"}})
     text = terminal_summary(mixed)
     assert "217" not in text
-    assert "elbow     296 → 33 mm" in text
-    assert "shoulder  82.0 → 19.0 mrad" in text
+    assert row(text, "kept aside, elbow [mm]")[:3] == ["296", "33", "16"]
+    assert row(text, "kept aside, shoulder [mrad]")[:3] == ["82.0", "19.0", "9.0"]
 
 
 def test_probabilities_of_findings_and_rivals_are_said():
-    text = flat(terminal_summary(arm().answer))
-    for words in ("elbow: probability 98 %. Shows everywhere in motion.", "Or link mass, forearm (12 %)"):
-        assert words in text
+    text = terminal_summary(arm().answer)
+    assert row(text, "Coulomb friction, elbow") == ["98", "%"]
+    assert row(text, "or link mass, forearm") == ["12", "%"]
+    assert "shows everywhere in motion" in text
+
+
+def test_a_planned_experiment_takes_the_place_of_the_general_advice():
+    text = flat(terminal_summary(arm().answer, "Swing the elbow alone."))
+    assert text.count("Record next:") == 1
+    assert "Record next: Swing the elbow alone." in text
 
 
 def test_no_gap_is_claimed_closed_where_nothing_was_missing():
-    assert "gap closed" not in flat(terminal_summary(nothing_missing().answer))
+    assert len(row(terminal_summary(nothing_missing().answer), "kept aside, elbow [mrad]")) == 3
 
 
 def test_a_partial_answer_says_so_before_anything_else():

@@ -153,6 +153,45 @@ def draw_regime(ax: Axes, m: RegimeMap, limit: float | None = None) -> None:
     _label_above(ax, f"missing {force_word(m.torque_unit)} [{torque_name}]")
 
 
+def why_figure(m: RegimeMap) -> Figure:
+    """What gave an effect away: missing torque against one quantity with the law over it, and below what it leaves.
+
+    The law is drawn as what the correction takes away, before minus after.
+    """
+    with _styled():
+        figure = _figure(440, 310)
+        draw_why(_axes(figure, 54, 12, 24, 146), _axes(figure, 54, 12, 210, 42), m)
+    return figure
+
+
+def draw_why(missing: Axes, left: Axes, m: RegimeMap) -> None:
+    """Draw :func:`why_figure` into two axes that share the quantity."""
+    force = force_word(m.torque_unit)
+    limit = torque_limit([m])
+    factor, torque_name = readable(m.torque_unit, limit)
+    small = max(_largest(m.after), _largest(m.after_band), 1.5 * m.noise if np.isfinite(m.noise) else 0.0) or limit
+    small_factor, small_name = readable(m.torque_unit, small)
+    centre, x_name = _scaled_axis(m.centre, m.unit)
+    missing.fill_between(centre, *(m.before_band.T * factor), color=BEFORE, alpha=0.18, lw=0, gid="before-band")
+    missing.plot(centre, m.before * factor, "o", ms=5.5, color=BEFORE, zorder=3, gid="before-line")
+    missing.plot(centre, (m.before - m.after) * factor, color=INK, lw=2, gid="law-line")
+    missing.set_ylim(-limit * factor, limit * factor)
+    left.fill_between(centre, *(m.after_band.T * small_factor), color=AFTER, alpha=0.18, lw=0, gid="after-band")
+    left.plot(centre, m.after * small_factor, color=AFTER, marker="o", ms=4, gid="after-line")
+    left.set_ylim(-1.08 * small * small_factor, 1.08 * small * small_factor)
+    for ax, scale, text, name in (
+        (missing, factor, f"missing {force} [{torque_name}]", "noise"),
+        (left, small_factor, f"left after the correction [{small_name}]", "noise-left"),
+    ):
+        ax.axhspan(-m.noise * scale, m.noise * scale, color=NOISE, alpha=0.16, lw=0, gid=name)
+        ax.axhline(0, color=MUTED, lw=0.8)
+        _few_ticks(ax)
+        _label_above(ax, text)
+    left.set_xlim(missing.get_xlim())
+    missing.tick_params(labelbottom=False, bottom=False)
+    left.set_xlabel(f"{m.feature} [{x_name}]")
+
+
 def torque_limit(maps: Sequence[RegimeMap]) -> float:
     """Half height that shows every curve and band of ``maps`` [torque_unit]."""
     curves = np.concatenate([np.ravel(x) for m in maps for x in (m.before, m.after, m.before_band, m.after_band)])
@@ -259,7 +298,7 @@ def svg(figure: Figure, name: str, alt: str) -> str:
     text = re.sub(r'(?:xlink:)?(\bid="|href="#|url\(#)', rf"\g<1>{name}-", text)
     text = re.sub(r' font-family: [^;"]*;| transform="rotate\(-0 [^"]*"', "", text)  # the page's font, and no-ops
     text = re.sub("|".join(_CSS_VARIABLES), lambda m: f"var(--{_CSS_VARIABLES[m[0]]})", text)
-    text = re.sub(r"<[^>]+>", lambda tag: re.sub(r"(\d+\.\d\d)\d+", r"\1", tag[0]), text)  # 0.01 px is enough
+    text = re.sub(r"<[^>]+>", lambda tag: re.sub(r"(\d+\.\d)\d+", r"\1", tag[0]), text)  # 0.1 px is enough
     width, height = (round(v * 72) for v in figure.get_size_inches())
     head = (
         f'<svg role="img" aria-label="{escape(alt)}" viewBox="0 0 {width} {height}" width="{width}" height="{height}">'
@@ -298,7 +337,7 @@ def _largest(values: NDArray[np.float64]) -> float:
     return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
 
 
-def _thinned(window: slice, points: int = 450) -> slice:
+def _thinned(window: slice, points: int = 300) -> slice:
     return slice(window.start, window.stop, max(1, (window.stop - window.start) // points))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import shlex
 import tempfile
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -19,8 +20,10 @@ from torchrl_athletic.diagnosis.report.figures import (
     regime_figure,
     svg,
     torque_limit,
+    why_figure,
 )
 from torchrl_athletic.diagnosis.report.quantity import (
+    CHOSEN,
     estimate,
     joint_units,
     percent,
@@ -28,27 +31,53 @@ from torchrl_athletic.diagnosis.report.quantity import (
     quantity,
     share_closed,
 )
+from torchrl_athletic.diagnosis.report.robot import robot_svg
+from torchrl_athletic.diagnosis.report.shares import NAMES, energy_shares
 from torchrl_athletic.diagnosis.report.telling import (
     by_telling,
     first_map,
     joint_order,
+    map_of,
     rms,
     telling_overlays,
     telling_window,
 )
-from torchrl_athletic.diagnosis.report.words import place, stopped_early, title, unexplained, verdict_words, words
-from torchrl_athletic.diagnosis.result import Answer, Overlay, RegimeMap, Score
+from torchrl_athletic.diagnosis.report.words import (
+    besides,
+    grounds_words,
+    joints_and_regimes,
+    lead,
+    next_takes,
+    place,
+    stopped_early,
+    title,
+    unexplained,
+    verdict_words,
+    words,
+    would_change,
+)
+from torchrl_athletic.diagnosis.result import Answer, Finding, Overlay, RegimeMap, Score
+from torchrl_athletic.effects import CATALOGUE
 
 if TYPE_CHECKING:
+    import mujoco
     from markupsafe import Markup
 
 MOST_TRACKS = 6  # of the fit figure
-MOST_MAPS = 60  # drawn; a figure costs about 0.1 s and 10 kB
-MOST_OVERLAYS = 30
+MOST_WHYS = 4  # drawn large, one a finding
+MOST_MAPS = 24  # drawn; a figure costs about 0.1 s and 5 kB
+MOST_OVERLAYS = 8
+MOST_JOINTS = 4  # of one recording
+COMMAND_FILE = "next_experiment.npz"
 
 
 def write_report(
-    answer: Answer, maps: Sequence[RegimeMap], overlays: Sequence[Overlay], path: str | os.PathLike[str]
+    answer: Answer,
+    maps: Sequence[RegimeMap],
+    overlays: Sequence[Overlay],
+    path: str | os.PathLike[str],
+    model: mujoco.MjModel | None = None,
+    experiment: str = "",
 ) -> Path:
     """Write the page that shows ``answer``: one self-contained HTML file, no script, nothing loaded from anywhere.
 
@@ -58,6 +87,8 @@ def write_report(
         overlays: Recorded and simulated motion; may be empty.
         path: The file to write, such as ``OUT/report.html``; its folder is made. Written beside and then renamed, so
             that a reader never sees half a page.
+        model: The given model, for the picture of the robot; without it there is none.
+        experiment: What the planned experiment asks for, in words, if ``next_experiment.npz`` lies beside the page.
 
     Returns:
         ``path``.
@@ -68,7 +99,7 @@ def write_report(
         'report.html'
     """
     path = Path(path)
-    text = render(answer, maps, overlays, folder=path.parent.name or ".")
+    text = render(answer, maps, overlays, path.parent.name or ".", model, experiment)
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
         beside = Path(folder) / path.name
@@ -77,7 +108,14 @@ def write_report(
     return path
 
 
-def render(answer: Answer, maps: Sequence[RegimeMap], overlays: Sequence[Overlay], folder: str = "OUT") -> str:
+def render(
+    answer: Answer,
+    maps: Sequence[RegimeMap],
+    overlays: Sequence[Overlay],
+    folder: str = "OUT",
+    model: mujoco.MjModel | None = None,
+    experiment: str = "",
+) -> str:
     """The text of the page; ``folder`` is the name of the output folder in its examples."""
     import jinja2
 
@@ -86,7 +124,7 @@ def render(answer: Answer, maps: Sequence[RegimeMap], overlays: Sequence[Overlay
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
     environment.filters.update(percent=percent, title=title, words=words, place=place)
-    environment.globals.update(estimate=estimate, python=repr)
+    environment.globals.update(estimate=estimate, python=repr, chosen=CHOSEN, grounds=grounds_words, shell=shlex.quote)
     units = joint_units(answer, maps)
     return environment.from_string((here / "page.html").read_text("utf-8")).render(
         a=answer,
@@ -95,15 +133,37 @@ def render(answer: Answer, maps: Sequence[RegimeMap], overlays: Sequence[Overlay
         verdict=verdict_words(answer),
         stopped=stopped_early(answer),
         unexplained=unexplained(answer),
-        lead=[s for s in answer.summary if s not in {f.sentence for f in answer.findings}],
+        lead=lead(answer),
+        besides=besides(answer),
+        would_change=would_change(answer),
+        robot=_robot(answer, model),
+        where=joints_and_regimes(answer.locations),
         hero=_hero(answer, units),
-        telling=_telling(answer, maps),
+        whys=_whys(answer, maps),
         regimes=_regimes(answer, maps),
         motion=_motion(answer, overlays, units),
         fit=[(split, _fit_rows(answer.fit[split], units)) for split in ("heldout", "train") if split in answer.fit],
+        experiment=experiment,
+        command_file=COMMAND_FILE,
+        next_takes=next_takes(answer),
         quality=_quality(answer.quality),
         folder=folder,
     )
+
+
+def _robot(answer: Answer, model: mujoco.MjModel | None) -> Markup | None:
+    """The robot with the joints of the findings marked, or, without findings, none."""
+    if model is None:
+        return None
+    notes = {x.joint: f"{percent(x.share_of_error)} of the error" for x in joints_and_regimes(answer.locations)[0]}
+    if len(notes) > 7:  # a robot of many joints: those that matter
+        notes = {x.joint: notes[x.joint] for x in answer.locations if x.joint in notes and x.share_of_error >= 0.03}
+    for f in reversed(answer.findings):
+        if f.joint is not None:
+            notes[f.joint] = words(f.effect)
+    if answer.verdict == "nothing_missing":
+        notes = dict.fromkeys(notes, "")
+    return _markup(robot_svg(model, dict.fromkeys(f.joint for f in answer.findings), notes))
 
 
 def _hero(answer: Answer, units: Mapping[str, str]) -> dict[str, Any] | None:
@@ -126,7 +186,15 @@ def _hero(answer: Answer, units: Mapping[str, str]) -> dict[str, Any] | None:
         "share_closed": score.share_closed,
         "figure": _markup(svg(fit_figure(drawn), "fit", f"Position error over 0.5 second windows: {spoken}.")),
         "left_out": len(rows) - len(drawn) if rows else 0,
+        "shares": _shares(answer, split),
     }
+
+
+def _shares(answer: Answer, split: str) -> list[tuple[str, str, float]]:
+    """Part, its name and its share of the error energy."""
+    names = NAMES if answer.findings else {**NAMES, "physics": "adjusted within tolerances"}
+    shares = energy_shares(answer, split)
+    return [(part, names[part], share) for part, share in shares.items() if answer.findings or share > 0]
 
 
 def _fit_rows(score: Score, units: Mapping[str, str]) -> list[dict[str, Any]]:
@@ -152,14 +220,26 @@ def _pooled_unit(score: Score, units: Mapping[str, str]) -> str | None:
     return used.pop() if len(used) == 1 else None
 
 
-def _telling(answer: Answer, maps: Sequence[RegimeMap]) -> dict[str, Any] | None:
-    """The one map of the first screen."""
-    if not maps:
-        return None
-    joint = joint_order(answer, [m.joint for m in maps])[0]
-    m = first_map(answer, maps, joint)
-    figure = _markup(svg(regime_figure(m), "telling", _spoken(m)))
-    return {"joint": joint, "feature": m.feature, "force": force_word(m.torque_unit), "figure": figure}
+def _whys(answer: Answer, maps: Sequence[RegimeMap]) -> list[dict[str, Any]]:
+    """For each finding the map that gave it away; without findings the one with the most missing torque."""
+    laws = {e.name: (e.equation, e.source) for e in CATALOGUE}
+    shown: list[tuple[Finding | None, RegimeMap]] = [
+        (f, m) for f in answer.findings[:MOST_WHYS] if (m := map_of(f, maps)) is not None
+    ]
+    if not shown and maps:
+        shown = [(None, first_map(answer, maps, joint_order(answer, [m.joint for m in maps])[0]))]
+    return [
+        {
+            "finding": f,
+            "joint": m.joint,
+            "feature": m.feature,
+            "force": force_word(m.torque_unit),
+            "law": laws.get(f.effect) if f else None,
+            "words": _spoken(m),
+            "figure": _markup(svg(why_figure(m) if f else regime_figure(m), f"why{i}", _spoken(m))),
+        }
+        for i, (f, m) in enumerate(shown)
+    ]
 
 
 def _regimes(answer: Answer, maps: Sequence[RegimeMap]) -> list[dict[str, Any]]:
@@ -201,7 +281,7 @@ def _motion(answer: Answer, overlays: Sequence[Overlay], units: Mapping[str, str
     """One group a recording, the most telling seconds of each, while there is room."""
     groups, drawn, left_out = [], 0, []
     for overlay in telling_overlays(overlays):
-        joints = joint_order(answer, overlay.joint_names)[: MOST_OVERLAYS - drawn]
+        joints = joint_order(answer, overlay.joint_names)[: min(MOST_JOINTS, MOST_OVERLAYS - drawn)]
         if not joints:
             left_out.append(overlay.recording)
             continue

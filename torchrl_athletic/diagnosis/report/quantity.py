@@ -90,6 +90,10 @@ def estimate(parameter: Estimate) -> tuple[str, str, str, str]:
     return value, low, high, name
 
 
+CHOSEN = frozenset({"side", "take", "turnover"})
+"""Parameters that name a case instead of measuring something: they have no interval."""
+
+
 def percent(share: float) -> str:
     """A share 0..1 in percent; a probability never reads as certainty.
 

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.result import Answer, Overlay, RegimeMap
+from torchrl_athletic.diagnosis.result import Answer, Finding, Overlay, RegimeMap
+from torchrl_athletic.effects import CATALOGUE
 
 
 def joint_order(answer: Answer, joints: Sequence[str]) -> list[str]:
@@ -33,11 +34,25 @@ def by_telling(maps: Sequence[RegimeMap]) -> list[RegimeMap]:
     return sorted(maps, key=visible_energy, reverse=True)
 
 
+def map_of(finding: Finding, maps: Sequence[RegimeMap]) -> RegimeMap | None:
+    """The map along the quantity that gives a finding away; of the whole robot's, that of the joint that shows it most.
+
+    An effect that the catalogue does not have is looked for where its regime says. None where its joint has no map.
+    """
+    own = by_telling([m for m in maps if finding.joint in (None, m.joint)])
+    shows_in = [e.shows_in for e in CATALOGUE if e.name == finding.effect]
+    return next(
+        (m for wanted in (shows_in, finding.regime) for m in own if m.feature in wanted),
+        own[0] if own else None,
+    )
+
+
 def first_map(answer: Answer, maps: Sequence[RegimeMap], joint: str) -> RegimeMap:
     """The map of a joint that shows its most probable finding, else the one with the most visible missing torque."""
-    own = by_telling([m for m in maps if m.joint == joint])
-    regime = next((f.regime for f in answer.findings if f.joint == joint), "")
-    return next((m for m in own if m.feature in regime), own[0])
+    own = [m for m in maps if m.joint == joint]
+    found = next((f for f in answer.findings if f.joint in (joint, None)), None)
+    shown = map_of(found, own) if found else None
+    return shown or by_telling(own)[0]
 
 
 def rms(values: NDArray[np.float64]) -> float:

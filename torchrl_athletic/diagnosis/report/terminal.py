@@ -1,12 +1,23 @@
-"""The answer in sentences, for the terminal."""
+"""The answer for the terminal: three sentences, then a compact table."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
 
-from torchrl_athletic.diagnosis.report.quantity import estimate, joint_units, percent, quantities
+from torchrl_athletic.diagnosis.report.quantity import (
+    CHOSEN,
+    estimate,
+    joint_units,
+    percent,
+    quantities,
+    share_closed,
+)
 from torchrl_athletic.diagnosis.report.words import (
+    besides,
+    joints_and_regimes,
+    lead,
+    next_takes,
     place,
     quality_counts,
     stopped_early,
@@ -14,87 +25,107 @@ from torchrl_athletic.diagnosis.report.words import (
     unexplained,
     verdict_words,
     words,
+    would_change,
 )
-from torchrl_athletic.diagnosis.result import Answer, Finding
+from torchrl_athletic.diagnosis.result import Answer, Finding, Score
 
 WIDTH = 100
+NAME = 46
+"""Width of the first column."""
+MOST_REGIMES = 4
 
 
-def terminal_summary(answer: Answer) -> str:
-    """What was found, where, how sure, and how much better it fits, in sentences of at most 100 columns.
+def terminal_summary(answer: Answer, experiment: str = "") -> str:
+    """What was found, where, how sure, and how much better it fits, in lines of at most 100 columns.
+
+    Args:
+        answer: What the diagnosis states.
+        experiment: What the planned experiment asks for, in words, if there is one.
 
     Example:
         >>> print(terminal_summary(Answer("nothing_missing", ("The model explains the recordings.",), model="arm.xml")))
+        ... # doctest: +ELLIPSIS
         arm.xml: nothing is missing.
         <BLANKLINE>
         The model explains the recordings.
+        What would change this? A recording would that the model follows worse than the sensors' noise...
     """
-    told_below = {finding.sentence for finding in answer.findings}
     blocks = [
         _wrapped(f"{answer.model}: {verdict_words(answer)[0].lower()}."),
         *(_wrapped(sentence) for sentence in stopped_early(answer)),
-        "\n".join(_wrapped(sentence) for sentence in answer.summary if sentence not in told_below),
-        "\n\n".join("\n".join(_finding(i, f)) for i, f in enumerate(answer.findings, start=1)),
+        "\n".join([*map(_wrapped, lead(answer)), _wrapped(f"What would change this? {would_change(answer)}")]),
+        "\n".join(_findings(answer)),
         "\n".join(_fit(answer)),
         "\n".join(_where(answer)),
-        "\n".join(_wrapped(remark) for remark in (*unexplained(answer), *answer.remarks)),
+        "\n".join(_wrapped(remark) for remark in (*unexplained(answer), *besides(answer), *answer.remarks)),
+        "\n".join(_next(answer, experiment)),
         "\n".join(_quality(answer)),
     ]
     return "\n\n".join(block for block in blocks if block)
 
 
-def _finding(rank: int, finding: Finding) -> Iterator[str]:
-    yield _wrapped(f"{rank}. {finding.sentence}", hanging="   ")
-    yield _wrapped(
-        f"{title(finding.effect)}, {place(finding.joint)}: probability {percent(finding.probability)}. "
-        f"Shows {finding.regime}.",
-        first="   ",
-        hanging="   ",
-    )
-    width = max((len(title(name)) for name in finding.parameters), default=0)
+def _findings(answer: Answer) -> Iterator[str]:
+    if answer.findings:
+        yield _row("missing", "sure")
+    for finding in answer.findings:
+        yield _row(f"{title(finding.effect)}, {place(finding.joint)}", percent(finding.probability))
+        yield from _parameters(finding)
+        if finding.sentence not in lead(answer):
+            yield _wrapped(finding.sentence, "    ", "    ")
+        yield _wrapped(f"shows {finding.regime}", "    ", "    ")
+        for rival in finding.rivals:
+            yield _row(f"  or {words(rival.effect)}, {place(rival.joint)}", percent(rival.probability))
+
+
+def _parameters(finding: Finding) -> Iterator[str]:
+    width = max((len(words(name)) for name in finding.parameters), default=0)
     for name, parameter in finding.parameters.items():
         value, low, high, unit = estimate(parameter)
-        yield f"     {title(name):<{width}}  {value} {unit}".rstrip() + f"  (95 %: {low} to {high})"
-    for rival in finding.rivals:
-        yield _wrapped(
-            f"Or {words(rival.effect)}, {place(rival.joint)} ({percent(rival.probability)}). "
-            f"To tell them apart: {rival.separating_experiment}",
-            first="   ",
-            hanging="     ",
-        )
+        interval = "" if name in CHOSEN else f"  (95 %: {low} to {high})"
+        yield f"    {words(name):<{width}}  {f'{value} {unit}'.rstrip()}{interval}"
 
 
 def _fit(answer: Answer) -> Iterator[str]:
     units = joint_units(answer)
-    for split, on in (("heldout", "On recordings kept aside"), ("train", "On the recordings of the fit")):
-        if split not in answer.fit:
-            continue
+    shown = [(split, on) for split, on in (("heldout", "kept aside"), ("train", "fitted")) if split in answer.fit]
+    if shown:
+        yield _row("error over 0.5 s", "before", "after", "floor", "closed")
+    for i, (split, on) in enumerate(shown):
         score = answer.fit[split]
         used = {units[joint] for joint in score.per_joint} or {"rad"}
-        if len(used) == 1:
-            (b, a, f), unit = quantities([score.before, score.after, score.floor], used.pop())
-            closed = "" if answer.verdict == "nothing_missing" else f", {percent(score.share_closed)} of the gap closed"
-            yield _wrapped(f"{on}: error {b} → {a} {unit} over 0.5 s (noise floor {f} {unit}){closed}.")
+        rows = [(joint, units[joint], r["before"], r["after"], r["floor"]) for joint, r in score.per_joint.items()]
+        if len(used) > 1:  # metres and radians make no sum
+            kept = rows
         else:
-            yield f"{on}:"
-        if len(score.per_joint) > 1:
-            width = max(map(len, score.per_joint))
-            for joint, row in score.per_joint.items():
-                (b, a, f), unit = quantities([row["before"], row["after"], row["floor"]], units[joint])
-                yield f"   {joint:<{width}}  {b} → {a} {unit} (floor {f} {unit})"
+            pooled = ("all joints", used.pop(), score.before, score.after, score.floor)
+            kept = rows if len(rows) == 1 else [pooled, *(rows if i == 0 else ())]
+        for joint, unit, before, after, floor in kept:
+            numbers, name = quantities([before, after, floor], unit)
+            closed = _closed(answer, score, joint, (before, after, floor))
+            yield _row(f"{on}, {joint} [{name}]", *numbers, closed)
+
+
+def _closed(answer: Answer, score: Score, joint: str, errors: tuple[float, float, float]) -> str:
+    if answer.verdict == "nothing_missing":
+        return ""
+    pooled = joint == "all joints" or len(score.per_joint) == 1
+    return percent(score.share_closed if pooled else share_closed(*errors))
 
 
 def _where(answer: Answer) -> Iterator[str]:
+    joints, regimes = joints_and_regimes(answer.locations)
     if answer.locations:
-        yield "Where the error is:"
-    for location in answer.locations[:5]:
-        low, high = (percent(v) for v in location.ci95)
-        band = "" if low == high else f" (95 %: {low} to {high})"
-        yield _wrapped(
-            f"{percent(location.share_of_error):>6}  {location.joint}, {location.regime}{band}",
-            first="   ",
-            hanging="           ",
-        )
+        yield _row("where the error is", "share", "95 %")
+    for location in (*joints, *regimes[:MOST_REGIMES]):
+        low, high = (percent(v).removesuffix(" %") for v in location.ci95)
+        name = f"{location.joint}, {location.regime}"
+        yield _row(name, percent(location.share_of_error), "" if low == high else f"{low} to {high}")
+
+
+def _next(answer: Answer, experiment: str) -> Iterator[str]:
+    rivals = any(f.rivals for f in answer.findings)
+    for sentence in [experiment] if experiment else next_takes(answer) if rivals else []:
+        yield _wrapped(f"Record next: {sentence}", hanging="   ")
 
 
 def _quality(answer: Answer) -> Iterator[str]:
@@ -105,6 +136,12 @@ def _quality(answer: Answer) -> Iterator[str]:
         )
     for warning in warnings:
         yield _wrapped(f"Warning: {warning}", hanging="   ")
+
+
+def _row(name: str, *cells: str) -> str:
+    """A name, wrapped in its column where it is too long, and cells that end below each other."""
+    *above, last = textwrap.wrap(name, NAME, subsequent_indent="    ", break_on_hyphens=False) or [""]
+    return "\n".join(f"  {line}".rstrip() for line in (*above, f"{last:<{NAME}}" + "".join(f"{c:>12}" for c in cells)))
 
 
 def _wrapped(text: str, first: str = "", hanging: str = "") -> str:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torchrl_athletic.diagnosis.report.quantity import percent
-from torchrl_athletic.diagnosis.result import Answer
+from torchrl_athletic.diagnosis.result import Answer, Finding, Location
 
 _VERDICTS = {
     "nothing_missing": ("Nothing is missing", "The simulation explains the recordings as well as sensor noise allows."),
@@ -21,6 +21,82 @@ _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 def verdict_words(answer: Answer) -> tuple[str, str]:
     """The verdict as a heading and as a sentence."""
     return _VERDICTS[answer.verdict]
+
+
+def lead(answer: Answer) -> list[str]:
+    """The answer in at most three sentences: what is missing, where it shows, how much better the correction fits."""
+    told = [f.sentence for f in answer.findings if f.sentence in answer.summary]
+    rest = [s for s in answer.summary if s not in told]
+    if len(told) > 1:
+        named = [f"{words(f.effect)} ({place(f.joint)}, {percent(f.probability)})" for f in answer.findings]
+        told = [f"{_count(len(named))} effects are missing: {', '.join(named[:-1])} and {named[-1]}."]
+    return ([*told, *rest] or [verdict_words(answer)[1]])[:3]
+
+
+def besides(answer: Answer) -> list[str]:
+    """What the summary says and :func:`lead` and the findings do not."""
+    said = {*lead(answer), *(f.sentence for f in answer.findings)}
+    return [s for s in answer.summary if s not in said]
+
+
+def would_change(answer: Answer) -> str:
+    """What would change the verdict."""
+    if not answer.complete:
+        return "It is provisional: the same command, run to its end, may change it."
+    if answer.verdict == "nothing_missing":
+        return (
+            "A recording would that the model follows worse than the sensors' noise allows: it holds for motions like "
+            "the recorded ones, and faster, slower, heavier or colder ones may still show something."
+        )
+    if answer.verdict == "explained":
+        text = "A recording of another kind would, on which the corrected model errs clearly more than on these"
+        rival = next((r for f in answer.findings for r in f.rivals), None)
+        if rival is None:
+            return text + "."
+        return text + f"; the name would change if the next recording favours {words(rival.effect)}."
+    if answer.verdict == "partly_explained":
+        where = next((x for x in answer.locations if x.regime != "everywhere"), None)
+        at = f", above all of {where.joint}, {where.regime}" if where else ""
+        return f"A name for what is left would: record more of the motion that shows it{at}."
+    return (
+        "An effect that the catalogue does not have yet would, or a slip in what was given: check units, signs, the "
+        "order of the joints and the gains, then record another payload, speed and temperature."
+    )
+
+
+def grounds_words(finding: Finding) -> list[str]:
+    """What the probability of a finding rests on, in sentences; none where it was not kept.
+
+    Example:
+        >>> f = Finding("backlash", "elbow", 0.9, "", {}, "", grounds={"share": 0.97, "left": 0.02, "scatter": 0.05})
+        >>> grounds_words(f)[0]
+        'It has 97 % of the evidence among the effects that could stand in its place.'
+    """
+    g = finding.grounds
+    where = "the joint" if finding.joint else "the joint that is explained worst"
+    said = {
+        "share": "It has {} of the evidence among the effects that could stand in its place.",
+        "energy": f"It accounts for {{}} of the missing torque of {where}.",
+        "left": f"With everything named, {{}} of the missing torque of {where} stays.",
+        "scatter": "Its strength differs by {} from take to take; physics has one value on all of them.",
+        "open": "Of the simulation's error above the noise floor {} stays.",
+    }
+    return [text.format(percent(g[name])) for name, text in said.items() if name in g]
+
+
+def next_takes(answer: Answer) -> list[str]:
+    """What to record next: what separates the rivals, else what would show the most."""
+    asked = list(dict.fromkeys(r.separating_experiment for f in answer.findings for r in f.rivals))
+    return asked or [would_change(answer)]
+
+
+def joints_and_regimes(locations: Sequence[Location]) -> tuple[list[Location], list[Location]]:
+    """Whole joints, and regimes of them."""
+    return [x for x in locations if x.regime == "everywhere"], [x for x in locations if x.regime != "everywhere"]
+
+
+def _count(n: int) -> str:
+    return {2: "Two", 3: "Three", 4: "Four", 5: "Five", 6: "Six"}.get(n, str(n))
 
 
 def words(identifier: str) -> str:

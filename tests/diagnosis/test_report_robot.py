@@ -1,0 +1,224 @@
+"""The drawing of the robot, checked against where its joints and links are by hand."""
+
+import re
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis import plants
+from diagnosis.sample import ARM, SLIDER
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torchrl_athletic.diagnosis.report.robot import (
+    DRAWING,
+    HEIGHT,
+    MOST_NAMES,
+    default_pose,
+    robot_svg,
+    solids_of,
+    spread,
+    view_of,
+)
+from torchrl_athletic.robots import b2z1, z1
+
+
+def chain(axes: list[str], name: str = "chain", link: str = "0.2 0 0") -> str:
+    """Equal links one after the other, each turned by a hinge."""
+    text = ""
+    for i, axis in reversed(list(enumerate(axes))):
+        text = (
+            f'<body name="link{i}" pos="{link if i else "0 0 0"}"><joint name="joint{i}" axis="{axis}"/>'
+            f'<geom type="capsule" fromto="0 0 0 {link}" size=".02"/>{text}</body>'
+        )
+    return f'<mujoco model="{name}"><worldbody>{text}</worldbody></mujoco>'
+
+
+LEG = """
+<mujoco model="leg"><worldbody><body name="hip" pos="0 0 .6"><joint name="hip" axis="1 0 0"/>
+  <geom type="cylinder" size=".05 .03" quat="1 0 1 0"/>
+  <body name="thigh"><joint name="thigh" axis="0 1 0"/><geom type="box" pos="0 0 -.15" size=".02 .03 .15"/>
+    <body name="calf" pos="0 0 -.3"><joint name="calf" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".015"/><geom type="sphere" pos="0 0 -.3" size=".02"/></body>
+  </body></body></worldbody></mujoco>"""
+
+ROBOTS = {
+    "pendulum": plants.pendulum(),
+    "double pendulum": plants.double_pendulum(),
+    "slider": plants.slider(),
+    "two-link arm": ARM,
+    "carriage": SLIDER,
+    "three joints": chain(["0 0 1", "0 1 0", "0 1 0"]),
+    "six joints": chain(["0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0"]),
+    "leg": LEG,
+}
+
+
+def compiled(name: str) -> mujoco.MjModel:
+    if name in ROBOTS:
+        return mujoco.MjModel.from_xml_string(ROBOTS[name])
+    return {"z1": z1, "b2z1": b2z1}[name]().model()
+
+
+def joints_of(model: mujoco.MjModel) -> list[str]:
+    return [model.joint(j).name for j in range(model.njnt) if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_FREE]
+
+
+def projected(model: mujoco.MjModel):
+    data = default_pose(model)
+    return data, view_of(model, data, solids_of(model, data))
+
+
+def dots(svg: str) -> dict[str, tuple[str, float, float]]:
+    """Joint -> class and place of what marks it, for hinges that point at the reader."""
+    found = re.findall(r'<g class="([^"]*)"><title>([^<]*)</title><circle cx="([-\d.]+)" cy="([-\d.]+)"', svg)
+    return {name: (style, float(x), float(y)) for style, name, x, y in found}
+
+
+@pytest.mark.parametrize("name", [*ROBOTS, "z1", "b2z1"])
+def test_every_robot_is_drawn_within_its_frame_with_the_guilty_joint_named(name):
+    model = compiled(name)
+    joints = joints_of(model)
+    guilty = joints[len(joints) // 2]
+    svg = robot_svg(model, [guilty], dict.fromkeys(joints, "a note"))
+    assert set(re.findall(r'<g class="joint guilty"><title>(.*?)</title>', svg)) == {guilty}
+    assert len(re.findall(r'<g class="joint"><title>', svg)) == len(joints) - 1
+    assert re.findall(r'<text class="name guilty"[^>]*>(.*?)</text>', svg) == [guilty]
+    assert "nan" not in svg
+    assert len(svg) < 30e3
+    paths = re.findall(r'class="link[^"]*"[^>]* d="([^"]*)"', svg)
+    points = np.array([[float(v) for v in p.split()] for d in paths for p in re.split("[MLZ]", d) if p])
+    assert len(paths) >= 2
+    assert (points >= 0).all()
+    assert points[:, 0].max() < DRAWING[2] + 25
+    assert points[:, 1].max() <= HEIGHT
+    widest = np.ptp(points, axis=0) / (DRAWING[2] - DRAWING[0], DRAWING[3] - DRAWING[1])
+    assert widest.max() > 0.3 or name == "slider"  # that one has no shape at all
+
+
+@pytest.mark.parametrize("name", ["six joints", "z1", "b2z1"])
+def test_names_do_not_meet(name):
+    model = compiled(name)
+    svg = robot_svg(model, [], dict.fromkeys(joints_of(model), "a note"))
+    heights = [float(y) for y in re.findall(r'<text class="name" x="[\d.]+" y="([\d.]+)"', svg)]
+    assert len(heights) == min(MOST_NAMES, len(joints_of(model)))
+    assert min(b - a for a, b in pairwise(heights)) > 30
+    assert heights[-1] + 18 < HEIGHT
+
+
+def test_what_hangs_below_is_drawn_below_and_to_scale():
+    svg = dots(robot_svg(compiled("two-link arm"), ["elbow"], {}))
+    (_, x1, y1), (_, x2, y2) = svg["shoulder"], svg["elbow"]
+    assert x1 == x2
+    length = 0.3 + 0.25 + 0.02 + 0.015  # with the round ends
+    assert y2 - y1 == pytest.approx(0.3 / length * (DRAWING[3] - DRAWING[1]), rel=0.02)
+
+
+def test_gravity_points_down_wherever_the_model_has_it():
+    model = compiled("two-link arm")
+    model.opt.gravity[:] = 0, 0, 9.81  # a robot on the ceiling
+    svg = dots(robot_svg(model, [], {}))
+    assert svg["elbow"][2] < svg["shoulder"][2]
+
+
+def test_a_swing_is_seen_from_the_side():
+    for axis in ("0 1 0", "1 0 0", "0.6 0.8 0"):
+        model = mujoco.MjModel.from_xml_string(chain([axis], link="0 0 -0.3"))
+        _, view = projected(model)
+        swing = np.array([float(v) for v in axis.split()])
+        assert abs(view.axes[2] @ swing) == pytest.approx(1.0)
+
+
+def test_a_flat_robot_is_seen_from_above():
+    _, view = projected(mujoco.MjModel.from_xml_string(chain(["0 0 1", "0 0 1"])))
+    assert abs(view.axes[2]) == pytest.approx([0, 0, 1])
+    assert set(dots(robot_svg(mujoco.MjModel.from_xml_string(chain(["0 0 1", "0 0 1"])), [], {}))) == {
+        "joint0",
+        "joint1",
+    }
+
+
+def test_a_view_is_a_right_handed_turn():
+    for name in ROBOTS:
+        _, view = projected(compiled(name))
+        np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-9)
+        assert np.linalg.det(view.axes) == pytest.approx(1.0)
+
+
+def test_a_hinge_across_the_view_is_a_drum_along_its_axis():
+    model = compiled("three joints")
+    svg = robot_svg(model, [], {})
+    assert "joint0" not in dots(svg)
+    turn = re.search(r"<title>joint0</title><rect[^>]*rotate\((-?\d+)\)", svg)[1]
+    assert abs(int(turn)) == 90  # its axis is upright
+    assert {"joint1", "joint2"} <= set(dots(svg))
+
+
+@pytest.mark.parametrize(("axis", "way"), [("1 0 0", (1, 0)), ("0 0 1", (0, 1)), ("0.6 0 0.8", (0.6, 0.8))])
+def test_a_slide_is_an_arrow_both_ways_along_its_axis(axis, way):
+    model = mujoco.MjModel.from_xml_string(plants.slider().replace('axis="1 0 0"', f'axis="{axis}"'))
+    path = re.search(r'class="rail" d="([^"]*)"', robot_svg(model, ["carriage"], {}))[1]
+    lines = [tuple(map(float, p.split())) for p in re.split("[ML]", path)[1:]]
+    forward, backward = np.subtract(lines[1], lines[0]), np.subtract(lines[6], lines[5])
+    np.testing.assert_allclose(forward, -backward, atol=0.11)
+    np.testing.assert_allclose(forward * (1, -1) / np.linalg.norm(forward), way, atol=0.02)
+
+
+def test_the_link_of_a_guilty_joint_is_tinted_and_for_the_whole_robot_all_of_them():
+    model = compiled("two-link arm")
+    assert len(re.findall('class="link guilty"', robot_svg(model, ["elbow"], {}))) == 1
+    assert len(re.findall('class="link guilty"', robot_svg(model, [None], {}))) == 2
+    assert "Marked: the whole robot" in robot_svg(model, [None], {})
+    assert "guilty" not in robot_svg(model, [], {"elbow": "69 % of the error"})
+
+
+def test_a_box_keeps_its_proportions():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint axis="0 1 0" name="a"/><geom type="box" size=".3 .1 .2"/></body>'
+        "</worldbody></mujoco>"
+    )
+    path = re.search(r'class="link" [^>]*d="M([^"]*)Z"', robot_svg(model, [], {}))[1]
+    corners = np.array([[float(v) for v in p.split()] for p in path.split("L")])
+    width, height = np.ptp(corners, axis=0)
+    assert width / height == pytest.approx(0.3 / 0.2, rel=0.01)
+    assert len(corners) == 4
+
+
+def test_a_mesh_is_drawn_by_its_outline():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><asset><mesh name="m" vertex="0 0 0  .4 0 0  0 0 .3  0 .1 0  .1 .02 .05"/></asset><worldbody><body>'
+        '<joint axis="0 1 0" name="a"/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
+    )
+    path = re.search(r'class="link" [^>]*d="M([^"]*)Z"', robot_svg(model, [], {}))[1]
+    corners = np.array([[float(v) for v in p.split()] for p in path.split("L")])
+    assert len(corners) == 3  # the other two vertices are inside
+    assert np.ptp(corners[:, 0]) / np.ptp(corners[:, 1]) == pytest.approx(4 / 3, rel=0.01)
+
+
+def test_the_ground_is_not_part_of_the_robot():
+    ground = '<geom type="plane" size="5 5 .1"/><geom type="box" size="4 4 .1" pos="0 0 -1"/><body name="upper_arm">'
+    with_ground = mujoco.MjModel.from_xml_string(ARM.replace('<body name="upper_arm">', ground))
+    assert robot_svg(with_ground, ["elbow"], {}) == robot_svg(compiled("two-link arm"), ["elbow"], {})
+
+
+def test_the_home_pose_is_preferred():
+    keys = '</worldbody><keyframe><key name="other" qpos="1 1"/><key name="home" qpos="0 1.5708"/></keyframe>'
+    model = mujoco.MjModel.from_xml_string(ARM.replace("</worldbody>", keys))
+    assert default_pose(model).qpos == pytest.approx([0, 1.5708])
+
+
+def test_a_body_without_a_shape_is_a_rod_to_its_mass():
+    model = compiled("pendulum")
+    [rod] = solids_of(model, default_pose(model))
+    np.testing.assert_allclose(rod.points, [[0, 0, 0], [0, 0, -0.4]])
+
+
+@given(st.lists(st.floats(-50, 350), max_size=9))
+def test_names_are_spread_in_order_within_their_room(wished):
+    wished = sorted(wished)
+    places = spread(wished, 36.0, 18.0, 248.0)
+    assert len(places) == len(wished)
+    gaps = np.diff(places)
+    assert (gaps >= min(36.0, 230 / max(len(wished) - 1, 1)) - 1e-6).all()
+    assert all(18 - 1e-6 <= y <= 248 + 1e-6 for y in places)
