@@ -47,9 +47,23 @@ VALUES = {
     "torque_offset": [-0.2],
     "encoder_offset": [0.08],
     "gain_mismatch": [0.7, 1.5],
+    "link_com_shift": [0.02, 0.0, -0.05],
+    "payload": [0.15],
+    "gravity_tilt": [0.05, 0.2],
+    "joint_spring": [0.5, 0.2],
+    "stribeck_friction": [0.1, 0.06, 0.3],
+    "hysteresis": [0.2, 0.05],
+    "torque_saturation": [0.25],
+    "speed_torque_limit": [0.4, 1.5],
+    "torque_ripple": [0.1, -0.05, 7.0],
+    "joint_stop": [-0.05, 1.0, 4.0],
+    "encoder_scale": [1.1],
+    "clock_offset": [0.0153],
 }
 TOGETHER = ("coulomb_friction", "link_mass", "actuation_delay", "actuation_lag", "torque_scale", "torque_offset",
             "encoder_offset", "gain_mismatch")  # fmt: skip
+ALSO = ("stribeck_friction", "torque_ripple", "torque_saturation", "joint_stop", "hysteresis", "encoder_scale",
+        "encoder_offset", "joint_spring", "actuation_lag", "gain_mismatch")  # fmt: skip
 
 
 def correct(bench: str, terms: dict[str, list[float]], trims: dict[str, list[float]] | None = None) -> Simulation:
@@ -59,9 +73,8 @@ def correct(bench: str, terms: dict[str, list[float]], trims: dict[str, list[flo
     address, last = JointAddress.of(model, names), len(names) - 1
 
     def candidates(named):
-        return tuple(
-            Candidate(EFFECTS[n], last, names[last], EFFECTS[n].parameters(model, address, last)) for n in named
-        )
+        where = {n: None if EFFECTS[n].whole_robot else names[last] for n in named}
+        return tuple(Candidate(EFFECTS[n], last, where[n], EFFECTS[n].parameters(model, address, last)) for n in named)
 
     trims = trims or {}
     values = np.array([v for part in (terms, trims) for numbers in part.values() for v in numbers])
@@ -102,22 +115,23 @@ class Start(Transform):
 
 
 def drive(simulation: Simulation, bench: str, recording: Recording, decimation: int | None = None) -> np.ndarray:
-    """Positions of the chain at the recording's stamps, shape (T, J)."""
+    """What the encoders read at the recording's stamps, half a step back as the replay has it. Shape (T, J)."""
     robot = from_mjcf(corrected_xml(BENCHES[bench][0], simulation))
     gains = {} if recording.kp is None else {"kp": recording.kp, "kd": recording.kd}
     chain = CorrectedActuation(
         json.loads(json.dumps(simulation.to_json())), timestep=STEP, torque_limit=robot.torque_limit, **gains
     )
-    start = torch.tensor(recording.position[:1]).float() - chain.encoder_offset
+    start = (torch.tensor(recording.position[:1]).float() - chain.encoder_offset) / chain.encoder_scale
     transforms = [Start(start.numpy()), chain] + ([] if decimation is None else [Decimation(decimation)])
     env = TransformedEnv(TorqueEnv(robot), Compose(*transforms))
     td = env.reset()
-    path, substeps = [td["joint_position"]], round(1 / RATE / STEP)
+    path, rates, substeps = [td["joint_position"]], [td["joint_velocity"]], round(1 / RATE / STEP)
     for command in recording.command[:-1]:
         for _ in range(substeps if decimation is None else substeps // decimation):
             td = env.step(td.set(chain.policy_key, torch.tensor(command[None], dtype=torch.float32)))["next"]
         path.append(td["joint_position"])
-    return torch.cat(path).numpy()
+        rates.append(td["joint_velocity"])
+    return (torch.cat(path) - STEP / 2 * torch.cat(rates)).numpy()
 
 
 CASES = [
@@ -126,6 +140,8 @@ CASES = [
     *(("two_link_arm", effects, False) for effects in (("actuation_lag",), ("actuation_delay",), TOGETHER[:-1])),
     ("two_link_arm", TOGETHER, True),
     ("pendulum", TOGETHER, True),
+    ("two_link_arm", ALSO, True),
+    ("pendulum", ALSO[:-1], False),
     ("pendulum", (), True),
 ]
 
@@ -134,7 +150,7 @@ CASES = [
     ("bench", "effects", "targets"), CASES, ids=lambda c: "+".join(c) or "none" if isinstance(c, tuple) else str(c)
 )
 def test_the_chain_moves_as_the_corrected_simulation(bench, effects, targets):
-    trims = {name: VALUES[name] for name in effects if name == "link_inertia"}
+    trims = {name: VALUES[name] for name in effects if name in ("link_inertia", "link_com_shift")}
     simulation = correct(bench, {name: VALUES[name] for name in effects if name not in trims}, trims)
     recording = record(bench, targets)
     take = take_of(recording, simulation.model, *sensor_noise(recording))
@@ -166,6 +182,7 @@ def pendulum_env(n=3, terms=None, **kwargs) -> TransformedEnv:
 def test_specs_hold():
     check_env_specs(pendulum_env())
     check_env_specs(pendulum_env(terms=()))
+    check_env_specs(pendulum_env(terms=("hysteresis", "encoder_scale", "torque_ripple", "joint_stop")))
 
 
 def test_rows_that_start_anew_forget_what_was_on_its_way_and_the_others_do_not():
@@ -194,11 +211,58 @@ def test_a_command_arrives_late_by_its_delay_and_not_before():
     assert felt == [0.0, 0.0, 0.0, 0.5, 1.0, 1.0]  # 5 ms are two and a half steps
 
 
-@pytest.mark.parametrize("name", ["coulomb_friction", "viscous_friction", "reflected_inertia", "link_mass", "link_com"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("coulomb_friction", "viscous_friction", "asymmetric_friction", "stribeck_friction", "reflected_inertia"),
+        *("link_mass", "link_com", "joint_spring", "gravity_tilt"),
+    ],
+)
 def test_a_model_without_the_correction_is_refused(name):
     env = pendulum_env(terms=(name,))
-    with pytest.raises(ValueError, match=f"{name} of 'pendulum'.*corrected.xml"):
+    joint = None if name == "gravity_tilt" else "'pendulum'"
+    with pytest.raises(ValueError, match=f"{name} of {joint}.*corrected.xml"):
         env.reset()
+
+
+def test_a_payload_counts_with_the_mass_of_its_link():
+    terms = {"link_mass": [0.9], "payload": [0.15]}
+    robot = from_mjcf(corrected_xml(BENCHES["pendulum"][0], correct("pendulum", terms)))
+    TransformedEnv(TorqueEnv(robot), chain(terms)).reset()
+
+
+def test_a_late_clock_is_a_delay_of_all_joints_and_an_early_one_is_none():
+    for offset, length in ((0.004, 3), (-0.004, None)):
+        content = correct("two_link_arm", {"clock_offset": [offset]}).to_json()
+        late = CorrectedActuation(content, timestep=STEP)
+        assert (late.queue_key is None) == (length is None)
+        if length is not None:
+            assert late.weights.shape == (length, 2)
+            np.testing.assert_array_equal(late.weights[:, 0], late.weights[:, 1])
+
+
+def test_hysteresis_starts_unbent_in_every_episode_and_builds_up_over_its_way():
+    env = pendulum_env(terms=("hysteresis",))
+    _, width = VALUES["hysteresis"]
+    td = env.reset()
+    positions = [td["joint_position"]]
+    for _ in range(60):
+        td = env.step(td.set("action", torch.full((3, 1), 1.0)))["next"]
+        positions.append(td["joint_position"])
+    way = (positions[-2] - positions[0]).abs()  # the last step's motion comes after its torque
+    built = 1 - torch.exp(-way / width)
+    assert built.min() > 0.5
+    torch.testing.assert_close(td["corrected_actuation_wound"], built, rtol=1e-3, atol=1e-4)
+    td = env.reset(td.set("_reset", torch.tensor([[True], [False], [False]])))
+    assert td["corrected_actuation_wound"][0] == 0
+    torch.testing.assert_close(td["corrected_actuation_wound"][1:], built[1:], rtol=1e-3, atol=1e-4)
+
+
+def test_a_ripple_of_a_rail_is_counted_in_metres():
+    content = correct("pendulum", {"torque_ripple": [0.1, 0.0, 7.0]}).to_json()
+    assert CorrectedActuation(content, timestep=STEP).ripple_wave.item() == pytest.approx(7)
+    content["effects"][0]["parameters"]["periods"]["unit"] = "1/m"
+    assert CorrectedActuation(content, timestep=STEP).ripple_wave.item() == pytest.approx(2 * np.pi * 7)
 
 
 def test_what_it_does_not_know_is_refused_by_name(tmp_path):
@@ -206,7 +270,7 @@ def test_what_it_does_not_know_is_refused_by_name(tmp_path):
     (tmp_path / "corrected.json").write_text(json.dumps(content))
     assert CorrectedActuation(tmp_path / "corrected.json", timestep=STEP).torque_scale.item() == pytest.approx(1.1)
     content["effects"][0]["effect"] = "backlash"
-    with pytest.raises(ValueError, match="'backlash' of 'pendulum'"):
+    with pytest.raises(ValueError, match=r"'backlash' of 'pendulum'.*act out \(the motor needs an inertia"):
         CorrectedActuation(content, timestep=STEP)
     with pytest.raises(ValueError, match="schema is 'other'"):
         CorrectedActuation({**content, "schema": "other"}, timestep=STEP)
@@ -226,7 +290,7 @@ def test_other_joints_and_another_time_step_are_refused():
 
 def test_it_knows_every_effect_of_the_catalogue():
     """Each is acted out, or in the model, or of no robot, or refused: one that is new has to be put somewhere."""
-    places = [set(IN_THE_CHAIN), set(IN_THE_MODEL), OF_THE_RECORDING, NOT_ACTED_OUT]
+    places = [set(IN_THE_CHAIN), set(IN_THE_MODEL), OF_THE_RECORDING, set(NOT_ACTED_OUT)]
     assert set(EFFECTS) == set().union(*places)
     assert sum(map(len, places)) == len(EFFECTS)
 

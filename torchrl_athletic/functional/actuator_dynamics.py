@@ -1,4 +1,4 @@
-"""What lies between a command and the torque at the joint: delay, lag, and friction that knows a direction."""
+"""What lies between a command and the torque at the joint: delay, lag, ripple, stops, and laws of friction."""
 
 from __future__ import annotations
 
@@ -91,3 +91,74 @@ def even_friction(velocity: Tensor, constant: Tensor, slope: Tensor) -> Tensor:
         tensor([-0.2000])
     """
     return -constant - slope * velocity.abs()
+
+
+def ripple(position: Tensor, sine: Tensor, cosine: Tensor, wave_number: Tensor) -> Tensor:
+    r"""Torque that comes back with every tooth or pole: :math:`A \sin(n q) + B \cos(n q)` [N·m].
+
+    Args:
+        position: Of the joint [rad]. Shape (*B, J).
+        sine: A [N·m]. Shape (J,).
+        cosine: B [N·m]. Shape (J,).
+        wave_number: n [1/rad]. Shape (J,).
+
+    Example:
+        >>> ripple(torch.tensor([torch.pi / 12]), torch.tensor([0.2]), torch.tensor([0.1]), torch.tensor([6.0]))
+        tensor([0.2000])
+    """
+    phase = wave_number * position
+    return sine * torch.sin(phase) + cosine * torch.cos(phase)
+
+
+def stribeck_relief(velocity: Tensor, excess: Tensor, speed: Tensor) -> Tensor:
+    r"""What dry friction of the breakaway level brakes too much when it slides [N·m].
+
+    .. math:: (F_s - F_c)\,(1 - \exp(-(\dot q / v_s)^2))\,\mathrm{sign}(\dot q)
+
+    Args:
+        velocity: [rad/s]. Shape (*B, J).
+        excess: F_s - F_c [N·m]. Shape (J,).
+        speed: v_s [rad/s]. Shape (J,).
+
+    Source:
+        Armstrong-Hélouvry et al. 1994, doi:10.1016/0005-1098(94)90209-7, section 2.
+
+    Example:
+        >>> stribeck_relief(torch.tensor([-5.0, 0.01, 5.0]), torch.tensor(0.3), torch.tensor(0.1))
+        tensor([-0.3000,  0.0030,  0.3000])
+    """
+    return -excess * torch.expm1(-((velocity / speed) ** 2)) * torch.sign(velocity)
+
+
+def stop_torque(position: Tensor, place: Tensor, side: Tensor, stiffness: Tensor) -> Tensor:
+    r"""Torque of a one-sided spring, :math:`-s\,k \max(s\,(q - p), 0)` [N·m].
+
+    Args:
+        position: q [rad]. Shape (*B, J).
+        place: Where the stop begins, p [rad]. Shape (J,).
+        side: s = 1 if it stops motion towards larger positions, -1 if towards smaller [1]. Shape (J,).
+        stiffness: k [N·m/rad]. Shape (J,).
+
+    Example:
+        >>> stop_torque(torch.tensor([0.5, 1.5]), torch.tensor(1.0), torch.tensor(1.0), torch.tensor(20.0))
+        tensor([ -0., -10.])
+    """
+    return -side * stiffness * torch.clamp(side * (position - place), min=0)
+
+
+def wind_up(wound: Tensor, moved: Tensor, width: Tensor) -> Tensor:
+    r"""Direction of sliding after a small motion, which turns over within a way (Dahl 1968).
+
+    Exact for motion one way: :math:`z' = s + (z - s)\,\exp(-|\Delta q| / w)` with :math:`s = \mathrm{sign}(\Delta q)`.
+
+    Args:
+        wound: z before, -1 to 1 [1]. Shape (*B, J).
+        moved: Δq [rad]. Shape (*B, J).
+        width: w [rad]. Shape (J,).
+
+    Example:
+        >>> wind_up(torch.tensor([-1.0, 0.3]), torch.tensor([0.5, 0.0]), torch.tensor(0.05))
+        tensor([0.9999, 0.3000])
+    """
+    towards = torch.sign(moved)
+    return towards + (wound - towards) * torch.exp(-moved.abs() / width)

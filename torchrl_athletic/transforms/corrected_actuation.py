@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,41 +31,47 @@ IN_THE_MODEL = {
     "link_com": ("distance",),
     "link_com_shift": ("x", "y", "z"),
     "link_inertia": ("scale",),
+    "payload": ("mass",),
+    "gravity_tilt": ("roll", "pitch"),
+    "joint_spring": ("stiffness", "preload"),
 }
 """Effects that ``corrected.xml`` holds, and their parameters."""
 
 IN_THE_CHAIN = {
     "asymmetric_friction": ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative"),
+    "stribeck_friction": ("coulomb", "stribeck", "stribeck_speed"),
+    "hysteresis": ("torque", "width"),
     "actuation_delay": ("delay",),
     "actuation_lag": ("time_constant",),
     "torque_scale": ("scale",),
     "torque_offset": ("torque",),
+    "torque_saturation": ("limit",),
+    "speed_torque_limit": ("stall_torque", "no_load_speed"),
+    "torque_ripple": ("sine", "cosine", "periods"),
+    "joint_stop": ("position", "side", "stiffness"),
     "encoder_offset": ("offset",),
+    "encoder_scale": ("scale",),
+    "clock_offset": ("offset",),
     "gain_mismatch": ("kp_scale", "kd_scale"),
 }
-"""Effects that :class:`CorrectedActuation` acts out, and their parameters."""
+"""Effects that :class:`CorrectedActuation` acts out, and their parameters.
 
-OF_THE_RECORDING = frozenset({"clock_offset", "clock_shift"})
-"""Effects of how the recording was stamped, which no robot has."""
+Of the first two, the part that brakes both ways is in the model. A clock that is late is acted out as a delay of all
+commands, which no recording tells from it; one that is early is left out, since nothing acts before its command.
+"""
 
-NOT_ACTED_OUT = frozenset(
-    {
-        "backlash",
-        "compliance",
-        "disturbance",
-        "encoder_scale",
-        "hysteresis",
-        "joint_spring",
-        "joint_stop",
-        "load_dependent_friction",
-        "speed_torque_limit",
-        "stribeck_friction",
-        "thermal_drift",
-        "torque_ripple",
-        "torque_saturation",
-    }
-)
-"""Effects that a diagnosis can find and :class:`CorrectedActuation` refuses, since neither model nor chain has them."""
+OF_THE_RECORDING = frozenset({"clock_shift", "disturbance"})
+"""Effects of one recording, which no robot has for good: how it was stamped, and what pushed it once."""
+
+NOT_ACTED_OUT: Mapping[str, str] = {
+    "backlash": "the motor needs an inertia and a position of its own, in a model with two joints for one",
+    "compliance": "the motor needs an inertia and a position of its own, in a model with two joints for one",
+    "load_dependent_friction": "its bristles are damped by the inertia of the joint, which the chain does not know",
+    "thermal_drift": "an episode would have to say how warm the joint is; train with both ends of the drift instead",
+}
+"""Effects that a diagnosis can find and :class:`CorrectedActuation` refuses, each with the reason."""
+
+_MOTOR = ("torque_saturation", "speed_torque_limit", "torque_ripple")
 
 Correction: TypeAlias = str | os.PathLike[str] | Mapping[str, Any]
 """Path of a ``corrected.json``, or what stands in it."""
@@ -77,16 +84,19 @@ class CorrectedActuation(StatefulTransform):
     from there to the joint come, where the diagnosis found them,
 
     1. the delay of the command,
-    2. the gains as they truly are, on the position that the encoder reads,
+    2. the gains as they truly are, on what the encoder reads,
     3. the lag of the torque loop,
-    4. the scale and the offset of the torque,
-    5. the motor's limit,
-    6. the part of friction that is alike in both directions, which the motor's limit does not touch.
+    4. the motor's saturation, limit by speed and ripple, in the order of the file,
+    5. the scale and the offset of the torque,
+    6. the motor's limit,
+    7. what the motor's limit does not touch: stops, hysteresis, what Stribeck friction saves at speed, and the part of
+       friction by direction that is alike in both.
 
-    ``joint_position`` shows what the encoder reads. All of it happens at the physics rate: place the transform nearest
-    to the motor, before :class:`~.Decimation`. What MuJoCo expresses itself (friction, inertia, masses) is in the model
-    that the diagnosis wrote, ``corrected.xml``: build the robot from it,
-    :func:`~torchrl_athletic.robots.from_mjcf`, and domain randomisation is then about the corrected values too.
+    ``joint_position`` and ``joint_velocity`` show what the encoder reads. All of it happens at the physics rate: place
+    the transform nearest to the motor, before :class:`~.Decimation`. What MuJoCo expresses itself (dry and viscous
+    friction, inertia, masses, springs, gravity) is in the model that the diagnosis wrote, ``corrected.xml``: build the
+    robot from it, :func:`~torchrl_athletic.robots.from_mjcf`, and domain randomisation is then about the corrected
+    values too.
 
     Args:
         correction: Path of a ``corrected.json``, or its content.
@@ -102,8 +112,9 @@ class CorrectedActuation(StatefulTransform):
         target_key: Where to note the target that acts.
         scale_keys: As of :class:`PDControl`.
         state_key: Begins the keys of what is remembered, as far as needed: ``_queue``, commands on their way, shape
-            (*B, L, J); ``_lag``, the state of the lag, (*B, J); ``_fresh``, whether an episode has yet to get its first
-            command, (*B, 1). What came before is taken to be that one.
+            (*B, L, J); ``_lag``, the state of the lag, (*B, J); ``_wound`` and ``_last``, how far hysteresis has built
+            up, 0 at the start, and where, (*B, J); ``_fresh``, whether an episode has yet to get its first command,
+            (*B, 1). What came before is taken to be that one.
         reset_key: As of :class:`StatefulTransform`.
 
     Raises:
@@ -134,7 +145,20 @@ class CorrectedActuation(StatefulTransform):
     torque_limit: Tensor
     even_constant: Tensor
     even_slope: Tensor
+    stall_torque: Tensor
+    no_load_speed: Tensor
+    ripple_sine: Tensor
+    ripple_cosine: Tensor
+    ripple_wave: Tensor
+    stribeck_excess: Tensor
+    stribeck_speed: Tensor
+    hysteresis_torque: Tensor
+    hysteresis_width: Tensor
+    stop_place: Tensor
+    stop_side: Tensor
+    stop_stiffness: Tensor
     encoder_offset: Tensor
+    encoder_scale: Tensor
     kp: Tensor
     kd: Tensor
 
@@ -167,13 +191,22 @@ class CorrectedActuation(StatefulTransform):
                 f"the correction holds gain_mismatch of {odd[0][1]!r}, but without kp and kd there are no gains to "
                 "correct. Give CorrectedActuation the gains that the drive is told."
             )
-        queue, lag, fresh = (beside(state_key, name) for name in ("queue", "lag", "fresh"))
-        delays, lags = self._column("actuation_delay"), self._column("actuation_lag")
+        queue, lag, wound, last, fresh = (
+            beside(state_key, name) for name in ("queue", "lag", "wound", "last", "fresh")
+        )
+        late = zip(self._column("actuation_delay"), self._column("clock_offset"), strict=True)
+        delays, lags = [delay + max(offset, 0.0) for delay, offset in late], self._column("actuation_lag")
+        self.present = frozenset(effect for effect, _, _ in self.entries)
+        self.motor = tuple(name for name in dict.fromkeys(e[0] for e in self.entries) if name in _MOTOR)
         self.queue_key, self.lag_key = queue if any(delays) else None, lag if any(lags) else None
-        self.fresh_key = fresh if self.queue_key or self.lag_key else None
-        memory = [key for key in (self.queue_key, self.lag_key, self.fresh_key) if key is not None]
+        winds = "hysteresis" in self.present
+        self.wound_key, self.last_key = wound if winds else None, last if winds else None
+        self.fresh_key = fresh if self.queue_key or self.lag_key or self.wound_key else None
+        keys = (self.queue_key, self.lag_key, self.wound_key, self.last_key, self.fresh_key)
+        memory = [key for key in keys if key is not None]
         policy_key = action_key if self.closed_loop else torque_key
-        super().__init__([position_key], [position_key, *memory], [torque_key], [policy_key], reset_key)
+        reads = [position_key, velocity_key] if "encoder_scale" in self.present else [position_key]
+        super().__init__(reads, [*reads, *memory], [torque_key], [policy_key], reset_key)
         self.memory, self.timestep, self.policy_key, self.torque_key = memory, timestep, policy_key, torque_key
         self.position_key, self.velocity_key = position_key, velocity_key
         self.target_key, self.scale_keys = target_key, scale_keys
@@ -201,14 +234,33 @@ class CorrectedActuation(StatefulTransform):
             "torque_limit": limit,
             "even_constant": (forth - back) / 2,
             "even_slope": (forth_slope - back_slope) / 2,
+            "stall_torque": [
+                min(both)
+                for both in zip(
+                    self._column("torque_saturation", absent=torch.inf),
+                    self._column("speed_torque_limit", absent=torch.inf),
+                    strict=True,
+                )
+            ],
+            "no_load_speed": self._column("speed_torque_limit", 1, torch.inf),
+            "ripple_sine": self._column("torque_ripple"),
+            "ripple_cosine": self._column("torque_ripple", 1),
+            "ripple_wave": self._column("torque_ripple", 2),
+            "stribeck_excess": self._column("stribeck_friction", 1),
+            "stribeck_speed": self._column("stribeck_friction", 2, 1.0),
+            "hysteresis_torque": self._column("hysteresis"),
+            "hysteresis_width": self._column("hysteresis", 1, 1.0),
+            "stop_place": self._column("joint_stop"),
+            "stop_side": torch.tensor(self._column("joint_stop", 1, 1.0)).sign(),
+            "stop_stiffness": self._column("joint_stop", 2),
             "encoder_offset": self._column("encoder_offset"),
+            "encoder_scale": self._column("encoder_scale", absent=1.0),
         }
         if self.closed_loop:
             for k, (name, gain) in enumerate((("kp", kp), ("kd", kd))):
                 values[name] = _float(gain) * _float(self._column("gain_mismatch", k, 1.0))
         for name, value in values.items():
             self.register_buffer(name, _float(value))
-        self.asymmetric = bool(self.even_constant.any() or self.even_slope.any())
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.parent is None:  # on its way into a buffer: what acted is noted already
@@ -216,20 +268,43 @@ class CorrectedActuation(StatefulTransform):
         command = tensordict.get(self.policy_key)
         if self.queue_key is not None:
             command = self._late(command, tensordict)
-        velocity = tensordict.get(self.velocity_key)
+        read, rate = tensordict.get(self.position_key), tensordict.get(self.velocity_key)
         torque = command
         if self.closed_loop:
             kp, kd = self._gains(tensordict)
-            torque = actuation.pd_torque(command, tensordict.get(self.position_key), velocity, kp, kd)
+            torque = actuation.pd_torque(command, read, rate, kp, kd)
             tensordict.set(self.target_key, command)
         if self.lag_key is not None:
             torque = self._lagging(torque, tensordict)
+        position, velocity = (read - self.encoder_offset) / self.encoder_scale, rate / self.encoder_scale
+        for name in self.motor:
+            if name == "torque_ripple":
+                wave = self.ripple_sine, self.ripple_cosine, self.ripple_wave
+                torque = torque + dynamics.ripple(position, *wave)
+            else:
+                torque = actuation.clip_torque_speed(torque, velocity, self.stall_torque, self.no_load_speed)
+        torque = torch.clamp(torque * self.torque_scale + self.torque_offset, -self.torque_limit, self.torque_limit)
+        torque = self._beside_the_motor(torque, position, velocity, tensordict)
         if self.fresh_key is not None:
             tensordict.set(self.fresh_key, torch.zeros_like(tensordict.get(self.fresh_key)))
-        torque = torch.clamp(torque * self.torque_scale + self.torque_offset, -self.torque_limit, self.torque_limit)
-        if self.asymmetric:
-            torque = torque + dynamics.even_friction(velocity, self.even_constant, self.even_slope)
         return tensordict.set(self.torque_key, torque)
+
+    def _beside_the_motor(
+        self, torque: Tensor, position: Tensor, velocity: Tensor, tensordict: TensorDictBase
+    ) -> Tensor:
+        """With what acts at the joint itself, at its true position and velocity."""
+        if "asymmetric_friction" in self.present:
+            torque = torque + dynamics.even_friction(velocity, self.even_constant, self.even_slope)
+        if "stribeck_friction" in self.present:
+            torque = torque + dynamics.stribeck_relief(velocity, self.stribeck_excess, self.stribeck_speed)
+        if "joint_stop" in self.present:
+            torque = torque + dynamics.stop_torque(position, self.stop_place, self.stop_side, self.stop_stiffness)
+        if self.wound_key is not None:
+            last = torch.where(tensordict.get(self.fresh_key), position, tensordict.get(self.last_key))
+            wound = dynamics.wind_up(tensordict.get(self.wound_key), position - last, self.hysteresis_width)
+            tensordict.set(self.wound_key, wound).set(self.last_key, position)
+            torque = torque - self.hysteresis_torque * wound
+        return torque
 
     def _late(self, command: Tensor, tensordict: TensorDictBase) -> Tensor:
         fresh = tensordict.get(self.fresh_key).unsqueeze(-1)
@@ -255,6 +330,9 @@ class CorrectedActuation(StatefulTransform):
             first[self.queue_key] = history.tile(torch.zeros_like(position), len(self.weights))
         if self.lag_key is not None:
             first[self.lag_key] = torch.zeros_like(position)
+        for key in (self.wound_key, self.last_key):
+            if key is not None:
+                first[key] = torch.zeros_like(position)
         if self.fresh_key is not None:
             first[self.fresh_key] = torch.ones_like(position[..., :1], dtype=torch.bool)
         return first
@@ -273,7 +351,10 @@ class CorrectedActuation(StatefulTransform):
         return super()._reset(tensordict, tensordict_reset)  # the step has read the encoder already
 
     def _read_encoder(self, tensordict: TensorDictBase) -> TensorDictBase:
-        return tensordict.set(self.position_key, tensordict.get(self.position_key) + self.encoder_offset)
+        position = tensordict.get(self.position_key) * self.encoder_scale + self.encoder_offset
+        if "encoder_scale" in self.present:
+            tensordict.set(self.velocity_key, tensordict.get(self.velocity_key) * self.encoder_scale)
+        return tensordict.set(self.position_key, position)
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
         position = observation_spec[self.position_key]
@@ -282,8 +363,9 @@ class CorrectedActuation(StatefulTransform):
         if self.queue_key is not None:
             shape = (*position.shape[:-1], *self.weights.shape)
             specs[self.queue_key] = unbounded_like(position, shape)
-        if self.lag_key is not None:
-            specs[self.lag_key] = unbounded_like(position, position.shape)
+        for key in (self.lag_key, self.wound_key, self.last_key):
+            if key is not None:
+                specs[key] = unbounded_like(position, position.shape)
         if self.fresh_key is not None:
             specs[self.fresh_key] = Unbounded((*position.shape[:-1], 1), dtype=torch.bool, device=position.device)
         return specs
@@ -320,13 +402,17 @@ class CorrectedActuation(StatefulTransform):
                 f"CorrectedActuation counts steps of {self.timestep} s, the physics takes {physics.timestep} s: delays "
                 "and lags would be off in proportion. Give it timestep=env.physics.timestep."
             )
+        carries = {joint for effect, joint, _ in self.entries if effect == "payload"}
         for effect, joint, values in self.entries:
-            has = _in_model(physics.model, effect, joint)
-            if has is not None and abs(has - values[0]) > 1e-3 * abs(values[0]) + 1e-9:
+            if effect in ("link_mass", "link_com") and joint in carries:  # their sum is in the model
+                continue
+            wanted, has = _in_model(physics.model, effect, joint, values)
+            if abs(has - wanted) > 1e-3 * abs(wanted) + 1e-9:
+                name = (IN_THE_MODEL | IN_THE_CHAIN)[effect][0]
                 raise ValueError(
-                    f"the correction holds {effect} of {joint!r}, {IN_THE_MODEL[effect][0]} {values[0]:.4g}, but the "
-                    f"model has {has:.4g}: it would be left out. Build the robot from corrected.xml, which the "
-                    "diagnosis wrote beside corrected.json."
+                    f"the correction holds {effect} of {joint!r}, {name} {wanted:.4g}, but the model has {has:.4g}: it "
+                    "would be left out. Build the robot from corrected.xml, which the diagnosis wrote beside "
+                    "corrected.json."
                 )
 
 
@@ -347,43 +433,58 @@ def _read(correction: Correction) -> Mapping[str, Any]:
 
 def _known_entries(
     content: Mapping[str, Any], joint_names: tuple[str, ...]
-) -> list[tuple[str, str, tuple[float, ...]]]:
+) -> list[tuple[str, str | None, tuple[float, ...]]]:
     """Effect, joint and values, all of which the chain or the model can express."""
     known = IN_THE_CHAIN | IN_THE_MODEL
-    entries = []
+    entries: list[tuple[str, str | None, tuple[float, ...]]] = []
     for entry in (*content["effects"], *content["trims"]):
-        effect, joint = entry["effect"], entry["joint"]
+        effect, joint, given = entry["effect"], entry["joint"], entry["parameters"]
         if effect in OF_THE_RECORDING:
             continue
         if effect not in known:
+            why = f" ({NOT_ACTED_OUT[effect]})" if effect in NOT_ACTED_OUT else ""
             raise ValueError(
-                f"effect {effect!r} of {joint!r} is not one that CorrectedActuation can act out: it knows "
+                f"effect {effect!r} of {joint!r} is not one that CorrectedActuation can act out{why}: it knows "
                 f"{sorted(known)}. Leave it out of the correction if the policy may be trained without it."
             )
-        if joint not in joint_names:
+        if joint is not None and joint not in joint_names:
             raise ValueError(
                 f"{effect} was found on joint {joint!r}, which is not among joint_names {joint_names}. Name the "
                 "environment's joints as the diagnosed model does."
             )
-        values = tuple(float(entry["parameters"][name]["value"]) for name in known[effect])
-        entries.append((effect, joint, values))
+        values = tuple(float(given[name]["value"]) for name in known[effect])
+        if effect == "torque_ripple" and given["periods"].get("unit") == "1/m":  # else a revolution
+            values = (*values[:2], 2 * math.pi * values[2])
+        whose = content["joint_names"] if effect == "clock_offset" else [joint]
+        entries += [(effect, name, values) for name in whose]
     return entries
 
 
-def _in_model(model: Any, effect: str, joint: str) -> float | None:
-    """What the model has for the parameter of an effect, where it can be told."""
+def _in_model(model: Any, effect: str, joint: str | None, values: tuple[float, ...]) -> tuple[float, float]:
+    """What the model should have for an effect and what it has, alike where that cannot be told."""
+    if effect == "gravity_tilt" and not model.opt.gravity[:2].any():  # straight down
+        return max(values, key=abs), 0.0
+    if joint is None:
+        return 0.0, 0.0
     at = model.joint(joint)
-    if effect == "coulomb_friction":
-        return float(at.frictionloss[0])
+    dry = {
+        "coulomb_friction": values[0],
+        "asymmetric_friction": sum(values[:2]) / 2,
+        "stribeck_friction": sum(values[:2]),
+    }
+    if effect in dry:
+        return dry[effect], float(at.frictionloss[0])
     if effect == "viscous_friction":
-        return float(at.damping.flat[0])
+        return values[0], float(at.damping.flat[0])
     if effect == "reflected_inertia":
-        return float(at.armature[0])
+        return values[0], float(at.armature[0])
+    if effect == "joint_spring":
+        return values[0], float(at.stiffness.flat[0])
     body = model.body(at.bodyid[0])
     if effect == "link_mass":
-        return float(body.mass[0])
+        return values[0], float(body.mass[0])
     if effect == "link_com":
         offset = body.ipos - at.pos
         lever = offset - at.axis * (at.axis @ offset)
-        return float((lever @ lever) ** 0.5)
-    return None
+        return values[0], float((lever @ lever) ** 0.5)
+    return 0.0, 0.0
