@@ -4,10 +4,11 @@ A robot is data. What moves it lives in ``physics``, and what it is asked to do 
 """
 
 from torchrl_athletic.robots.b2z1 import b2z1
+from torchrl_athletic.robots.corrected import with_correction
 from torchrl_athletic.robots.from_mjcf import from_mjcf
 from torchrl_athletic.robots.robot import Joint, Robot
 from torchrl_athletic.robots.terrain import Terrain
 from torchrl_athletic.robots.tools import Bucket, Dumbbell
 from torchrl_athletic.robots.z1 import z1
 
-__all__ = ["Bucket", "Dumbbell", "Joint", "Robot", "Terrain", "b2z1", "from_mjcf", "z1"]
+__all__ = ["Bucket", "Dumbbell", "Joint", "Robot", "Terrain", "b2z1", "from_mjcf", "with_correction", "z1"]
