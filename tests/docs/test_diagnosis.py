@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from torchrl_athletic.diagnosis import Answer, Finding, Location, Rival, Score
+from torchrl_athletic.diagnosis.calibration import Grounds
 from torchrl_athletic.diagnosis.corrected import NATIVE, SCHEMA
 from torchrl_athletic.diagnosis.result import SCHEMA as ANSWER_SCHEMA
-from torchrl_athletic.diagnosis.screen import FIT_TRIMS, SCREEN_TRIMS
-from torchrl_athletic.diagnosis.search import DECISIVE
+from torchrl_athletic.diagnosis.screen import FIT_TRIMS, TRIMS
+from torchrl_athletic.diagnosis.search import DECISIVE, MISFIT, TERM
 
 PAGE = (Path(__file__).parents[2] / "docs/diagnosis.md").read_text(encoding="utf-8")
 THRESHOLDS = re.findall(r"^\| `([\w.]+)\.([A-Z_]+)` \| ([\d., ]+) \|", PAGE, re.M)
@@ -34,13 +35,26 @@ def test_every_threshold_of_the_gates_and_the_search_is_explained():
         assert {f"{module}.{name}" for name in set_by_hand} - stated <= {"diagnosis.search.FOLDS"}
 
 
-def test_tolerances_of_the_trims():
-    assert [(e.name, share) for e, share in SCREEN_TRIMS.items()] == [("link_mass", 0.03)]
-    shares = {e.name: share for e, share in FIT_TRIMS.items()}
-    assert shares == {"link_mass": 0.05, "link_com": 0.05, "link_inertia": 0.15, "torque_scale": 0.05}
+def test_trims_of_naming_and_of_the_fit():
+    """Their tolerances are written from the code into the page of effects."""
     trims = " ".join(PAGE[PAGE.index("### Trims") : PAGE.index("## Fit")].split())
-    assert "masses may move by 3 %" in trims
-    assert "masses and centres of mass may move by 5 %, inertias of links by 15 % and torque scales by 5 %" in trims
+    assert [e.name for e in TRIMS if f"`{e.name}`" not in trims] == []
+    assert {e.name for e in FIT_TRIMS} - {e.name for e in TRIMS} == {"torque_scale"}
+    assert "In the fit, `torque_scale` too" in trims
+
+
+def test_what_a_probability_rests_on_is_listed():
+    gates = PAGE[PAGE.index("## Gates") : PAGE.index("**Verdict.**")]
+    assert [f.name for f in fields(Grounds) if f"`{f.name}`" not in gates] == []
+
+
+def test_what_a_true_term_may_leave_is_said_by_class():
+    assert MISFIT == {"friction": 0.02, "presliding": 0.02, "change": 0.02, "transmission": 0.03}
+    text = " ".join(PAGE[PAGE.index("## Screen") : PAGE.index("### Trims")].split())
+    assert "a term of friction, presliding or change on the joint it must explain 2 %" in text
+    assert "beside a transmission 3 %, beside others half a percent" in text
+    assert "odds of twenty for each term" in text
+    assert np.exp(TERM / 2) == pytest.approx(20)
 
 
 def test_decisive_evidence_is_odds_of_150_to_1():
@@ -61,6 +75,11 @@ def test_schemas_and_what_mjcf_can_say():
         "reflected_inertia": "armature",
         "link_mass": "mass",
         "link_com": "centre of mass",
+        "link_com_shift": "centre of mass",
+        "link_inertia": "inertia",
+        "payload": "payload",
+        "gravity_tilt": "gravity",
+        "joint_spring": "spring",
     }
     assert set(words) == NATIVE
     assert all(word in FILES for word in words.values())
