@@ -64,6 +64,7 @@ class Page(HTMLParser):
     def handle_data(self, data):
         if "style" in self._open:
             return
+        data = data.replace("\N{NO-BREAK SPACE}", " ")
         self.words.append(data)
         if "tr" in self._open and ("td" in self._open or "th" in self._open):
             self.rows[-1][-1] += data.strip()
@@ -149,7 +150,7 @@ def test_the_page_tells_its_story_in_order(name):
 def test_the_answer_is_at_most_three_sentences_and_says_what_would_change_it(name):
     answer, text = SAMPLES[name]().answer, text_of(name)
     told = re.findall(r"<p>(.*?)</p>", re.search(r'<div class="lead">(.*?)</div>', text, re.DOTALL)[1], re.DOTALL)
-    assert [html.unescape(s) for s in told] == lead(answer)
+    assert [html.unescape(s).replace("\N{NO-BREAK SPACE}", " ") for s in told] == lead(answer)
     assert len(told) <= 3
     assert f"What would change this? {would_change(answer)}" in Page(text).text
 
@@ -194,6 +195,13 @@ def test_an_effect_of_the_whole_robot_is_shown_where_it_shows_most():
     assert "Gravity tilt, whole robot" in Page(text).text
     assert "missing torque of shoulder against position" in Page(text).text  # 0.02 N·m there, 0.01 at the elbow
     assert text.count('class="link guilty"') == 2
+
+
+def test_a_number_and_its_unit_stay_on_one_line_and_code_as_it_is():
+    s = arm()
+    text = render(replace(s.answer, summary=("It is 5 % of 0.3 N·m at 2 Hz.",)), (), (), folder="run 5 m")
+    assert "It is 5\N{NO-BREAK SPACE}% of 0.3\N{NO-BREAK SPACE}N·m at 2\N{NO-BREAK SPACE}Hz." in text
+    assert "&#39;run 5 m&#39;" in text
 
 
 def test_what_a_parameter_chooses_has_no_interval():

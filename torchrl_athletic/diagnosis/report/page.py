@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import shlex
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -68,6 +69,7 @@ MOST_WHYS = 4  # drawn large, one a finding
 MOST_MAPS = 24  # drawn; a figure costs about 0.1 s and 5 kB
 MOST_OVERLAYS = 8
 MOST_JOINTS = 4  # of one recording
+_BEFORE_UNIT = re.compile(r"(?<=\d) (?=%|(?:[mµ]?rad|[mµ]?s|[mµ]?m|N·m|N|kg|Hz)\b)")
 COMMAND_FILE = "next_experiment.npz"
 
 
@@ -118,13 +120,20 @@ def render(
 ) -> str:
     """The text of the page; ``folder`` is the name of the output folder in its examples."""
     import jinja2
+    from markupsafe import escape
 
     here = resources.files(__package__)
     environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined, finalize=_together
     )
     environment.filters.update(percent=percent, title=title, words=words, place=place)
-    environment.globals.update(estimate=estimate, python=repr, chosen=CHOSEN, grounds=grounds_words, shell=shlex.quote)
+    environment.globals.update(
+        estimate=estimate,
+        python=lambda text: escape(repr(text)),
+        chosen=CHOSEN,
+        grounds=grounds_words,
+        shell=lambda text: escape(shlex.quote(text)),
+    )
     units = joint_units(answer, maps)
     return environment.from_string((here / "page.html").read_text("utf-8")).render(
         a=answer,
@@ -332,6 +341,11 @@ def _quality(quality: Mapping[str, Any]) -> dict[str, Any]:
         "warnings": [str(w) for w in quality.get("warnings", ())],
         "notes": {title(str(k)): str(v) for k, v in quality.items() if k not in known and v not in (None, "", [], {})},
     }
+
+
+def _together(value: Any) -> Any:
+    """Keep a number and its unit on one line; code and SVG, which are marked as safe, stay as they are."""
+    return _BEFORE_UNIT.sub("\N{NO-BREAK SPACE}", value) if type(value) is str else value
 
 
 def _markup(text: str) -> Markup:

@@ -48,7 +48,7 @@ def terminal_summary(answer: Answer, experiment: str = "") -> str:
         arm.xml: nothing is missing.
         <BLANKLINE>
         The model explains the recordings.
-        What would change this? A recording would that the model follows worse than the sensors' noise...
+        What would change this? A recording that the model follows worse than the sensors' noise allows...
     """
     blocks = [
         _wrapped(f"{answer.model}: {verdict_words(answer)[0].lower()}."),

@@ -42,25 +42,23 @@ def besides(answer: Answer) -> list[str]:
 def would_change(answer: Answer) -> str:
     """What would change the verdict."""
     if not answer.complete:
-        return "It is provisional: the same command, run to its end, may change it."
+        return "The rest of the run: the same command, run to its end, goes on from here."
     if answer.verdict == "nothing_missing":
         return (
-            "A recording would that the model follows worse than the sensors' noise allows: it holds for motions like "
-            "the recorded ones, and faster, slower, heavier or colder ones may still show something."
+            "A recording that the model follows worse than the sensors' noise allows. Nothing is known of motions that "
+            "are faster, slower, heavier or colder than the recorded ones."
         )
     if answer.verdict == "explained":
-        text = "A recording of another kind would, on which the corrected model errs clearly more than on these"
+        text = "A recording of another kind on which the corrected model errs clearly more than here"
         rival = next((r for f in answer.findings for r in f.rivals), None)
-        if rival is None:
-            return text + "."
-        return text + f"; the name would change if the next recording favours {words(rival.effect)}."
+        return f"{text}; or a next recording that favours {words(rival.effect)}." if rival else f"{text}."
     if answer.verdict == "partly_explained":
         where = next((x for x in answer.locations if x.regime != "everywhere"), None)
         at = f", above all of {where.joint}, {where.regime}" if where else ""
-        return f"A name for what is left would: record more of the motion that shows it{at}."
+        return f"A name for what is left. Record more of the motion that shows it{at}."
     return (
-        "An effect that the catalogue does not have yet would, or a slip in what was given: check units, signs, the "
-        "order of the joints and the gains, then record another payload, speed and temperature."
+        "An effect that the catalogue does not have yet, or a slip in what was given: check units, signs, the order of "
+        "the joints and the gains, then record another payload, speed and temperature."
     )
 
 
