@@ -185,7 +185,19 @@ def test_the_grounds_of_a_probability_are_said_in_words():
     assert "It has 97 % of the evidence" in text
     assert "21 % of the missing torque of the joint stays" in text
     assert "differs by 6 % from take to take" in text
-    assert "What the probability rests on" not in Page(text_of("arm")).text  # older answers did not keep them
+    assert "rest on" in text
+    assert "rest on" not in Page(text_of("arm")).text  # older answers did not keep them
+
+
+def test_two_findings_that_show_in_one_map_share_a_picture():
+    s = arm()
+    friction = s.answer.findings[0]
+    both = replace(s.answer, findings=(friction, replace(friction, effect="viscous_friction")))
+    text = render(both, s.maps, s.overlays, model=s.model)
+    assert text.count("why0-law-line") == 1
+    assert "why1-law-line" not in text
+    assert "Coulomb friction and viscous friction, elbow: missing torque against speed" in Page(text).text
+    assert "Coulomb friction, 1 more" in text  # below the joint's name
 
 
 def test_an_effect_of_the_whole_robot_is_shown_where_it_shows_most():

@@ -57,7 +57,7 @@ from torchrl_athletic.diagnosis.report.words import (
     words,
     would_change,
 )
-from torchrl_athletic.diagnosis.result import Answer, Finding, Overlay, RegimeMap, Score
+from torchrl_athletic.diagnosis.result import Answer, Overlay, RegimeMap, Score
 from torchrl_athletic.effects import CATALOGUE
 
 if TYPE_CHECKING:
@@ -167,9 +167,9 @@ def _robot(answer: Answer, model: mujoco.MjModel | None) -> Markup | None:
     notes = {x.joint: f"{percent(x.share_of_error)} of the error" for x in joints_and_regimes(answer.locations)[0]}
     if len(notes) > 7:  # a robot of many joints: those that matter
         notes = {x.joint: notes[x.joint] for x in answer.locations if x.joint in notes and x.share_of_error >= 0.03}
-    for f in reversed(answer.findings):
-        if f.joint is not None:
-            notes[f.joint] = words(f.effect)
+    for joint in {f.joint for f in answer.findings if f.joint is not None}:
+        first, *more = [words(f.effect) for f in answer.findings if f.joint == joint]
+        notes[joint] = f"{first}, {len(more)} more" if more else first
     if answer.verdict == "nothing_missing":
         notes = dict.fromkeys(notes, "")
     return _markup(robot_svg(model, dict.fromkeys(f.joint for f in answer.findings), notes))
@@ -230,25 +230,28 @@ def _pooled_unit(score: Score, units: Mapping[str, str]) -> str | None:
 
 
 def _whys(answer: Answer, maps: Sequence[RegimeMap]) -> list[dict[str, Any]]:
-    """For each finding the map that gave it away; without findings the one with the most missing torque."""
+    """The maps that gave the findings away, each once; without findings the one with the most missing torque."""
+    found = [(f, m) for f in answer.findings if (m := map_of(f, maps)) is not None]
+    shown = list({id(m): m for _, m in found}.values())[:MOST_WHYS]
+    if not found and maps:
+        shown = [first_map(answer, maps, joint_order(answer, [m.joint for m in maps])[0])]
     laws = {e.name: (e.equation, e.source) for e in CATALOGUE}
-    shown: list[tuple[Finding | None, RegimeMap]] = [
-        (f, m) for f in answer.findings[:MOST_WHYS] if (m := map_of(f, maps)) is not None
-    ]
-    if not shown and maps:
-        shown = [(None, first_map(answer, maps, joint_order(answer, [m.joint for m in maps])[0]))]
-    return [
-        {
-            "finding": f,
-            "joint": m.joint,
-            "feature": m.feature,
-            "force": force_word(m.torque_unit),
-            "law": laws.get(f.effect) if f else None,
-            "words": _spoken(m),
-            "figure": _markup(svg(why_figure(m) if f else regime_figure(m), f"why{i}", _spoken(m))),
-        }
-        for i, (f, m) in enumerate(shown)
-    ]
+    whys = []
+    for i, m in enumerate(shown):
+        findings = [f for f, own in found if own is m]
+        figure = why_figure(m) if findings else regime_figure(m)
+        whys.append(
+            {
+                "findings": findings,
+                "joint": m.joint,
+                "feature": m.feature,
+                "force": force_word(m.torque_unit),
+                "laws": [laws[f.effect] for f in findings if f.effect in laws],
+                "words": _spoken(m),
+                "figure": _markup(svg(figure, f"why{i}", _spoken(m))),
+            }
+        )
+    return whys
 
 
 def _regimes(answer: Answer, maps: Sequence[RegimeMap]) -> list[dict[str, Any]]:
