@@ -15,11 +15,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from diagnosis.sample import ARM, SAMPLES, Sample, arm, partial, slider
+from diagnosis.sample import ARM, SAMPLES, Sample, arm, partial, slider, unexplained
 
 from torchrl_athletic.diagnosis.report import write_report
 from torchrl_athletic.diagnosis.report.page import render
-from torchrl_athletic.diagnosis.report.words import lead, would_change
+from torchrl_athletic.diagnosis.report.words import lead, next_takes, would_change
 from torchrl_athletic.diagnosis.result import Answer, Estimate
 
 VOID = {"meta", "link", "input", "br", "img", "hr"}
@@ -160,6 +160,14 @@ def test_each_verdict_is_changed_by_something_else():
     assert len({would_change(a) for a in answers}) == len(answers)
     assert "load dependent friction" in would_change(arm().answer)  # the rival that would take its place
     assert "moving backwards" in would_change(slider().answer)  # where the rest is
+
+
+def test_the_next_recording_is_asked_for_where_the_error_is():
+    assert next_takes(replace(unexplained().answer))[0].startswith("Elbow alone: slow constant speeds")
+    [asked] = next_takes(replace(slider().answer, findings=()))
+    assert asked == "More of the motion that shows what is left: carriage, moving backwards."
+    asked = next_takes(arm().answer)
+    assert asked == [r.separating_experiment for f in arm().answer.findings for r in f.rivals]
 
 
 def test_many_findings_are_told_in_one_sentence():
@@ -418,7 +426,7 @@ def browse(tmp_path_factory):
             "--window-size=1280,800",
             f"--user-data-dir={folder}",
             f"--screenshot={folder / 'shot.png'}",
-            *flags,
+            *flags,  # of two that say the same the last counts
             path.as_uri(),
         ]
         run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
@@ -444,6 +452,22 @@ def test_a_browser_shows_the_page_without_complaint(browse, tmp_path, name):
     paper = light[5, 5]
     assert 0.03 < (np.abs(light - paper).max(axis=-1) > 0.2).mean() < 0.5  # text and figures on calm ground
     assert paper.mean() > 0.9
+
+
+@pytest.mark.parametrize("width", [390, 1180])
+def test_nothing_sticks_out_at_the_side_even_with_all_folds_open(browse, tmp_path, width):
+    page = tmp_path / "report.html"
+    page.write_text(re.sub("<details ?>", "<details open>", text_of("arm")), encoding="utf-8")
+    around = tmp_path / "around.html"
+    around.write_text(
+        f'<!doctype html><body style="margin:0"><iframe src="report.html" scrolling="no" '
+        f'style="width:{width}px;height:9000px;border:0"></iframe>',
+        encoding="utf-8",
+    )
+    _, shot = browse(around, "--window-size=1280,9000")
+    margin = shot[:, width - 12 : width]
+    assert (np.abs(margin - shot[5, 5]).max(axis=-1) < 0.1).all()
+    assert (np.abs(shot[:, 20 : width - 20] - shot[5, 5]).max(axis=-1) > 0.2).mean() > 0.02  # the page is there
 
 
 def test_the_page_is_dark_for_those_who_like_it_dark(browse, tmp_path):

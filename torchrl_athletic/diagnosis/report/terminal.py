@@ -49,6 +49,8 @@ def terminal_summary(answer: Answer, experiment: str = "") -> str:
         <BLANKLINE>
         The model explains the recordings.
         What would change this? A recording that the model follows worse than the sensors' noise allows...
+        <BLANKLINE>
+        Record next: Nothing needs to be. ...
     """
     blocks = [
         _wrapped(f"{answer.model}: {verdict_words(answer)[0].lower()}."),
@@ -123,8 +125,7 @@ def _where(answer: Answer) -> Iterator[str]:
 
 
 def _next(answer: Answer, experiment: str) -> Iterator[str]:
-    rivals = any(f.rivals for f in answer.findings)
-    for sentence in [experiment] if experiment else next_takes(answer) if rivals else []:
+    for sentence in [experiment] if experiment else next_takes(answer):
         yield _wrapped(f"Record next: {sentence}", hanging="   ")
 
 

@@ -83,9 +83,20 @@ def grounds_words(finding: Finding) -> list[str]:
 
 
 def next_takes(answer: Answer) -> list[str]:
-    """What to record next: what separates the rivals, else what would show the most."""
+    """What to record next: what separates the rivals, else what would test the answer most."""
     asked = list(dict.fromkeys(r.separating_experiment for f in answer.findings for r in f.rivals))
-    return asked or [would_change(answer)]
+    if asked:
+        return asked
+    joints, regimes = joints_and_regimes(answer.locations)
+    if answer.verdict == "nothing_missing":
+        return ["Nothing needs to be. To test the model further: motions faster, slower, heavier or colder than these."]
+    if answer.verdict == "explained":
+        return ["Nothing is left to tell apart. To test the answer: a motion of another kind, to keep aside."]
+    where = f"{regimes[0].joint}, {regimes[0].regime}" if regimes else "the joint with the largest error"
+    if answer.verdict == "partly_explained":
+        return [f"More of the motion that shows what is left: {where}."]
+    who = f"{joints[0].joint} alone" if joints else "one joint at a time"
+    return [f"{who[0].upper()}{who[1:]}: slow constant speeds both ways, a fast chirp, and both with a second payload."]
 
 
 def joints_and_regimes(locations: Sequence[Location]) -> tuple[list[Location], list[Location]]:
