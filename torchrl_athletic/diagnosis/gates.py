@@ -30,7 +30,7 @@ LIKELY = 0.5
 """An explanation may not rest on a finding that is less probable than this and has no rivals to share with."""
 PARTLY = 0.80
 """Above this share nothing worth the name is explained."""
-NEAR_FLOOR = 3.0
+NEAR_FLOOR = 8.0
 """Window error over the floor up to which a model without predictable missing torque is called complete."""
 LEAST_PROBABILITY = 0.03
 """Rivals below are not printed."""

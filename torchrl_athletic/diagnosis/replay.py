@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter, savgol_coeffs, savgol_filter
 
 from torchrl_athletic.effects.gear import LinkMotion
+from torchrl_athletic.effects.inertia import free_of_simple_bodies
 from torchrl_athletic.effects.plant import Law, Now, Plant, Start
 from torchrl_athletic.effects.signals import (
     JointAddress,
@@ -106,6 +107,7 @@ def take_of(
     driven = model.__copy__()
     driven.opt.timestep = step
     driven.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    free_of_simple_bodies(driven)
 
     period = substeps * step
     time = recording.time[0] + period * np.arange(int((recording.duration + 1e-9) / period) + 1)

@@ -47,7 +47,7 @@ TRIMS: Mapping[Effect, float] = MappingProxyType(
     {LinkMass(): 1.0, LinkComShift(): 0.6, LinkInertia(): 1.5, EncoderOffset(): 0.3, ClockShift(): 1.0}
 )
 """What every model and every log is a little wrong in, and by how many of its parameters' units: 5 % of a mass, 3 % of
-a link's size, 15 % of an inertia, 3 mrad, 1 ms. A smaller change is a trim, no finding."""
+a link's size, 15 % of an inertia, 3 mrad, 1 ms or half a sample. A smaller change is a trim, no finding."""
 FIT_TRIMS: Mapping[Effect, float] = MappingProxyType({**TRIMS, TorqueScale(): 1.0})
 """The same once the findings are known: 5 % of a torque constant, too."""
 OWN_JOINT = frozenset({"friction", "presliding", "transmission", "timing", "torque", "elastic", "control", "change"})
@@ -472,6 +472,8 @@ def trims_for(takes: Sequence[Signals], trust: Mapping[Effect, float]) -> list[C
     out = []
     for candidate in candidates_for(takes, tuple(trust)):
         reach = trust[candidate.effect]
+        if candidate.effect.name == "clock_shift":  # half a sample is nobody's fault
+            reach = max(reach, max(0.5 / s.recording.rate for s in takes) / candidate.parameters[0].scale)
         narrow = tuple(
             replace(p, lower=p.nominal - reach * p.scale, upper=p.nominal + reach * p.scale)
             for p in candidate.parameters

@@ -26,7 +26,7 @@ from torchrl_athletic.effects.presliding import Bristle, directions, forms
 from torchrl_athletic.effects.signals import JointAddress, Signals
 from torchrl_athletic.effects.torque import leftover
 
-_OF_TAKE = (0.03, 0.08, 0.2, 0.5, 1.5)
+_OF_TAKE = (0.08, 0.2, 0.5, 1.5)
 """Time constants to try, per the length of the longest take."""
 _LONG_ENOUGH = 10.0
 """A take in which something may warm up [s]."""
@@ -44,7 +44,7 @@ class ThermalDrift(Effect):
     own first stamp, as if the robot had rested before it.
 
     Fingerprint: -z w and -q̇ w with w = 1 - exp(-t/T) and the direction of sliding z of Coulomb friction, at time
-    constants T from 3 to 150 % of the longest take.
+    constants T from 8 to 150 % of the longest take.
 
     Simulation: bristles and a damper beside the motor, as strong as the time in the take says.
     """
@@ -67,7 +67,7 @@ class ThermalDrift(Effect):
         return (
             Parameter("amplitude", torque_unit(model, address, joint), 0.0, -bound, bound, 0.02 * scale),
             Parameter("damping", per_speed_unit(model, address, joint), 0.0, -bound, bound, 0.01 * scale),
-            Parameter("time_constant", "s", 1.0, 0.1, 1e4, 2.0),
+            Parameter("time_constant", "s", 10.0, 2.0, 1e4, 2.0),
         )
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:

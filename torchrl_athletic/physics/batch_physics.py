@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable, Sequence
 
@@ -30,6 +31,11 @@ _INPUTS = {
 _FULL = [mujoco.mjtWarning.mjWARN_CONTACTFULL.value, mujoco.mjtWarning.mjWARN_CNSTRFULL.value]
 
 
+def _processors() -> int:
+    """Those that the process may run on: threads beyond them wait for each other."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 class BatchPhysics(Physics):
     """N simulations on CPU threads, through :class:`mujoco.batch.Batch`.
 
@@ -38,7 +44,7 @@ class BatchPhysics(Physics):
     Args:
         model: What to simulate. Copied.
         num_envs: N.
-        num_threads: Including the caller's. None takes every CPU. The numbers do not depend on it.
+        num_threads: Including the caller's. None takes every CPU that the process may use. The numbers do not depend on it.
         fields: Names of ``mjModel`` fields, or ``"opt.gravity"`` and the like, that get values per env.
         joint_names: Joints for :meth:`apply_torque`. None takes the actuators' joints in their order or, in a model
             without actuators on joints, every hinge and slide.
@@ -70,7 +76,7 @@ class BatchPhysics(Physics):
         joint_names: Sequence[str] | None = None,
     ) -> None:
         self.model, self.num_envs, self.fields = model, num_envs, tuple(fields)
-        self.batch = Batch(model, num_envs, num_threads or 0)
+        self.batch = Batch(model, num_envs, num_threads or _processors())
         self._fields = {name: torch.from_numpy(self.batch.expand(name)) for name in self.fields}
         self._forces = self.batch.bind("qfrc_applied")
         self._data: dict[str, Tensor] = {}

@@ -1,0 +1,98 @@
+"""Learn how probable findings are from the answers to tuning cases.
+
+    python benchmarks/concealed/run.py --split tuning --jobs 2
+    python benchmarks/concealed/calibrate.py
+
+A logistic regression on the grounds of every finding that was stated; right is what the score calls right. Writes
+``torchrl_athletic/diagnosis/calibration.json``. Sealed cases are refused: what scores does not tune.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+sys.path.append(str(Path(__file__).parents[2]))
+
+from benchmarks.concealed.cases import prepare
+from torchrl_athletic.diagnosis.calibration import Grounds
+from torchrl_athletic.effects import CATALOGUE
+
+Array = NDArray[np.float64]
+
+SIGNS = {"share": 1, "left": -1, "excess": -1, "scatter": -1, "open": -1, "energy": 1, "terms": -1, "strain": -1}
+"""Which way each feature may speak: more doubt never makes a finding more probable."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Every field is a flag."""
+
+    answers: Path = Path("outputs/concealed/diagnosis")
+    output: Path = Path("torchrl_athletic/diagnosis/calibration.json")
+    ridge: float = 0.5
+    """Strength of the pull of the weights to zero."""
+
+
+def main(cfg: Config) -> None:
+    features, right = findings(cfg.answers)
+    names = list(features[0])
+    x = np.array([[row[name] for name in names] for row in features])
+    weights = fit(x, right, np.array([SIGNS[name] for name in names]), cfg.ridge)
+    chance = _logistic(weights[0] + x @ weights[1:])
+    content = {
+        "made_by": f"benchmarks/concealed/calibrate.py, {len(right)} findings of tuning cases, {int(right.sum())} right",
+        "weights": {"intercept": round(float(weights[0]), 3)}
+        | {name: round(float(w), 3) for name, w in zip(names, weights[1:], strict=True)},
+    }
+    cfg.output.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    print(json.dumps(content, indent=1))
+    for low, high in ((0, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 1.01)):
+        inside = (chance >= low) & (chance < high)
+        if inside.any():
+            print(f"stated {chance[inside].mean():.2f}: {right[inside].mean():.2f} of {inside.sum()} are right")
+
+
+def findings(answers: Path) -> tuple[list[dict[str, float]], Array]:
+    """Features of every finding of the tuning cases, and whether it is right."""
+    containing = {e.name: {other.name for other in CATALOGUE if e.name in other.excludes} for e in CATALOGUE}
+    features, right = [], []
+    for path in sorted(answers.glob("tuning-*.json")):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if "answer" not in content:
+            continue
+        split, block, seed, index = content["case"].split("-")
+        case = prepare(split, block, int(index), int(seed)).case  # type: ignore[arg-type]
+        true = {(t.effect, t.joint) for t in case.truths} | {k for alike in case.equivalents for k in alike}
+        if case.removed:  # what contains the removed effect states it
+            true |= {(name, t.joint) for t in case.truths for name in containing.get(t.effect, ())}
+        for finding in content["answer"]["findings"]:
+            features.append(Grounds(**finding["grounds"]).features())
+            right.append((finding["effect"], finding["joint"]) in true or finding["effect"] in case.tolerated)
+    return features, np.array(right, dtype=np.float64)
+
+
+def fit(x: Array, right: Array, signs: Array, ridge: float) -> Array:
+    """Weights of a logistic regression whose signs are given, the intercept first. Shape (1 + features,)."""
+
+    def loss(w: Array) -> float:
+        odds = w[0] + x @ w[1:]
+        return float(np.logaddexp(0, -np.where(right > 0, odds, -odds)).sum() + ridge * (w[1:] ** 2).sum())
+
+    bounds = [(None, None)] + [(0, None) if sign > 0 else (None, 0) for sign in signs]
+    return np.asarray(minimize(loss, np.zeros(1 + x.shape[1]), bounds=bounds, method="L-BFGS-B").x)
+
+
+def _logistic(odds: Array) -> Array:
+    return np.asarray(1.0 / (1.0 + np.exp(-odds)))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))
