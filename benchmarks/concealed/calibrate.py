@@ -48,7 +48,8 @@ def main(cfg: Config) -> None:
     weights = fit(x, right, np.array([SIGNS[name] for name in names]), cfg.ridge)
     chance = _logistic(weights[0] + x @ weights[1:])
     content = {
-        "made_by": f"benchmarks/concealed/calibrate.py, {len(right)} findings of tuning cases, {int(right.sum())} right",
+        "made_by": f"benchmarks/concealed/calibrate.py from {len(right)} findings of tuning cases, "
+        f"{int(right.sum())} of them right",
         "weights": {"intercept": round(float(weights[0]), 3)}
         | {name: round(float(w), 3) for name, w in zip(names, weights[1:], strict=True)},
     }
@@ -69,7 +70,7 @@ def findings(answers: Path) -> tuple[list[dict[str, float]], Array]:
         if "answer" not in content:
             continue
         split, block, seed, index = content["case"].split("-")
-        case = prepare(split, block, int(index), int(seed)).case  # type: ignore[arg-type]
+        case = prepare(split, block, int(index), int(seed)).case
         true = {(t.effect, t.joint) for t in case.truths} | {k for alike in case.equivalents for k in alike}
         if case.removed:  # what contains the removed effect states it
             true |= {(name, t.joint) for t in case.truths for name in containing.get(t.effect, ())}

@@ -69,7 +69,8 @@ def main(config: Config) -> Diagnosis:
         sys.exit(f"error: {' '.join(str(error).split())}")
     except KeyboardInterrupt:
         sys.exit("Stopped before there was anything to report.")
-    print(terminal_summary(diagnosis.answer))
+    plan = diagnosis.experiment.sentence if diagnosis.experiment else ""
+    print(terminal_summary(diagnosis.answer, plan))
     print(f"\nReport: {config.output / 'report.html'}")
     if not diagnosis.answer.complete:
         print("Stopped early. The same command goes on from here.")

@@ -103,7 +103,8 @@ class Diagnosis:
         write_json(output / "corrected.json", {**self.corrected.to_json(), "model_xml": self.xml})
         write_atomically(output / "corrected.xml", corrected_xml(self.xml, self.corrected))
         write(self.experiment, output)
-        write_report(self.answer, self.maps, self.overlays, output / "report.html")
+        plan = self.experiment.sentence if self.experiment else ""
+        write_report(self.answer, self.maps, self.overlays, output / "report.html", self.nominal.model, plan)
 
     @classmethod
     def load(cls, output: str | Path, catalogue: Sequence[Effect] = CATALOGUE) -> Diagnosis:

@@ -120,8 +120,12 @@ def summarise(
     if verdict != "nothing_missing" and locations:
         text = f"{100 * locations[0].share_of_error:.0f} % of the error arises at {locations[0].joint}"
         if where:
-            moving = where[0].regime.startswith(("moving", "accelerating", "slower", "faster"))
-            text += f"; it is densest {'when ' if moving else ''}{where[0].regime} ({where[0].joint})"
+            words = where[0].regime
+            if words.startswith(("moving", "accelerating", "slower", "faster")):
+                words = f"when {words}"
+            elif words.startswith(("position", "load", "command")):
+                words = f"with {words}"
+            text += f"; it is densest {words} ({where[0].joint})"
         out.append(text + ".")
     if score is not None and findings:
         kind = "recordings kept aside" if heldout else "the fitted recordings (none were kept aside)"

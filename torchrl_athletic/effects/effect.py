@@ -85,8 +85,8 @@ class Effect(ABC):
         """
 
     def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
-        """The same for several takes; an effect confined to one of them looks through all."""
-        return self.grid(takes[0], joint)
+        """The same for several takes: of the one in which the joint travels farthest, unless an effect knows better."""
+        return self.grid(max(takes, key=lambda s: float(np.ptp(s.fine_position[:, joint]))), joint)
 
     @abstractmethod
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:

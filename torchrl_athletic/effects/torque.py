@@ -163,6 +163,10 @@ class TorqueSaturation(Effect):
         most = float(np.abs(fine_torque(s, joint)).max())
         return [{"limit": most * share} for share in _SHARES] if most > 0 else []
 
+    def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
+        """Limits in proportion to the greatest torque of all takes."""
+        return self.grid(max(takes, key=lambda s: float(np.abs(fine_torque(s, joint)).max())), joint)
+
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         return self.fingerprints(s, joint, [fixed])[0]
 
@@ -227,6 +231,10 @@ class SpeedTorqueLimit(Effect):
         torques, speeds = np.minimum(float(u.max()) * np.array(_STALL), most), float(v.max()) * np.array(_NO_LOAD)
         points = [{"stall_torque": float(t), "no_load_speed": float(n)} for t in np.unique(torques) for n in speeds]
         return [p for p in points if (u > p["stall_torque"] * (1 - np.minimum(v / p["no_load_speed"], 1))).any()]
+
+    def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
+        """Limits in proportion to the greatest torque of all takes."""
+        return self.grid(max(takes, key=lambda s: float(np.abs(fine_torque(s, joint)).max())), joint)
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         return self.fingerprints(s, joint, [fixed])[0]

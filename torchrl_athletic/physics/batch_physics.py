@@ -44,7 +44,8 @@ class BatchPhysics(Physics):
     Args:
         model: What to simulate. Copied.
         num_envs: N.
-        num_threads: Including the caller's. None takes every CPU that the process may use. The numbers do not depend on it.
+        num_threads: Including the caller's. None takes every CPU that the process may use. The numbers do not depend
+            on it.
         fields: Names of ``mjModel`` fields, or ``"opt.gravity"`` and the like, that get values per env.
         joint_names: Joints for :meth:`apply_torque`. None takes the actuators' joints in their order or, in a model
             without actuators on joints, every hinge and slide.
