@@ -31,6 +31,10 @@ SIGNS = {"share": 1, "left": -1, "excess": -1, "scatter": -1, "open": -1, "energ
 """Which way each feature may speak: more doubt never makes a finding more probable."""
 
 
+UNSIGNED = ("gravity_tilt", "disturbance")
+"""Effects whose parameters have another convention in the key."""
+
+
 @dataclass(frozen=True)
 class Config:
     """Every field is a flag."""
@@ -39,6 +43,8 @@ class Config:
     output: Path = Path("torchrl_athletic/diagnosis/calibration.json")
     ridge: float = 0.5
     """Strength of the pull of the weights to zero."""
+    relative: float = 0.02
+    """Of a parameter's value: the least that its interval reaches to either side."""
 
 
 def main(cfg: Config) -> None:
@@ -53,6 +59,9 @@ def main(cfg: Config) -> None:
         "weights": {"intercept": round(float(weights[0]), 3)}
         | {name: round(float(w), 3) for name, w in zip(names, weights[1:], strict=True)},
     }
+    in_force = json.loads(cfg.output.read_text(encoding="utf-8")).get("interval", {"widen": 1.0})["widen"]
+    factor = in_force * widening(intervals(cfg.answers), cfg.relative)  # the answers' intervals are wider by it already
+    content["interval"] = {"widen": factor, "relative": cfg.relative}
     cfg.output.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(content, indent=1))
     for low, high in ((0, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 1.01)):
@@ -78,6 +87,32 @@ def findings(answers: Path) -> tuple[list[dict[str, float]], Array]:
             features.append(Grounds(**finding["grounds"]).features())
             right.append((finding["effect"], finding["joint"]) in true or finding["effect"] in case.tolerated)
     return features, np.array(right, dtype=np.float64)
+
+
+def intervals(answers: Path) -> Array:
+    """Value, ends of the interval and truth of every parameter of a right finding. Shape (parameters, 4)."""
+    rows = []
+    for path in sorted(answers.glob("tuning-*.json")):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        split, block, seed, index = content["case"].split("-")
+        for truth in prepare(split, block, int(index), int(seed)).case.truths:
+            for f in content["answer"]["findings"] if "answer" in content else ():
+                if (f["effect"], f["joint"]) == (truth.effect, truth.joint) and truth.effect not in UNSIGNED:
+                    known = truth.parameters.keys() & f["parameters"].keys()
+                    estimates = {name: f["parameters"][name] for name in known}
+                    rows += [[p["value"], *p["ci95"], truth.parameters[name]] for name, p in estimates.items()]
+    return np.array(rows)
+
+
+def widening(rows: Array, relative: float) -> float:
+    """Factor on the bootstrap's intervals with which they hold 95 % of the truths, beside a relative least width."""
+    value, low, high, truth = rows.T
+    for factor in np.arange(1.0, 10.0, 0.25):
+        least = relative * np.abs(value)
+        below, above = np.hypot(factor * (value - low), least), np.hypot(factor * (high - value), least)
+        if ((truth >= value - below) & (truth <= value + above)).mean() >= 0.945:
+            break
+    return float(factor)
 
 
 def fit(x: Array, right: Array, signs: Array, ridge: float) -> Array:

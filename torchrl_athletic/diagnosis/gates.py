@@ -13,14 +13,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.calibration import Grounds, probability
+from torchrl_athletic.diagnosis.calibration import Grounds, probability, widened
 from torchrl_athletic.diagnosis.compare import open_share
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score, Verdict
 from torchrl_athletic.diagnosis.screen import Atom, Candidate, Key
 from torchrl_athletic.diagnosis.search import INVARIANT, Judge, Scored, alternatives, keys, scatter
-from torchrl_athletic.effects import Effect
+from torchrl_athletic.effects import Effect, Parameter
 
 Array = NDArray[np.float64]
 
@@ -174,7 +174,7 @@ def _finding(part: Evidence, term: Atom, values: Array, band: Array, still_open:
         if grounds.scatter <= INVARIANT
         else _stand_in(effect, joint),
         parameters={
-            p.name: Estimate(float(v), (float(min(low, v)), float(max(high, v))), p.unit)
+            p.name: Estimate(float(v), _within(p, widened(float(v), float(low), float(high))), p.unit)
             for p, v, (low, high) in zip(candidate.parameters, values, band, strict=True)
         },
         regime=regime_of(bank, explained, candidate.joint, effect.shows_in),
@@ -182,6 +182,12 @@ def _finding(part: Evidence, term: Atom, values: Array, band: Array, still_open:
         energy_share=grounds.energy,
         grounds=grounds.to_json(),
     )
+
+
+def _within(parameter: Parameter, ends: tuple[float, float]) -> tuple[float, float]:
+    """An interval within the parameter's physical bounds."""
+    low, high = (min(max(end, parameter.lower), parameter.upper) for end in ends)
+    return low, high
 
 
 def _stand_in(effect: Effect, joint: str) -> str:
