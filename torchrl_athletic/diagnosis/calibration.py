@@ -72,7 +72,7 @@ def probability(grounds: Grounds) -> float:
 
 
 def widened(value: float, low: float, high: float) -> tuple[float, float]:
-    """A 95 % interval that holds as often as it says: the bootstrap knows nothing of a law that is simpler than nature's.
+    """A 95 % interval that holds as often as it says; the bootstrap knows nothing of laws simpler than nature's.
 
     Args:
         value: Estimate.

@@ -175,6 +175,8 @@ def diagnose(
     try:
         work.run()
         result = work.conclude()
+        if work.output is not None:  # the dear part of the report, while Ctrl-C still leaves a shorter one
+            _ = result.overlays, result.experiment
     except KeyboardInterrupt:
         if work.signals_bank is None:
             raise
