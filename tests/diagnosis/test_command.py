@@ -37,7 +37,9 @@ def asked(monkeypatch):
 
     def answer(*args, **settings):
         calls.append((args, settings))
-        return SimpleNamespace(answer=Answer("nothing_missing", ("All is well.",), complete=len(calls) == 1))
+        return SimpleNamespace(
+            experiment=None, answer=Answer("nothing_missing", ("All is well.",), complete=len(calls) == 1)
+        )
 
     monkeypatch.setattr(command, "diagnose", answer)
     return calls

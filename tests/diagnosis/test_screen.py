@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis.columns import NAMES, Given, Shifted, candidate, shifted, signals
+from diagnosis.columns import NAMES, STEP, Given, Shifted, candidate, shifted, signals
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
@@ -186,8 +186,9 @@ def test_trims_lie_within_a_share_of_the_given_numbers(take):
     assert {t.joint_name for t in trims} == {*NAMES, None}
     for trim in trims:
         for p in trim.parameters:
-            assert p.upper - p.nominal == pytest.approx(FIT_TRIMS[trim.effect] * p.scale)
-            assert p.nominal - p.lower == pytest.approx(FIT_TRIMS[trim.effect] * p.scale)
+            reach = 0.5 * STEP if trim.effect.name == "clock_shift" else FIT_TRIMS[trim.effect] * p.scale
+            assert p.upper - p.nominal == pytest.approx(reach)
+            assert p.nominal - p.lower == pytest.approx(reach)
 
 
 def test_every_effect_is_a_candidate_on_every_joint(take):

@@ -48,7 +48,17 @@ def push(
 
     values = np.concatenate(rows, axis=1) if rows else np.zeros((1, 0))
     moved = simulate(windows_of(take_of(recording, slider(limit), np.zeros(1)), None), build, values)
-    return moved[:, 0, :, 0]
+    return stepped(moved[:, 0, :, 0])
+
+
+def stepped(reading: Array) -> Array:
+    """Positions of MuJoCo's semi-implicit steps, of which a reading from rest is the mean of two. (..., T)."""
+    position = np.zeros_like(reading)
+    last = np.zeros_like(reading[..., 0])
+    for k in range(reading.shape[-1]):
+        last = 2 * reading[..., k] - last
+        position[..., k] = last
+    return position
 
 
 def speed(position: Array) -> Array:

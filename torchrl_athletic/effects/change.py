@@ -67,7 +67,7 @@ class ThermalDrift(Effect):
         return (
             Parameter("amplitude", torque_unit(model, address, joint), 0.0, -bound, bound, 0.02 * scale),
             Parameter("damping", per_speed_unit(model, address, joint), 0.0, -bound, bound, 0.01 * scale),
-            Parameter("time_constant", "s", 10.0, 2.0, 1e4, 2.0),
+            Parameter("time_constant", "s", 1.0, 1.0, 1e4, 2.0),
         )
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
@@ -78,7 +78,12 @@ class ThermalDrift(Effect):
         longest = max(s.recording.duration for s in takes)
         if longest < _LONG_ENOUGH:
             return []
-        return [{"time_constant": share * longest, **form} for share in _OF_TAKE for form in forms(takes[0], joint)]
+        return [
+            {"time_constant": share * longest, **form}
+            for share in _OF_TAKE
+            if share * longest > 1.0
+            for form in forms(takes[0], joint)
+        ]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         return self.fingerprints(s, joint, [fixed])[0]
