@@ -119,7 +119,7 @@ class ClockOffset(Effect):
     Parameters: ``offset`` [s], by which commands show late in the motion, as a delay does: stamps of the positions less
     those of the commands. It is negative where the motion seems to run ahead of its command, which no delay can do.
     On a robot with one joint, or where all joints share one delay, a positive offset and ``actuation_delay`` are the
-    same.
+    same; with one joint it is called a delay.
 
     Fingerprint: u(t - T) - u(t) on all joints, at offsets T up to 30 ms either way and of half a sample to three.
 
@@ -148,7 +148,8 @@ class ClockOffset(Effect):
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         period = 1.0 / s.recording.rate
         times = {*_TIMES, *(n * period for n in (0.5, 1.0, 1.5, 2.0, 3.0) if n * period < 0.2)}
-        return [{"offset": sign * time} for sign in (-1.0, 1.0) for time in sorted(times)]
+        signs = (-1.0, 1.0) if s.num_joints > 1 else (-1.0,)  # one joint's late command is an actuation_delay
+        return [{"offset": sign * time} for sign in signs for time in sorted(times)]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         return self.fingerprints(s, joint, [fixed])[0]
