@@ -50,6 +50,8 @@ CLOSE = 10.0
 MOST_FITS = 3
 DRIVE_EFFECTS = ("actuation_delay", "actuation_lag", "torque_scale", "torque_offset")
 """What can happen between a command and a measured torque."""
+BEFORE_THE_MOTOR = frozenset({"actuation_delay", "actuation_lag", "torque_saturation", "speed_torque_limit"})
+"""What a measured torque has behind it."""
 EXERCISED = 0.02
 """Share of usable instants below which a joint counts as not exercised."""
 PREDICTABLE = 0.1
@@ -307,7 +309,8 @@ class _Work:
             of_drive = [e for e in catalogue if e.name in DRIVE_EFFECTS]
             self.drive_evidence = _search(drive_signals(self.train), of_drive, ())[0]
             signals = prepare(self.recordings, self.model, "measured", signals[0].kernel).signals
-            catalogue = tuple(e for e in catalogue if e.name not in ("actuation_delay", "actuation_lag"))
+        if cut or self.drive == "measured":  # what was measured has passed the drive's lags and limits
+            catalogue = tuple(e for e in catalogue if e.name not in BEFORE_THE_MOTOR)
         taken = {a.candidate.key for a in self.drive_evidence.best.fit.terms} if self.drive_evidence else set()
         self.options = tuple(_search(signals, catalogue, trims_for(signals, TRIMS), taken, self.progress))
 
