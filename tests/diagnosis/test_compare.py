@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from diagnosis.plants import candidate, pendulum, record, smooth_torque, take
 
-from torchrl_athletic.diagnosis.compare import noise_floor, open_share, score
+from torchrl_athletic.diagnosis.compare import harms, noise_floor, open_share, score
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.replay import simulate, windows_of
 from torchrl_athletic.diagnosis.result import Score
@@ -94,3 +94,10 @@ def test_the_open_share_is_energy_above_the_floor_that_is_left():
     assert open_share(of(a=(1.05, 1.05, 1.0), b=(100.0, 1.0, 1.0))) < 0.01  # a joint at its floor has no say
     assert open_share(of(a=(1.0, 100.0, 1.0), b=(2.0, 1.0, 1.0))) == 1.0  # one that the correction ruins has
     assert open_share(of(a=(1.0, 1.0, 1.0))) == 0.0
+
+
+def test_a_correction_that_makes_the_fitted_takes_worse_is_none():
+    better, worse = (Score(1.0, after, 0.1, 0.0, {}) for after in (0.9, 1.1))
+    assert harms(worse)
+    assert not harms(better)
+    assert not harms(None)

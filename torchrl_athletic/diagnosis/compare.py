@@ -115,6 +115,11 @@ def _halved(w: Windows) -> Windows:
     return replace(w, take=replace(w.take, model=model, substeps=2 * w.take.substeps))
 
 
+def harms(score: Score | None) -> bool:
+    """Whether a correction makes the fitted recordings worse: then it is none."""
+    return score is not None and score.after > score.before
+
+
 def open_share(score: Score) -> float:
     """Share of the error energy above the floor that is left, each joint in units of its floor, 0..1.
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.checkpoint import Checkpoint, inputs_digest
-from torchrl_athletic.diagnosis.compare import score
+from torchrl_athletic.diagnosis.compare import harms, score
 from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml, write_atomically, write_json
 from torchrl_athletic.diagnosis.experiment import Experiment, next_experiment, write
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, fit, idle_terms, without
@@ -383,10 +383,12 @@ class _Work:
         findings = judge_findings(evidence, fitted, scores.values()) if fitted is not None else ()
         is_open = self._is_open()
         verdict, share = verdict_of(evidence, findings, scores.get("train"), scores.get("heldout"), is_open)
-        if verdict == "nothing_missing":
+        if verdict == "nothing_missing" or harms(scores.get("train")):
             corrected = nominal
         last = scores.get("heldout", scores.get("train"))
         summary = summarise(verdict, findings, self.locations, last, "heldout" in scores, share)
+        if harms(scores.get("train")):
+            summary += ("What fits best makes the simulation worse, so that the corrected model is the given one.",)
         if self.interrupted and not self.fits:
             summary = ("Stopped before anything was named; where the error is stands below.",)
         summary += tuple(
