@@ -228,7 +228,10 @@ def test_a_model_without_the_correction_is_refused(name):
 def test_a_payload_counts_with_the_mass_of_its_link():
     terms = {"link_mass": [0.9], "payload": [0.15]}
     robot = from_mjcf(corrected_xml(BENCHES["pendulum"][0], correct("pendulum", terms)))
-    TransformedEnv(TorqueEnv(robot), chain(terms)).reset()
+    given, terms_alone = BENCHES["pendulum"][0], {"link_mass": [0.9]}
+    without = from_mjcf(corrected_xml(given, correct("pendulum", terms_alone)))
+    TransformedEnv(TorqueEnv(robot), chain(terms)).reset()  # refuses a model without the payload
+    assert robot.model().body_mass.sum() - without.model().body_mass.sum() == pytest.approx(0.15, rel=1e-6)
 
 
 def test_a_late_clock_is_a_delay_of_all_joints_and_an_early_one_is_none():

@@ -152,7 +152,7 @@ def _finding(part: Evidence, term: Atom, values: Array, band: Array, still_open:
         strain=part.best.fit.strain,
     )
     likely = min(probability(grounds), own)  # with equals it shares what there is
-    per_share = min(likely / own, (1.0 - likely) / max(1.0 - own, 1e-9))
+    per_share = min(likely / max(own, 1e-9), (1.0 - likely) / max(1.0 - own, 1e-9))
     effect, joint = candidate.effect, candidate.where
     named = {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)}
     rivals = [
