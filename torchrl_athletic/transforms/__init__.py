@@ -6,6 +6,7 @@ repository for that reason. What must survive a step is carried in the tensordic
 
 from torchrl_athletic.transforms.action_history import ActionHistory
 from torchrl_athletic.transforms.actuation import ActionDelay, PDControl, PowerClip, TorqueSpeedClip, UANCorrection
+from torchrl_athletic.transforms.actuator_net import ActuatorNet, EquivalentTarget
 from torchrl_athletic.transforms.command_sampler import CommandSampler
 from torchrl_athletic.transforms.corrected_actuation import CorrectedActuation
 from torchrl_athletic.transforms.decimation import Decimation
@@ -24,11 +25,13 @@ __all__ = [
     "B2Z1_PUSHES",
     "ActionDelay",
     "ActionHistory",
+    "ActuatorNet",
     "CommandSampler",
     "CorrectedActuation",
     "Decimation",
     "DomainRandomization",
     "EncoderOffset",
+    "EquivalentTarget",
     "ExternalPush",
     "GaitClock",
     "InitialState",

@@ -1,0 +1,245 @@
+"""An identified simulator: a robot, what was found out about it, and what stands between targets and its motors."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from torch import nn
+from torchrl.envs import Transform
+
+from torchrl_athletic.networks import load_checkpoint, save_checkpoint, uan
+from torchrl_athletic.robots import Robot, with_correction
+from torchrl_athletic.transforms import (
+    ActionDelay,
+    ActuatorNet,
+    CorrectedActuation,
+    Decimation,
+    DomainRandomization,
+    EquivalentTarget,
+    PDControl,
+    PowerClip,
+    RandomizationRanges,
+    TorqueSpeedClip,
+    UANCorrection,
+)
+
+SCHEMA = "torchrl_athletic/simulator/1"
+Kind = Literal["none", "correction", "torque"]
+"""What the net's output is: there is no net, a torque on top of the controller's, or the torque in place of it."""
+Command = Literal["position", "torque"]
+"""What the robot is told: position targets of a PD law, or torques."""
+
+
+@dataclass(frozen=True, eq=False)
+class Simulator:
+    """A robot as a method of identification simulates it.
+
+    All methods end here, so that recordings are replayed and policies are trained in the same way in each of them:
+    ``TorqueEnv(simulator.robot, fields=simulator.fields)`` with the transforms of :meth:`chain` around it.
+
+    Example:
+        >>> from torchrl.envs import Compose, TransformedEnv
+        >>> from torchrl_athletic.envs import TorqueEnv
+        >>> from torchrl_athletic.networks import uan
+        >>> from torchrl_athletic.robots import z1
+        >>> simulator = Simulator("uan", z1(), net=uan(), kind="correction")
+        >>> env = TorqueEnv(simulator.robot, num_envs=2, fields=simulator.fields)
+        >>> TransformedEnv(env, Compose(*simulator.chain())).rollout(3)["torque_correction"].shape
+        torch.Size([2, 3, 6])
+    """
+
+    name: str
+    """Of the method: ``"default"``, ``"cem"``, ``"uan"``..."""
+    nominal: Robot
+    """As given, before anything was identified."""
+    correction: Mapping[str, Any] | None = None
+    """Content of a ``corrected.json``: friction, damping, armature and what else has a name. None changes nothing."""
+    net: nn.Module | None = None
+    """As :func:`~torchrl_athletic.networks.uan` makes it: (*B, J, 2 history) errors to (*B, J, 1) [N·m]."""
+    kind: Kind = "none"
+    randomization: RandomizationRanges | None = None
+    """What differs between episodes of a policy's training; replays take the robot as it is."""
+    notes: Mapping[str, Any] = field(default_factory=dict)
+    """What JSON can keep: ``training_seconds``, ``data_seconds``, ``seed`` and whatever a method wants to say."""
+
+    def __post_init__(self) -> None:
+        if (self.net is None) != (self.kind == "none"):
+            raise ValueError(
+                f"simulator {self.name!r} has {'no' if self.net is None else 'a'} net and kind {self.kind!r}: it would "
+                "not be known what acts. Give both a net and 'correction' or 'torque', or neither."
+            )
+
+    @cached_property
+    def robot(self) -> Robot:
+        """With the correction in its model, as far as a model can say it."""
+        return self.nominal if self.correction is None else with_correction(self.nominal, self.correction)
+
+    @property
+    def history(self) -> int:
+        """Steps that the net looks back; 0 without one."""
+        return 0 if self.net is None else _inputs(self.net) // 2
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Of the model, that differ between rows of an environment: ``TorqueEnv(..., fields=simulator.fields)``."""
+        return () if self.randomization is None else self._randomizer(0).fields
+
+    def on(self, robot: Robot) -> Simulator:
+        """The same identification on a variant of the robot, such as one with a tool in its hand."""
+        return replace(self, nominal=robot)
+
+    def chain(
+        self,
+        *,
+        command: Command = "position",
+        limits: bool = True,
+        arm_power: float | None = None,
+        max_delay: int = 0,
+        decimation: int = 4,
+        randomize: bool = True,
+        seed: int = 0,
+    ) -> list[Transform]:
+        """All that stands between a policy's action and the motors, from the motor outwards, as ``actuation_chain``.
+
+        Args:
+            command: What the action is: position targets, or torques.
+            limits: Whether the motors' limits by speed apply.
+            arm_power: Greatest power of the arm [W]; None sets no limit.
+            max_delay: Greatest delay of the action, drawn per episode [physics steps].
+            decimation: Physics steps per action; with 1 the chain has no :class:`Decimation`.
+            randomize: Whether to draw another robot for each episode, where the method does.
+            seed: Of the draws.
+
+        Returns:
+            Transforms for ``Compose``. The net's errors are noted in ``error_history``, shape (N, J, 2, history).
+        """
+        robot, group = self.robot, _group(self.robot)
+        chain: list[Transform] = [] if arm_power is None else [PowerClip(arm_power, joints=group)]
+        if limits:
+            chain.append(TorqueSpeedClip(robot.torque_limit, _finite(robot.velocity_limit)))
+        if self.net is not None:
+            law = {"correction": UANCorrection, "torque": ActuatorNet}[self.kind]
+            chain.append(law(self.net, joints=group, length=self.history))
+        chain += self._law(command)
+        if max_delay:
+            chain.append(ActionDelay(max_delay, before=robot.default_pose, seed=seed))
+        if decimation > 1:
+            chain.append(Decimation(decimation))
+        if randomize and self.randomization is not None:
+            chain.append(self._randomizer(seed))
+        return chain
+
+    def _law(self, command: Command) -> list[Transform]:
+        """From the command to a torque, and the target that nets look at."""
+        robot = self.robot
+        gains = {"kp": robot.kp, "kd": robot.kd}
+        if self.correction is None:
+            return [PDControl(**gains) if command == "position" else EquivalentTarget(**gains)]
+        corrected = CorrectedActuation(
+            self.correction,
+            timestep=float(robot.model().opt.timestep),
+            joint_names=robot.joint_names,
+            torque_limit=robot.torque_limit,
+            action_key="action",
+            **(gains if command == "position" else {}),
+        )
+        return [corrected] if command == "position" else [corrected, EquivalentTarget(**gains)]
+
+    def _randomizer(self, seed: int) -> DomainRandomization:
+        return DomainRandomization(self.randomization, joints=_group(self.robot), seed=seed)
+
+    def save(self, folder: str | os.PathLike[str]) -> Path:
+        """Write ``simulator.json``, and ``corrected.json`` and ``net.pt`` where there is a correction or a net.
+
+        ``simulator.json`` comes last: a folder that has it is complete.
+        """
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        if self.correction is not None:
+            _write(folder / "corrected.json", dict(self.correction))
+        if self.net is not None:
+            save_checkpoint(folder / "net.pt", {"hidden": _hidden(self.net), "history": self.history}, net=self.net)
+        content = {
+            "schema": SCHEMA,
+            "method": self.name,
+            "kind": self.kind,
+            "corrected": self.correction is not None,
+            "randomization": None if self.randomization is None else asdict(self.randomization),
+            "notes": dict(self.notes),
+        }
+        _write(folder / "simulator.json", content)
+        return folder
+
+    @classmethod
+    def load(cls, folder: str | os.PathLike[str], robot: Robot) -> Simulator:
+        """Read :meth:`save` back.
+
+        Args:
+            folder: That was written.
+            robot: The nominal robot, or a variant of it that holds a tool.
+
+        Raises:
+            FileNotFoundError: If the folder holds no simulator.
+            ValueError: If it was written by another version.
+        """
+        folder = Path(folder)
+        if not (folder / "simulator.json").exists():
+            raise FileNotFoundError(
+                f"{folder} holds no simulator.json, so no method has finished there. Name the folder that a recipe "
+                "of identification gave as --output."
+            )
+        content = json.loads((folder / "simulator.json").read_text(encoding="utf-8"))
+        if content.get("schema") != SCHEMA:
+            raise ValueError(f"{folder}: schema is {content.get('schema')!r}, needed is {SCHEMA!r}. Identify it again.")
+        correction = None
+        if content["corrected"]:
+            correction = json.loads((folder / "corrected.json").read_text(encoding="utf-8"))
+        ranges = content["randomization"]
+        if ranges is not None:
+            ranges = RandomizationRanges(**{k: None if v is None else tuple(v) for k, v in ranges.items()})
+        net = None if content["kind"] == "none" else load_net(folder / "net.pt")
+        return cls(content["method"], robot, correction, net, content["kind"], ranges, content["notes"])
+
+
+def load_net(path: str | os.PathLike[str]) -> nn.Module:
+    """The net of a ``net.pt``, of whatever sizes it was saved with."""
+    sizes = torch.load(path, map_location="cpu", weights_only=True)["metadata"]
+    net = uan(sizes["history"], sizes["hidden"])
+    load_checkpoint(Path(path), net=net)
+    return net.eval().requires_grad_(False)
+
+
+def _group(robot: Robot) -> str | None:
+    """Joints that are identified: the arm's, or all of a robot without one."""
+    return "arm" if "arm" in robot.joint_groups else None
+
+
+def _finite(velocity_limit: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(v if math.isfinite(v) else 1e9 for v in velocity_limit)
+
+
+def _linears(net: nn.Module) -> list[nn.Linear]:
+    return [layer for layer in net.modules() if isinstance(layer, nn.Linear)]
+
+
+def _inputs(net: nn.Module) -> int:
+    return _linears(net)[0].in_features
+
+
+def _hidden(net: nn.Module) -> list[int]:
+    return [layer.out_features for layer in _linears(net)[:-1]]
+
+
+def _write(path: Path, content: Mapping[str, Any]) -> None:
+    """Whole or not at all."""
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(part, path)
