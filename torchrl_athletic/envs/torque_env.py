@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import mujoco
 import torch
@@ -34,8 +34,8 @@ class TorqueEnv(EnvBase):
     - the robot's ``sensors``: ``end_effector_position`` and so on, ``foot_force``.
 
     Observations describe the state after the step; forces are those that acted during it. ``next`` holds the true last
-    observation of an episode. A step whose tensordict holds ``_substep`` shows joints only, and ``_step`` is a mask of
-    the rows that it advances (:class:`~torchrl_athletic.transforms.Decimation` uses both).
+    observation of an episode. A step whose tensordict holds ``_substep`` shows joints and ``every_step`` only, and
+    ``_step`` is a mask of the rows that it advances (:class:`~torchrl_athletic.transforms.Decimation` uses both).
 
     A reset puts the robot at its keyframe, or at ``reset_qpos`` (N, nq) and ``reset_qvel`` (N, nv) where the tensordict
     given to this environment's reset holds them, as transforms do that choose where an episode starts.
@@ -48,9 +48,11 @@ class TorqueEnv(EnvBase):
         seed: Accepted for TorchRL's sake; nothing here is random.
         terminate: From what a step shows to whether the episode has failed, bool of shape (N, 1).
         fields: Of the model, to differ between environments, where ``physics`` is None.
+        every_step: Of the robot's ``sensors``, those to show at every physics step, for transforms within
+            :class:`~torchrl_athletic.transforms.Decimation`: a quarter of the speed goes.
 
     Raises:
-        ValueError: If the physics drives other joints than the robot's.
+        ValueError: If the physics drives other joints than the robot's, or the robot lacks one of the sensors.
 
     Example:
         >>> from torchrl_athletic.robots import z1
@@ -69,7 +71,13 @@ class TorqueEnv(EnvBase):
         seed: int = 0,
         terminate: Callable[[TensorDictBase], Tensor] | None = None,
         fields: Sequence[str] = (),
+        every_step: Sequence[str] = (),
     ) -> None:
+        if missing := [name for name in every_step if name not in robot.sensors]:
+            raise ValueError(
+                f"every_step names {missing}, but {robot.name} has the sensors {sorted(robot.sensors)}. Name some of "
+                "these; joints are shown in any case."
+            )
         if physics is None:
             physics = make_physics(robot, num_envs, device, fields)
         if physics.joint_names != robot.joint_names:
@@ -78,7 +86,7 @@ class TorqueEnv(EnvBase):
                 "wrong joints. Give the physics joint_names=robot.joint_names."
             )
         super().__init__(device=physics.device, batch_size=[physics.num_envs])
-        self.robot, self.physics, self.terminate = robot, physics, terminate
+        self.robot, self.physics, self.terminate, self.every_step = robot, physics, terminate, tuple(every_step)
         model = physics.model
         self._base_qpos, self._base_dof = _free_joint(model, robot.base)
         self._sensors = {key: _columns(model, names, physics.device) for key, names in robot.sensors.items()}
@@ -128,11 +136,13 @@ class TorqueEnv(EnvBase):
         torque = tensordict.get("torque")
         only_joints = "_substep" in tensordict.keys()
         self.physics.apply_torque(torque)
-        self.physics.step(refresh=not only_joints and bool(self._sensors), envs=tensordict.get("_step", None))
+        refresh = bool(self.every_step if only_joints else self._sensors)
+        self.physics.step(refresh=refresh, envs=tensordict.get("_step", None))
         failed = self.physics.diverged.unsqueeze(-1)
         flags = {"done": failed, "terminated": failed.clone(), "truncated": torch.zeros_like(failed)}
         reward = torch.zeros(*self.batch_size, 1, device=self.device)
-        shown = self._tensordict(self._show_joints() if only_joints else self._observe(torque), reward=reward, **flags)
+        observed = self._show_joints() | self._read(self.every_step) if only_joints else self._observe(torque)
+        shown = self._tensordict(observed, reward=reward, **flags)
         if self.terminate is not None and not only_joints:
             failed = failed | self.terminate(shown)
             shown.set("done", failed).set("terminated", failed.clone())
@@ -151,11 +161,18 @@ class TorqueEnv(EnvBase):
         shown = self._show_joints() | {"applied_torque": torque.float()}
         if self._base_qpos is not None and not self._sensors.keys() >= _BASE:
             shown |= self._show_base()
-        if self._sensors:
-            readings = self._copied(self.physics.data("sensordata"))
-            for key, (columns, shape) in self._sensors.items():
-                taken = readings[:, columns] if isinstance(columns, slice) else readings.index_select(1, columns)
-                shown[key] = taken.unflatten(-1, shape)
+        return shown | self._read(self._sensors)
+
+    def _read(self, keys: Collection[str]) -> dict[str, Tensor]:
+        """Sensors as the physics last refreshed them."""
+        shown: dict[str, Tensor] = {}
+        if not keys:
+            return shown
+        readings = self._copied(self.physics.data("sensordata"))
+        for key in keys:
+            columns, shape = self._sensors[key]
+            taken = readings[:, columns] if isinstance(columns, slice) else readings.index_select(1, columns)
+            shown[key] = taken.unflatten(-1, shape)
         return shown
 
     def _show_base(self) -> dict[str, Tensor]:

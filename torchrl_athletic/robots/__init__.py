@@ -8,7 +8,18 @@ from torchrl_athletic.robots.corrected import with_correction
 from torchrl_athletic.robots.from_mjcf import from_mjcf
 from torchrl_athletic.robots.robot import Joint, Robot
 from torchrl_athletic.robots.terrain import Terrain
-from torchrl_athletic.robots.tools import Bucket, Dumbbell
+from torchrl_athletic.robots.tools import Bucket, Dumbbell, with_bucket
 from torchrl_athletic.robots.z1 import z1
 
-__all__ = ["Bucket", "Dumbbell", "Joint", "Robot", "Terrain", "b2z1", "from_mjcf", "with_correction", "z1"]
+__all__ = [
+    "Bucket",
+    "Dumbbell",
+    "Joint",
+    "Robot",
+    "Terrain",
+    "b2z1",
+    "from_mjcf",
+    "with_bucket",
+    "with_correction",
+    "z1",
+]

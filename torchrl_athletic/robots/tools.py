@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from torchrl_athletic.robots.arm import ARM_ON_TRUNK, GRIP, GROUND, OBJECT, add_box, add_round, add_sensor
 from torchrl_athletic.robots.inertial import Vector
+from torchrl_athletic.robots.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,11 @@ class Bucket:
     """[kg]. Paper, section Ball throwing."""
     ball_radius: float = 0.035
     """[m]."""
+
+    @property
+    def rim(self) -> float:
+        """How far it is above the centre of a ball that lies on the bottom [m]."""
+        return _DEPTH - self.ball_radius
 
     def __post_init__(self) -> None:
         if not np.linalg.norm(self.opening) > 0:
@@ -56,9 +62,11 @@ class Dumbbell:
 
 
 Tool = Bucket | Dumbbell
+EMPTY_BUCKET_SENSORS: dict[str, tuple[str, ...]] = {
+    name: (name,) for name in ("bucket_position", "bucket_linear_velocity", "bucket_axis")
+}
 BUCKET_SENSORS: dict[str, tuple[str, ...]] = {
-    "bucket_position": ("bucket_position",),
-    "bucket_linear_velocity": ("bucket_linear_velocity",),
+    **EMPTY_BUCKET_SENSORS,
     "ball_position": ("ball_position",),
     "ball_linear_velocity": ("ball_linear_velocity",),
 }
@@ -87,6 +95,48 @@ def add_tool(spec: mujoco.MjSpec, tool: Tool | None, qpos: Sequence[float]) -> N
         _add_dumbbell(spec, tool)
 
 
+def with_bucket(robot: Robot, bucket: Bucket) -> Robot:
+    """A robot that holds a bucket whose ball is fixed in it and weighs down the arm: no body flies, nothing collides.
+
+    Where the ball would go is then for :mod:`torchrl_athletic.functional.ball` to tell. Sensors ``bucket_position`` and
+    ``bucket_linear_velocity`` are those of the place where the ball lies, ``bucket_axis`` is where the bucket opens to.
+
+    Args:
+        robot: With empty jaws and a body ``link06``: a Z1, or one identified from it.
+        bucket: What to hold.
+
+    Example:
+        >>> from torchrl_athletic.robots.z1 import z1
+        >>> robot = with_bucket(z1(), Bucket())
+        >>> round(float(robot.model().body("bucket").mass[0]), 3)
+        0.3
+    """
+    sensors = {**robot.sensors, **EMPTY_BUCKET_SENSORS}
+    return replace(robot, build=_WithBucket(robot.build, bucket), sensors=sensors)
+
+
+@dataclass(frozen=True)
+class _WithBucket:
+    build: Callable[[], mujoco.MjSpec]
+    bucket: Bucket
+
+    def __call__(self) -> mujoco.MjSpec:
+        spec = self.build()
+        _add_bucket(spec, self.bucket)
+        body = spec.body("bucket")
+        body.add_geom(
+            name="ball",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            pos=spec.site("bucket").pos,
+            size=[self.bucket.ball_radius, 0, 0],
+            mass=self.bucket.ball_mass,
+            contype=0,
+            conaffinity=0,
+            rgba=_ORANGE,
+        )
+        return spec
+
+
 def _add_bucket(spec: mujoco.MjSpec, bucket: Bucket) -> None:
     body = spec.body("link06").add_body(name="bucket", pos=_CENTRE, quat=_turn_up_to(bucket.opening))
     outer, wall_height = _WIDTH + 2 * _WALL, _DEPTH + _WALL
@@ -105,9 +155,10 @@ def _add_bucket(spec: mujoco.MjSpec, bucket: Bucket) -> None:
             mass=bucket.mass * float(np.prod(size) / volume),
         )  # fmt: skip
     # where the ball's centre lies
-    body.add_site(name="bucket", pos=[0, 0, -0.5 * _DEPTH + bucket.ball_radius], size=[0.005] * 3, group=4)
+    body.add_site(name="bucket", pos=[0, 0, 0.5 * _DEPTH - bucket.rim], size=[0.005] * 3, group=4)
     add_sensor(spec, "framepos", "bucket", "bucket_position")
     add_sensor(spec, "framelinvel", "bucket", "bucket_linear_velocity")
+    add_sensor(spec, "framezaxis", "bucket", "bucket_axis")
 
 
 def _add_ball(spec: mujoco.MjSpec, bucket: Bucket, qpos: Sequence[float]) -> None:
