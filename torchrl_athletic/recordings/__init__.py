@@ -3,6 +3,7 @@
 Everything that a file can get wrong is found here, with the file, the field, the row and the mend in the message.
 """
 
+from torchrl_athletic.recordings.collection import Arm, TakeStopped, Watchdog, held, record, through_poses
 from torchrl_athletic.recordings.excitation import (
     Excitation,
     ExcitationError,
@@ -22,6 +23,7 @@ from torchrl_athletic.recordings.recording import Recording, RecordingError
 from torchrl_athletic.recordings.resampling import resample, split_at_gaps
 
 __all__ = [
+    "Arm",
     "Column",
     "ColumnMap",
     "Excitation",
@@ -31,18 +33,23 @@ __all__ = [
     "Recording",
     "RecordingError",
     "Safety",
+    "TakeStopped",
+    "Watchdog",
     "amplitude_frequency_pairs",
     "check_quality",
     "chirp",
     "fetch",
     "gaussian",
+    "held",
     "multisine",
     "read_recordings",
+    "record",
     "repeat_noise",
     "resample",
     "sensor_noise",
     "sine",
     "split_at_gaps",
     "square",
+    "through_poses",
     "write_recording",
 ]
