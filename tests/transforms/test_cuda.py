@@ -51,18 +51,22 @@ def make_env(device):
     )
 
 
-def swing(tensordict):
-    """The same for all devices: a function of the time."""
-    time = tensordict["step_count"].float()
-    return tensordict.set("action", POSE.to(time.device) + 0.1 * torch.sin(time + 1))
+def swing(device):
+    """The same for all devices: a function of the time. Its pose is on the device before a graph is recorded."""
+    pose = POSE.to(device)
+
+    def policy(tensordict):
+        return tensordict.set("action", pose + 0.1 * torch.sin(tensordict["step_count"].float() + 1))
+
+    return policy
 
 
 @torch.no_grad()
 def play(device):
-    env = make_env(device)
+    env, policy = make_env(device), swing(device)
     shown, steps = env.reset(), []
     for _ in range(STEPS):
-        step, shown = control_step(env, swing, shown)
+        step, shown = control_step(env, policy, shown)
         steps.append(step.clone().cpu())
     return env, steps
 
@@ -104,7 +108,7 @@ def test_robots_move_alike_until_their_contacts_part_them():
 @needs_gpu
 def test_one_graph_holds_it_and_draws_what_the_steps_draw():
     _, steps = play("cuda")
-    batch = CapturedRollout(make_env("cuda"), swing, STEPS, fuse=False)().cpu()
+    batch = CapturedRollout(make_env("cuda"), swing("cuda"), STEPS, fuse=False)().cpu()
     for key in batch.keys(True, True):
         assert batch.get(key).isfinite().all(), key
     for number, step in enumerate(steps):
