@@ -10,6 +10,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -53,7 +54,9 @@ Array = NDArray[np.float64]
 Split = Literal["tuning", "sealed"]
 BLOCKS = (
     "single", "nothing", "nuisance", "outside", "leave_one_out", "pairs", "triples", "unidentifiable", "heldout",
+    "bare",
 )  # fmt: skip
+"""The last is what a first model of a real robot looks like: every joint lacks its rotor and its friction."""
 
 CLASSES: dict[str, tuple[str, ...]] = {
     "friction": ("coulomb_friction", "viscous_friction", "stribeck_friction", "load_dependent_friction",
@@ -76,6 +79,9 @@ CLASHES: tuple[set[str], ...] = (
     {"asymmetric_friction", "thermal_drift"}, {"encoder_scale", "torque_scale"},
 )  # fmt: skip
 """Pairs that would be one law on one joint, such as a spring that rests elsewhere."""
+
+DRY = ("coulomb_friction", "coulomb_friction", "stribeck_friction", "load_dependent_friction")
+"""Dry friction of a joint of a bare model: half of them are plain."""
 
 DETECTABLE = 3.0
 """An effect counts as detectable from this ratio on: root mean square of the torque that it makes the model miss, over
@@ -231,6 +237,9 @@ def _choose(split: Split, block: str, index: int, rng: np.random.Generator) -> t
         robot = made.get(kind, several[(index // len(ALIKE)) % len(several)])
         wanted: Mode = "position_target" if kind == "gain_or_scale" else "torque_command"
         return (kind,), robot, wanted, 2
+    if block == "bare":
+        few = [r for r in robots if r not in ("arm4", "arm6")]
+        return ("reflected_inertia", "dry", "viscous_friction"), few[index % len(few)], mode, 2
     if block in ("pairs", "triples"):
         count = 2 if block == "pairs" else 3
         if rng.random() < 0.75 or count == 3:
@@ -300,6 +309,12 @@ def _truths(
     rng: np.random.Generator,
 ) -> tuple[Truth, ...]:  # fmt: skip
     truths: list[Truth] = []
+    if block == "bare":
+        for effect, j in product(effects, range(robot.joints)):
+            name = str(rng.choice(DRY)) if effect == "dry" else effect
+            if j in eligible(name, robot):
+                truths.append(draw(name, robot, j, int(rng.integers(1, 4)), typical, tree, rich, rng))
+        return tuple(truths)
     for effect in effects:
         joints = list(range(robot.joints)) if effect in OUTSIDE else eligible(effect, robot)
         elsewhere = rng.random() < 0.6

@@ -48,6 +48,7 @@ from torchrl_athletic.recordings import write_recording
 COUNTS = {
     "single": 336, "nothing": 80, "nuisance": 80, "outside": 48, "leave_one_out": 56, "pairs": 60, "triples": 24,
     "unidentifiable": 40, "heldout": 28,
+    "bare": 24,
 }  # fmt: skip
 """Cases of each block in the whole proof: every effect at least twelve times alone, 160 without anything."""
 KEY = Path("benchmarks/results/concealed_key.sha256")
@@ -61,7 +62,7 @@ class Config:
     split: Split = "tuning"
     block: Literal[
         "all", "single", "nothing", "nuisance", "outside", "leave_one_out", "pairs", "triples", "unidentifiable",
-        "heldout",
+        "heldout", "bare",
     ] = "all"  # fmt: skip
     limit: int | None = None
     """Cases of each block; all of the proof's if left out. The first ones of a block are a fair sample of it."""

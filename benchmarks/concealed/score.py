@@ -148,6 +148,7 @@ def numbers(rows: Sequence[Row]) -> dict[str, Any]:
     single = [r for r in of.get("single", []) + of.get("heldout", []) if r.detectable()]
     quiet = of.get("nothing", []) + of.get("nuisance", [])
     open_set = of.get("outside", []) + of.get("leave_one_out", [])
+    bare = of.get("bare", [])
     seen_open = [r for r in open_set if r.detectable()]
     pairs, triples = ([r for r in of.get(b, []) if _all_seen(r)] for b in ("pairs", "triples"))
     return {
@@ -197,6 +198,12 @@ def numbers(rows: Sequence[Row]) -> dict[str, Any]:
             "all_named": _rate([all(r.names(k, r.findings) for k in range(3)) for r in triples]),
             "two_named": _rate([sum(r.names(k, r.findings) for k in range(3)) >= 2 for r in triples]),
             "wrong_name_over_half": _rate([bool(r.wrong_names()) for r in triples]),
+        },
+        "bare": {
+            "causes_named": _rate(
+                [r.names(k, r.findings) for r in bare for k in range(len(r.case.truths)) if r.detectable(k)]
+            ),
+            "wrong_among_findings": _rate([r.grade(f) == "wrong" for r in bare for f in r.findings]),
         },
         "unidentifiable": {
             "one_of_the_set_named": _rate([r.names(0, r.findings) for r in of.get("unidentifiable", [])]),
@@ -395,6 +402,8 @@ def tables(rows: Sequence[Row], n: Mapping[str, Any]) -> list[str]:
         ("two effects, both named with their joints", n["pairs"]["both_named"], "0.80"),
         ("three effects, all named", n["triples"]["all_named"], ""),
         ("three effects, at least two named", n["triples"]["two_named"], ""),
+        ("bare models: detectable causes named with their joints", n["bare"]["causes_named"], ""),
+        ("bare models: findings that are wrong", n["bare"]["wrong_among_findings"], ""),
         ("answer set holds the truth: single", s["in_answer_set"], "0.95"),
         ("answer set holds the truth: unidentifiable", n["unidentifiable"]["truth_itself_in_answer_set"], "0.95"),
         ("unidentifiable: one of the set named", n["unidentifiable"]["one_of_the_set_named"], ""),
