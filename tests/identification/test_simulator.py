@@ -6,6 +6,7 @@ import json
 
 import pytest
 import torch
+from identification.arms import last_layer
 from tensordict.nn import TensorDictModule
 from torchrl.envs import Compose, TransformedEnv
 
@@ -30,7 +31,7 @@ FOUND = {
 def net_of(seed: int) -> torch.nn.Module:
     torch.manual_seed(seed)
     net = uan(history=5, hidden=(8,))
-    torch.nn.init.normal_(net[-1].weight)
+    torch.nn.init.normal_(last_layer(net).weight)
     return net
 
 

@@ -3,6 +3,8 @@
 They explain a mismatch by numbers alone, which is what ``diagnosis`` is measured against.
 """
 
+from torchrl_athletic.identification.cem import CEM, identify_cem
+from torchrl_athletic.identification.open_loop import OpenLoopScore, Rollout, open_loop, score
 from torchrl_athletic.identification.simulator import Simulator, load_net
 
-__all__ = ["Simulator", "load_net"]
+__all__ = ["CEM", "OpenLoopScore", "Rollout", "Simulator", "identify_cem", "load_net", "open_loop", "score"]

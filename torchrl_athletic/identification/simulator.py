@@ -139,19 +139,18 @@ class Simulator:
 
     def _law(self, command: Command) -> list[Transform]:
         """From the command to a torque, and the target that nets look at."""
-        robot = self.robot
-        gains = {"kp": robot.kp, "kd": robot.kd}
+        robot, positions = self.robot, command == "position"
         if self.correction is None:
-            return [PDControl(**gains) if command == "position" else EquivalentTarget(**gains)]
+            return [(PDControl if positions else EquivalentTarget)(robot.kp, robot.kd)]
         corrected = CorrectedActuation(
             self.correction,
             timestep=float(robot.model().opt.timestep),
             joint_names=robot.joint_names,
+            kp=robot.kp if positions else None,
+            kd=robot.kd if positions else None,
             torque_limit=robot.torque_limit,
-            action_key="action",
-            **(gains if command == "position" else {}),
         )
-        return [corrected] if command == "position" else [corrected, EquivalentTarget(**gains)]
+        return [corrected] if positions else [corrected, EquivalentTarget(robot.kp, robot.kd)]
 
     def _randomizer(self, seed: int) -> DomainRandomization:
         return DomainRandomization(self.randomization, joints=_group(self.robot), seed=seed)

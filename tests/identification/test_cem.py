@@ -1,0 +1,52 @@
+"""The search finds friction, damping and armature that were changed, and its error is that of the rollouts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from identification.arms import commands, recorded, robot
+
+from torchrl_athletic.identification import Simulator
+from torchrl_athletic.identification.cem import CEM, WindowError, correction_of, identify_cem
+from torchrl_athletic.identification.open_loop import open_loop, score
+
+ROBOT = robot()
+TRUE = np.array([1.2, 0.8, 1.0, 0.6, 0.08, 0.05])  # friction, damping, armature of hip and knee
+TRUTH = Simulator("cem", ROBOT, correction_of(ROBOT.joint_names, TRUE))
+
+
+@pytest.mark.parametrize("torques", [False, True], ids=["targets", "torques"])
+def test_the_error_of_a_population_is_that_of_its_members_rollouts(torques: bool) -> None:
+    takes = [recorded(TRUTH, commands(201, seed, 2.0 if torques else 0.5), torques) for seed in (1, 2)]
+    population = np.stack([TRUE, 0.5 * TRUE, 2.0 * TRUE])
+    errors = WindowError(ROBOT, takes, CEM(population=4, windows=100, window=0.5))(population)
+    for values, error in zip(population, errors, strict=True):
+        simulator = Simulator("cem", ROBOT, correction_of(ROBOT.joint_names, values))
+        assert error == pytest.approx(score(open_loop(simulator, takes, window=0.5)).mse, rel=1e-3, abs=1e-9)
+    assert errors[0] < 1e-3 * errors[1:].min()
+
+
+def test_it_finds_what_was_changed() -> None:
+    takes = [recorded(TRUTH, commands(801, seed)) for seed in (1, 2)]
+    unseen = recorded(TRUTH, commands(801, 3))
+    found = identify_cem(ROBOT, takes, CEM(generations=45, population=10, windows=8, window=0.5), seed=0)
+    before, after = (score(open_loop(s, [unseen])).mse for s in (Simulator("default", ROBOT), found))
+    assert after < before / 50
+    values = [next(iter(e["parameters"].values()))["value"] for e in found.correction["effects"]]
+    np.testing.assert_allclose(values[4:], TRUE[4:], rtol=0.15)  # dry and viscous friction do for each other longest
+    assert found.notes["data_seconds"] == pytest.approx(8.0)
+    assert found.notes["training_seconds"] > 0
+
+
+def test_a_seed_gives_the_same_answer_again_and_another_one_searches_elsewhere() -> None:
+    take = recorded(TRUTH, commands(301, 1))
+    quick = CEM(generations=3, population=6, windows=4, window=0.2)
+    a, b, c = (identify_cem(ROBOT, [take], quick, seed=seed).correction for seed in (0, 0, 1))
+    assert a == b != c
+
+
+def test_takes_of_other_gains_are_refused() -> None:
+    take = recorded(TRUTH, commands(101, 1))
+    other = recorded(TRUTH, commands(101, 1, 2.0), torques=True)
+    with pytest.raises(ValueError, match="Fit those of one kind"):
+        WindowError(ROBOT, [take, other], CEM(windows=2, window=0.1))
