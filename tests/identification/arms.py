@@ -55,8 +55,9 @@ def recorded(simulator: Simulator, command: np.ndarray, torques: bool = False) -
     policy = TensorDictModule(lambda position: next(rows)[None], in_keys=["joint_position"], out_keys=["action"])
     steps = env.rollout(len(command) - 1, policy=policy, break_when_any_done=False)
     now, last = steps[0], steps[0, -1]["next"]
-    position, velocity = (
-        torch.cat([now[key], last[key][None]]).double().numpy() for key in ("joint_position", "joint_velocity")
+    position, velocity, applied = (  # the torque is that of the step before, as a drive reports it
+        torch.cat([now[key], last[key][None]]).double().numpy()
+        for key in ("joint_position", "joint_velocity", "applied_torque")
     )
     given = simulator.robot
     take = Recording(
@@ -71,5 +72,4 @@ def recorded(simulator: Simulator, command: np.ndarray, torques: bool = False) -
     )
     if torques:
         return take
-    applied = torch.cat([steps["next", "applied_torque"][0], last["applied_torque"][None]]).double().numpy()
     return replace(take, torque_measured=applied, torque_semantics="current_derived")

@@ -3,8 +3,20 @@
 They explain a mismatch by numbers alone, which is what ``diagnosis`` is measured against.
 """
 
+from torchrl_athletic.identification.actuator_net import ActuatorNetTraining, identify_actuator_net
 from torchrl_athletic.identification.cem import CEM, identify_cem
 from torchrl_athletic.identification.open_loop import OpenLoopScore, Rollout, open_loop, score
 from torchrl_athletic.identification.simulator import Simulator, load_net
 
-__all__ = ["CEM", "OpenLoopScore", "Rollout", "Simulator", "identify_cem", "load_net", "open_loop", "score"]
+__all__ = [
+    "CEM",
+    "ActuatorNetTraining",
+    "OpenLoopScore",
+    "Rollout",
+    "Simulator",
+    "identify_actuator_net",
+    "identify_cem",
+    "load_net",
+    "open_loop",
+    "score",
+]
