@@ -6,17 +6,28 @@ rate.
 
 from torchrl_athletic.envs.actuation_chain import actuation_chain
 from torchrl_athletic.envs.reach import PoseGoal, draw_goal, reach_errors, reachable_poses
+from torchrl_athletic.envs.replay import ReplayTakes, Takes, replay_env
+from torchrl_athletic.envs.throw import BallFlight, ThrowFailure, throw_distance, throw_env, throw_reference, throw_task
 from torchrl_athletic.envs.torque_env import TorqueEnv, make_physics
 from torchrl_athletic.envs.whole_body import whole_body_env, whole_body_rewards
 
 __all__ = [
+    "BallFlight",
     "PoseGoal",
+    "ReplayTakes",
+    "Takes",
+    "ThrowFailure",
     "TorqueEnv",
     "actuation_chain",
     "draw_goal",
     "make_physics",
     "reach_errors",
     "reachable_poses",
+    "replay_env",
+    "throw_distance",
+    "throw_env",
+    "throw_reference",
+    "throw_task",
     "whole_body_env",
     "whole_body_rewards",
 ]

@@ -31,7 +31,7 @@ def carry(
     .. math:: s = (p + v\,dt + \tfrac{1}{2} g\,dt^2 - p_b) \cdot n,
 
     decides: at s ≤ 0 the bottom pushes, which is to say that the bucket's acceleration less gravity points out of the
-    opening, and the ball moves with the bucket. At 0 < s the ball slides out along the axis, the walls pushing it
+    opening, and the ball moves with the bucket, or faster out of it if it already did. At 0 < s the ball slides out along the axis, the walls pushing it
     sideways alone; should the bottom catch up with it, it is carried again. At s ≥ depth it has left, with the velocity
     that it then has.
 
@@ -60,15 +60,12 @@ def carry(
     above = ((free_position - bucket_position) * axis).sum(-1, keepdim=True)
     carried = above <= 0
     left = above >= depth
+    above = above.clamp(min=0)
     walls = bucket_velocity + above * (axis - axis_before) / dt
-    slid = walls + axis * ((free_velocity - walls) * axis).sum(-1, keepdim=True)
-    inside_position = torch.where(carried, bucket_position, bucket_position + above * axis)
-    inside_velocity = torch.where(carried, bucket_velocity, slid)
-    return (
-        torch.where(left, free_position, inside_position),
-        torch.where(left, free_velocity, inside_velocity),
-        left,
-    )
+    out = ((free_velocity - walls) * axis).sum(-1, keepdim=True)
+    out = torch.where(carried, out.clamp(min=0), out)
+    inside = bucket_position + above * axis, walls + out * axis
+    return torch.where(left, free_position, inside[0]), torch.where(left, free_velocity, inside[1]), left
 
 
 def fall(position: Tensor, velocity: Tensor, dt: float) -> tuple[Tensor, Tensor]:
@@ -111,3 +108,21 @@ def landing(position: Tensor, velocity: Tensor, height: float = 0.0) -> Tensor:
     upwards = velocity[..., 2:]
     fallen = (upwards.square() + 2 * GRAVITY * (position[..., 2:] - height)).clamp(min=0).sqrt()
     return position[..., :2] + velocity[..., :2] * ((upwards + fallen) / GRAVITY)
+
+
+def fly(position: Tensor, velocity: Tensor, dt: float, height: float = 0.0) -> tuple[Tensor, Tensor]:
+    """Free flight until the ball comes down to a height, where it stays.
+
+    Args:
+        position: [m]. Shape (*B, 3).
+        velocity: [m/s]. Shape (*B, 3).
+        dt: [s].
+        height: [m].
+
+    Returns:
+        Position [m] and velocity [m/s]. Shape (*B, 3) each.
+    """
+    later, gained = fall(position, velocity, dt)
+    down = later[..., 2:] <= height
+    place = torch.cat((landing(position, velocity, height), torch.full_like(position[..., 2:], height)), -1)
+    return torch.where(down, place, later), gained.masked_fill(down, 0.0)
