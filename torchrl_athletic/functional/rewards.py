@@ -215,6 +215,34 @@ def action_steadiness(history: Tensor, sharpness: float = 0.5) -> Tensor:
     return torch.exp(-sharpness * absolute_error(history[..., -1, :], history[..., -2, :]))
 
 
+def uan_reward(position: Tensor, measured: Tensor, action: Tensor, previous: Tensor) -> Tensor:
+    r"""All terms of the table of UAN rewards, scaled and added up: 13.5 where simulation and robot agree and it rests.
+
+    .. math::
+        -1.5\,\|q - \hat q\|_1 + 4 e^{-100 \|q - \hat q\|^2} + 4 e^{-300 \|q - \hat q\|^2}
+        + 5 e^{-1000 \|q - \hat q\|^2} + 0.5\, e^{-0.5 \|a - a'\|_1}
+
+    Args:
+        position: Simulated [rad]. Shape (*B, D).
+        measured: [rad]. Shape (*B, D).
+        action: Corrective torque now [N·m]. Shape (*B, D).
+        previous: And a step before [N·m]. Shape (*B, D).
+
+    Example:
+        >>> here, one = torch.zeros(2), torch.ones(2)
+        >>> uan_reward(here, here, one, one)
+        tensor([13.5000])
+        >>> bool(uan_reward(here + 0.1, here, one, one) < 3.0)
+        True
+    """
+    kernels = {"relaxed": 100.0, "moderate": 300.0, "strict": 1000.0}
+    tracking = UAN_SCALES["joint_position_error"] * absolute_error(position, measured)
+    for name, sharpness in kernels.items():
+        tracking = tracking + UAN_SCALES[f"joint_position_{name}"] * gaussian(position, measured, sharpness)
+    steady = action_steadiness(torch.stack((previous, action), -2))
+    return tracking + UAN_SCALES["action_smoothness"] * steady
+
+
 def beyond_limits(position: Tensor, limits: Tensor) -> Tensor:
     """By how much joints are beyond their limits, in sum [rad].
 

@@ -16,7 +16,11 @@ HISTORY = 20
 
 
 def uan(
-    history: int = HISTORY, hidden: Sequence[int] = (128, 128), device: torch.device | str | None = None
+    history: int = HISTORY,
+    hidden: Sequence[int] = (128, 128),
+    device: torch.device | str | None = None,
+    *,
+    unit: tuple[float, float] = (1.0, 1.0),
 ) -> nn.Module:
     """Network from a joint's recent tracking errors to a corrective torque.
 
@@ -27,6 +31,8 @@ def uan(
         history: Physics steps it sees.
         hidden: Layer sizes.
         device: Where its parameters are made.
+        unit: What the position errors [rad] and the velocity errors [rad/s] are divided by first, their standard
+            deviations in the data say; kept with the parameters. The paper states none.
 
     Source:
         Fey et al. 2025, section III-A, https://arxiv.org/abs/2502.10894.
@@ -38,7 +44,7 @@ def uan(
     net = MLP(2 * history, 1, num_cells=list(hidden), activation_class=nn.ELU, device=device)
     nn.init.zeros_(net[-1].weight)
     nn.init.zeros_(net[-1].bias)
-    return net
+    return nn.Sequential(InUnits(torch.tensor(unit, device=device).repeat_interleave(history)), net)
 
 
 def uan_actor(
@@ -68,6 +74,19 @@ def uan_actor(
                 [0., 0., 0., 0., 0., 0.]], grad_fn=<SqueezeBackward1>)
     """
     return gaussian_actor(GaussianHead(PerJoint(net), 1, scale, device), in_keys)
+
+
+class InUnits(nn.Module):
+    """Each feature divided by its unit. Shape (*B, F)."""
+
+    unit: Tensor
+
+    def __init__(self, unit: Tensor):
+        super().__init__()
+        self.register_buffer("unit", unit)
+
+    def forward(self, value: Tensor) -> Tensor:
+        return value / self.unit
 
 
 class PerJoint(nn.Module):

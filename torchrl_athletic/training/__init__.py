@@ -7,6 +7,19 @@ from torchrl_athletic.training.finite import NonFiniteError, check_finite
 from torchrl_athletic.training.logging import CSVTable, LoggerName, MetricLogger, make_logger
 from torchrl_athletic.training.ppo import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
 from torchrl_athletic.training.rollout import Rollout, control_step
+from torchrl_athletic.training.uan import (
+    Credit,
+    JointRollout,
+    Validation,
+    for_training,
+    set_aside,
+    takes_of,
+    uan_learner,
+    units_of,
+    validation_of,
+    with_gains_of,
+)
+from torchrl_athletic.training.uan_gradient import DifferentiableTorqueEnv, GradientLearner, descend
 
 __all__ = [
     "FINE_TUNE",
@@ -16,17 +29,30 @@ __all__ = [
     "CSVTable",
     "CapturedRollout",
     "Checkpoints",
+    "Credit",
+    "DifferentiableTorqueEnv",
+    "GradientLearner",
+    "JointRollout",
     "Learner",
     "LoggerName",
     "MetricLogger",
     "NonFiniteError",
     "Rollout",
+    "Validation",
     "check_finite",
     "control_step",
+    "descend",
+    "for_training",
     "fuse_transforms",
     "iterate",
     "make_logger",
     "play",
     "record_video",
+    "set_aside",
+    "takes_of",
     "train",
+    "uan_learner",
+    "units_of",
+    "validation_of",
+    "with_gains_of",
 ]

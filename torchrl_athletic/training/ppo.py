@@ -91,6 +91,7 @@ class Learner:
         seed: Of the order of samples.
         collector: Collect with TorchRL's ``Collector``.
         cuda_graph: Capture the control step and the update in CUDA graphs, on a GPU only.
+        rollout: Collects in place of one made here; of ``env``, with what the two networks read.
 
     Example:
         >>> from torchrl.envs import GymEnv, SerialEnv
@@ -116,6 +117,7 @@ class Learner:
         seed: int = 0,
         collector: bool = False,
         cuda_graph: bool = False,
+        rollout: Rollout | None = None,
     ) -> None:
         if env.numel() != config.num_envs:
             raise ValueError(
@@ -125,8 +127,11 @@ class Learner:
         self.env, self.actor, self.critic, self.config = env, actor, critic, config
         self.normalizer, self.normalized, self.watch = normalizer, normalized, watch
         keys = [*critic.in_keys, *watch]
-        if cuda_graph:
-            self.rollout: Rollout = CapturedRollout(env, actor, config.horizon, keys=keys)
+        self.rollout: Rollout
+        if rollout is not None:
+            self.rollout = rollout
+        elif cuda_graph:
+            self.rollout = CapturedRollout(env, actor, config.horizon, keys=keys)
         else:
             self.rollout = Rollout(env, actor, config.horizon, keys=keys, collector=collector)
         self.advantage = GAE(  # estimate_advantage gives it the values
@@ -235,7 +240,7 @@ def _learn_scale(learner: Learner, batch: TensorDictBase) -> None:
 
 
 def train(
-    learner: Learner,
+    learner: Any,
     *,
     iterations: int | None = None,
     minutes: float | None = None,
@@ -246,6 +251,7 @@ def train(
     checkpoint_every: int = 50,
     progress: bool = True,
     show: Sequence[str] = ("reward", "kl"),
+    step: Callable[[Any], TensorDict] = iterate,
 ) -> dict[str, float]:
     """Iterate, and tell how it goes. A run that was interrupted goes on from its newest checkpoint.
 
@@ -260,6 +266,8 @@ def train(
         checkpoint_every: Iterations between checkpoints; there is one at the end in any case.
         progress: Whether to show a bar with samples per second and the time left.
         show: Entries to show beside it.
+        step: What an iteration is; a method other than PPO brings its own, and a learner with ``iteration``,
+            ``samples``, ``seconds``, ``state_dict`` and ``load_state_dict``.
 
     Returns:
         The last numbers that were logged.
@@ -277,7 +285,7 @@ def train(
     with tqdm(total=1.0, initial=share, bar_format=BAR, disable=not progress) as bar:
         started = learner.seconds
         while share < 1:
-            metrics = _numbers(iterate(learner))
+            metrics = _numbers(step(learner))
             learner.seconds = time.perf_counter() - began
             share = _share_done(learner, iterations, minutes)
             if evaluate is not None and (share == 1 or learner.iteration % evaluate_every == 0):
@@ -302,7 +310,7 @@ def _numbers(report: TensorDict) -> dict[str, float]:
     return dict(zip(report.keys(), torch.stack(list(report.values())).tolist(), strict=True))
 
 
-def _share_done(learner: Learner, iterations: int | None, minutes: float | None) -> float:
+def _share_done(learner: Any, iterations: int | None, minutes: float | None) -> float:
     """0 at the start, 1 when training is over."""
     by_count = learner.iteration / max(1, iterations) if iterations is not None else 0.0
     by_time = learner.seconds / (60 * minutes) if minutes else float(minutes is not None)

@@ -1,0 +1,116 @@
+"""Teach a net the torques that a simulation of your robot lacks, from what its encoders said: no torque sensor needed.
+
+python recipes/train_uan.py --recordings outputs/recordings/z1                              # down the gradient
+python recipes/train_uan.py --recordings outputs/recordings/z1 --method ppo --device cuda   # as the paper does
+python recipes/train_uan.py --recordings outputs/recordings/z1 --model outputs/diagnosis    # what the diagnosis left
+
+Takes that say ``split: heldout``, and throws, are not looked at. Windows of 5 s, a tenth of the rest, are validated on:
+``mse`` of their open-loop replays against time stands in ``progress.csv``. The same command goes on after a kill. The
+result is a folder that ``Simulator.load`` reads. How the methods compare: docs/uan.md.
+"""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+import tyro
+from torch import nn
+
+from torchrl_athletic import training
+from torchrl_athletic.envs import Takes, replay_env
+from torchrl_athletic.identification import Simulator
+from torchrl_athletic.networks import uan
+from torchrl_athletic.recordings import read_recordings
+from torchrl_athletic.robots import from_mjcf, z1
+
+ROWS = {("ppo", "cpu"): 256, ("ppo", "cuda"): 4096, ("gradient", "cpu"): 32, ("gradient", "cuda"): 512}
+
+
+@dataclass(frozen=True)
+class Config:
+    recordings: Path = Path("outputs/recordings/z1")
+    """File or folder of takes."""
+    method: Literal["gradient", "ppo"] = "gradient"
+    """Down the position error's own gradient, or the paper's reinforcement learning."""
+    credit: Literal["arm", "joint"] = "joint"
+    """Of PPO: one reward for all joints, as the paper has it, or each joint its own."""
+    robot: str = "z1"
+    """``z1``, or the path of an MJCF."""
+    model: Path | None = None
+    """Folder of a diagnosis, or its ``corrected.json``: the net learns what that leaves."""
+    num_envs: int | None = None
+    """Rows; None takes what suits the method and the device."""
+    minutes: float = 3.0
+    """When to stop [min]."""
+    iterations: int | None = None
+    """When to stop in any case."""
+    seed: int = 0
+    """Of weights, starts and exploration."""
+    device: Literal["cpu", "cuda"] = "cuda" if torch.cuda.is_available() else "cpu"
+    """Of simulation and nets."""
+    evaluate_every: int = 20
+    """Iterations between validations."""
+    logger: training.LoggerName = "csv"
+    """Where numbers go; wandb stays offline."""
+    output: Path = Path("outputs/identification/uan")
+    """Folder for the simulator and all else that is written."""
+
+
+def main(cfg: Config) -> Simulator:
+    torch.manual_seed(cfg.seed)
+    torch.set_float32_matmul_precision("high")
+    recordings = training.for_training(read_recordings(cfg.recordings))
+    robot = training.with_gains_of(z1() if cfg.robot == "z1" else from_mjcf(cfg.robot), recordings)
+    given = Simulator("uan" if cfg.model is None else "diagnosed_uan", robot, correction_of(cfg.model))
+    pieces, windows = training.set_aside(recordings)
+    takes = training.takes_of(pieces, robot)
+    net = uan(unit=training.units_of(takes, robot)).to(cfg.device)
+    validate = training.validation_of(given, windows, net, device=cfg.device)
+    before = validate()["mse"]  # of a net that corrects nothing yet
+
+    learner = make_learner(cfg, given, takes, net)
+    numbers = training.train(
+        learner,
+        minutes=cfg.minutes,
+        iterations=cfg.iterations,
+        evaluate=validate,
+        evaluate_every=cfg.evaluate_every,
+        logger=training.make_logger(cfg.logger, cfg.output, "train_uan"),
+        checkpoints=training.Checkpoints(cfg.output / "checkpoints"),
+        checkpoint_every=cfg.evaluate_every,
+        show=["reward", "mse"],
+        step=training.iterate if cfg.method == "ppo" else training.descend,
+    )
+    notes = {name: getattr(cfg, name) for name in ("method", "credit", "seed", "device")}
+    notes |= {"training_seconds": learner.seconds, "data_seconds": sum(r.duration for r in recordings)}
+    notes |= {"validation_mse": numbers["mse"], "validation_mse_before": before}
+    found = replace(given, net=net.cpu(), kind="correction", notes=notes)
+    print(f"mean square error of replays not trained on: {before:.3g} rad² before, {numbers['mse']:.3g} rad² after")
+    print("simulator:", found.save(cfg.output))
+    return found
+
+
+def make_learner(cfg: Config, given: Simulator, takes: Takes, net: nn.Module) -> Any:
+    rows, robot = cfg.num_envs or ROWS[cfg.method, cfg.device], given.robot
+    chain = given.chain(command=takes.driven, decimation=1)
+    if cfg.method == "gradient":
+        moved = robot.joint_groups.get("arm")
+        base = training.DifferentiableTorqueEnv(robot, joints=moved, num_envs=rows, device=cfg.device)
+        env = replay_env(robot, takes, chain=chain, base=base, max_steps=400, seed=cfg.seed)
+        return training.GradientLearner(env, net, minutes=cfg.minutes)
+    env = replay_env(robot, takes, chain=chain, num_envs=rows, device=cfg.device, seed=cfg.seed)
+    ppo, on_gpu = replace(training.UAN, num_envs=rows, micro_batch=98_304), cfg.device == "cuda"
+    unit = training.units_of(takes, robot)
+    return training.uan_learner(env, net, ppo, credit=cfg.credit, unit=unit, seed=cfg.seed, cuda_graph=on_gpu)
+
+
+def correction_of(path: Path | None) -> dict | None:
+    if path is None:
+        return None
+    return json.loads((path / "corrected.json" if path.is_dir() else path).read_text(encoding="utf-8"))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))

@@ -1,0 +1,416 @@
+"""Replaying what a real robot did, for a net to learn what the simulation lacks: the UAN's training environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import torch
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs import Compose, Transform, TransformedEnv
+
+from torchrl_athletic.envs.torque_env import TorqueEnv
+from torchrl_athletic.functional import history, rewards, streams
+from torchrl_athletic.physics.joints import joint_columns
+from torchrl_athletic.robots import Robot
+from torchrl_athletic.transforms import CorrectedActuation, EquivalentTarget, PDControl, PowerClip, TorqueSpeedClip
+from torchrl_athletic.transforms.simulated import once_per_model, simulated_env
+from torchrl_athletic.transforms.stateful import Joints, RandomTransform, joint_index
+
+HISTORY = 20
+"""Physics steps of 5 ms that a UAN looks back: 100 ms."""
+Driven = Literal["position", "torque"]
+"""What the robot was told: targets of its PD controllers, or torques."""
+
+
+@dataclass(frozen=True, eq=False)
+class Takes:
+    """Takes of a real robot, one after the other, on the grid of the physics.
+
+    S samples of all takes, J joints in the robot's order. ``command[k]`` acts from ``position[k]`` on.
+
+    Raises:
+        ValueError: If shapes or lengths contradict each other, a number is not finite, or no take is longer than the
+            net's history.
+
+    Example:
+        >>> still = torch.zeros(200, 7)
+        >>> Takes(still, still, still, lengths=(120, 80), driven="position").starts().numel()
+        160
+    """
+
+    position: Tensor
+    """Measured [rad]. Shape (S, J)."""
+    velocity: Tensor
+    """Measured [rad/s]. Shape (S, J)."""
+    command: Tensor
+    """Position target [rad] or torque [N·m]. Shape (S, J)."""
+    lengths: tuple[int, ...]
+    """Samples of each take; their sum is S."""
+    driven: Driven = "position"
+
+    def __post_init__(self) -> None:
+        shapes = {tuple(value.shape) for value in (self.position, self.velocity, self.command)}
+        if len(shapes) != 1 or self.position.ndim != 2 or sum(self.lengths) != len(self.position):
+            raise ValueError(
+                f"takes have shapes {sorted(shapes)} and lengths {self.lengths}, needed are position, velocity and "
+                "command of one shape (S, J), S being the sum of the lengths: else takes would run into each other."
+            )
+        if not all(bool(value.isfinite().all()) for value in (self.position, self.velocity, self.command)):
+            raise ValueError("a take holds numbers that are not finite: rows would start there. Cut them out.")
+        if max(self.lengths) <= HISTORY:
+            raise ValueError(
+                f"the longest take has {max(self.lengths)} samples, but a start needs {HISTORY} to fill the net's "
+                f"history and one more to go to: give takes of {HISTORY + 1} samples or more."
+            )
+
+    def starts(self, room: int = 1) -> Tensor:
+        """Samples that an episode may start at: with a whole history behind, and ``room`` steps before the take's end.
+
+        int64, shape (M,).
+        """
+        begin, found = 0, []
+        for length in self.lengths:
+            found.append(torch.arange(begin + HISTORY - 1, begin + max(length - room, HISTORY - 1)))
+            begin += length
+        return torch.cat(found)
+
+    def ends(self) -> Tensor:
+        """The last sample of each sample's take. int64, shape (S,)."""
+        lengths = torch.tensor(self.lengths)
+        return (lengths.cumsum(0) - 1).repeat_interleave(lengths)
+
+
+class AddedTorque(Transform):
+    """Add what the policy gives to the torque of some joints, at the place in the chain where a UAN stands.
+
+    Args:
+        joints: Which.
+        torque_key: [N·m]. Shape (*B, J).
+        correction_key: [N·m]. Shape (*B, J of the group).
+
+    Example:
+        >>> add = AddedTorque(joints=[1])
+        >>> step = TensorDict(torque=[[1.0, 2.0]], torque_correction=[[0.5]], batch_size=[1])
+        >>> add.inv(step)["torque"]
+        tensor([[1.0000, 2.5000]])
+    """
+
+    def __init__(
+        self,
+        joints: Joints = None,
+        *,
+        torque_key: NestedKey = "torque",
+        correction_key: NestedKey = "torque_correction",
+    ) -> None:
+        super().__init__(in_keys=[], out_keys=[], in_keys_inv=[torque_key], out_keys_inv=[torque_key])
+        self.joints, self.torque_key, self.correction_key = joints, torque_key, correction_key
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        torque, correction = tensordict.get(self.torque_key), tensordict.get(self.correction_key)
+        added = torch.zeros_like(torque)
+        added[..., joint_index(self, self.joints)] = correction
+        return tensordict.set(self.torque_key, torque + added)
+
+
+@dataclass(frozen=True, eq=False)
+class _OfModel:
+    """The model's start state and where the joints are in it, on its device."""
+
+    qpos: Tensor
+    qvel: Tensor
+    joint_qpos: Any
+    joint_dof: Any
+
+
+class ReplayTakes(RandomTransform):
+    r"""Start at a moment of a take and send the commands that followed; the action is a torque for what is missing.
+
+    An episode starts at a sample drawn uniformly of all that have a whole history behind them, with the measured
+    position and velocity as state. It is truncated after ``max_steps`` steps or where the take ends. Rows whose
+    simulation diverges, or leaves the recording by more than ``bound``, are terminated with the reward ``penalty``.
+
+    Place it last in Compose, outside the controller's law. Entries, A joints of the group, float32:
+
+    - ``action`` (N, A): the corrective torques [N·m];
+    - ``observation`` (N, A, 2L): for each joint the position errors [rad] and then the velocity errors [rad/s] of the
+      last L steps, oldest first, as :class:`~torchrl_athletic.transforms.UANCorrection` sees them: of the simulated
+      state, before an episode's start of the recorded one;
+    - ``privileged`` (N, A, 2): simulated minus measured position and velocity, for a critic;
+    - ``reward``: :func:`~torchrl_athletic.functional.rewards.uan_reward` of all joints of the group, times the time
+      step as Isaac's reward manager does it, so that values stay near ten; and under ``joint_reward`` (N, A) that of
+      each joint alone;
+    - ``sample``, ``steps_left`` (N, 1) int64: where in the takes the row is, and how long its episode has to go.
+
+    Args:
+        takes: What to replay.
+        joints: Which are corrected and compared.
+        max_steps: Longest episode [steps].
+        by_row: Start row i at entry i of ``starts``, modulo its length, in each episode.
+        starts: Samples to start at. Shape (M,). None takes all that are possible.
+        bound: Greatest difference of a joint's position from the recording [rad].
+        penalty: Reward of a terminated step.
+        encoder: Scale and offset of readings in the corrected simulation, shape (J,) each.
+        late: How much each of the last commands contributes to the one that the controller has, where it gets them
+            late. Shape (L, J).
+        seed: Of the draws.
+        first_row: As of :class:`~torchrl_athletic.transforms.RandomTransform`.
+
+    Source:
+        Fey et al. 2025, section II-A, "Task Design".
+    """
+
+    position: Tensor
+    velocity: Tensor
+    command: Tensor
+    noted: Tensor
+    error: Tensor
+    encoder_scale: Tensor
+    encoder_offset: Tensor
+    ends: Tensor
+    starts: Tensor
+    kp: Tensor
+    kd: Tensor
+    lookback: Tensor
+
+    def __init__(
+        self,
+        takes: Takes,
+        robot: Robot,
+        joints: Joints = None,
+        *,
+        max_steps: int = 4000,
+        by_row: bool = False,
+        starts: Tensor | None = None,
+        bound: float = 1.5,
+        penalty: float = -10.0,
+        encoder: tuple[Tensor, Tensor] | None = None,
+        late: Tensor | None = None,
+        seed: int = 0,
+        first_row: int = 0,
+    ) -> None:
+        super().__init__(
+            ["joint_position", "joint_velocity"],
+            ["sample", "steps_left", "observation", "privileged", "torque_correction", "joint_reward"],
+            in_keys_inv=["action"],
+            out_keys_inv=["action"],
+            seed=seed,
+            first_row=first_row,
+        )
+        if takes.position.shape[1] != len(robot.joint_names):
+            raise ValueError(
+                f"the takes have {takes.position.shape[1]} joints, {robot.name!r} has {len(robot.joint_names)}: order "
+                "and fill their columns as robot.joint_names says (training.takes_of does)."
+            )
+        self.joints, self.max_steps, self.by_row = joints, max_steps, by_row
+        self.bound, self.penalty, self.driven = bound, penalty, takes.driven
+        self.dt = float(robot.model().opt.timestep)
+        starts = takes.starts() if starts is None else starts
+        if not len(starts):
+            raise ValueError("no take is long enough to start in. Give takes of more than 20 samples.")
+        tables = {
+            "position": takes.position.float(),
+            "velocity": takes.velocity.float(),
+            "command": takes.command.float(),
+            "ends": takes.ends(),
+            "starts": starts.to(torch.int64),
+            "kp": torch.tensor(robot.kp),
+            "kd": torch.tensor(robot.kd),
+            "encoder_scale": torch.ones(()) if encoder is None else encoder[0],
+            "encoder_offset": torch.zeros(()) if encoder is None else encoder[1],
+            "noted": takes.command.float() if late is None else _delayed(takes, late),
+            "lookback": torch.arange(1 - HISTORY, 1),
+        }
+        for name, table in tables.items():
+            self.register_buffer(name, table.clone(), persistent=False)
+        self.register_buffer("error", self._errors(self.noted, self.position, self.velocity), persistent=False)
+
+    def _errors(self, command: Tensor, position: Tensor, velocity: Tensor) -> Tensor:
+        """Of position [rad] and velocity [rad/s], as the law in the chain notes them. Shape (*B, J, 2)."""
+        if self.driven == "position":
+            off = command - position
+        else:  # of the target whose PD law would command this torque
+            off = (command + self.kd * velocity) / self.kp
+        return torch.stack((off, -velocity), -1)
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if self.parent is None:  # on its way into a buffer
+            return tensordict
+        tensordict.set("previous_correction", tensordict.get("torque_correction"))
+        tensordict.set("torque_correction", tensordict.get("action"))
+        return tensordict.set("action", self.command[tensordict.get("sample").squeeze(-1)])
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        env, model = simulated_env(self), once_per_model(self, _of_model)
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=env.batch_size, device=env.device)
+        sample = self._draw_start(self.upcoming(tensordict))
+        qpos = model.qpos.expand(*env.batch_size, -1).clone()
+        qvel = model.qvel.expand(*env.batch_size, -1).clone()
+        read, rate = self.position[sample], self.velocity[sample]
+        qpos[:, model.joint_qpos] = ((read - self.encoder_offset) / self.encoder_scale).to(qpos)
+        qvel[:, model.joint_dof] = (rate / self.encoder_scale).to(qvel)
+        return tensordict.set("reset_qpos", qpos).set("reset_qvel", qvel)
+
+    def _draw_start(self, key: Tensor) -> Tensor:
+        """int64, shape (N,)."""
+        if self.by_row:
+            row = torch.arange(key.numel(), device=key.device) + self.first_row
+            return self.starts[row % len(self.starts)]
+        return self.starts[streams.integers(key, 1, len(self.starts)).squeeze(-1)]
+
+    def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
+        sample = self._draw_start(key)
+        columns = joint_index(self, self.joints)
+        errors = self.error[sample.unsqueeze(-1) + self.lookback][:, :, columns]  # (N, L, A, 2)
+        left = (self.ends[sample] - sample).clamp(max=self.max_steps)
+        return {
+            "sample": sample.unsqueeze(-1),
+            "steps_left": left.unsqueeze(-1),
+            "observation": errors.permute(0, 2, 3, 1).flatten(-2),
+            "privileged": errors.new_zeros(*errors.shape[::2], 2),
+            "torque_correction": errors.new_zeros(errors.shape[::2]),
+            "joint_reward": errors.new_zeros(errors.shape[::2]),
+        }
+
+    def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
+        columns = joint_index(self, self.joints)
+        sample, left = tensordict.get("sample") + 1, tensordict.get("steps_left") - 1
+        at = sample.squeeze(-1)
+        real, real_speed = self.position[at], self.velocity[at]
+        position, speed = next_tensordict.get("joint_position"), next_tensordict.get("joint_velocity")
+        near = ((position - real).abs() < self.bound).all(-1, keepdim=True)  # false of what is not a number
+        failed = next_tensordict.get("terminated") | ~near | ~speed.isfinite().all(-1, keepdim=True)
+        position, speed = torch.where(failed, real, position), torch.where(failed, real_speed, speed)
+
+        errors = self._errors(self.noted[at], position, speed)[:, columns]
+        observation = tensordict.get("observation").unflatten(-1, (2, HISTORY))
+        correction, previous = tensordict.get("torque_correction"), tensordict.get("previous_correction")
+        position, real = position[:, columns], real[:, columns]
+        reward = self.dt * rewards.uan_reward(position, real, correction, previous)
+        each = (value.unsqueeze(-1) for value in (position, real, correction, previous))
+        joint_reward = self.dt * rewards.uan_reward(*each).squeeze(-1)
+        truncated = left <= 0
+        shown = {
+            "sample": sample,
+            "steps_left": left,
+            "observation": history.push(observation, errors, dim=-1).flatten(-2),
+            "privileged": torch.stack((position - real, (speed - real_speed)[:, columns]), -1),
+            "torque_correction": correction,
+            "reward": torch.where(failed, self.penalty, reward),
+            "joint_reward": torch.where(failed, self.penalty, joint_reward),
+            "terminated": failed,
+            "truncated": truncated,
+            "done": failed | truncated,
+        }
+        for key, value in shown.items():
+            next_tensordict.set(key, value)
+
+    def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
+        position = observation_spec["joint_position"]
+        rows, joints = position.zero()[..., joint_index(self, self.joints)].shape
+        counter = Unbounded(shape=(rows, 1), dtype=torch.int64, device=position.device)
+        sizes: dict[NestedKey, tuple[int, ...]] = {"observation": (joints, 2 * HISTORY), "privileged": (joints, 2)}
+        sizes |= {"torque_correction": (joints,), "joint_reward": (joints,)}
+        return {"sample": counter, "steps_left": counter.clone()} | {
+            key: Unbounded(shape=(rows, *size), device=position.device) for key, size in sizes.items()
+        }
+
+    def transform_input_spec(self, input_spec: Composite) -> Composite:
+        input_spec = super().transform_input_spec(input_spec)
+        correction = input_spec["full_state_spec"]["torque_correction"]
+        input_spec["full_action_spec"]["action"] = correction.clone()
+        return input_spec
+
+
+def _of_model(env: Any) -> _OfModel:
+    physics, robot = env.physics, env.robot
+    model = physics.model
+    place, dof = (
+        columns.to(physics.device) if isinstance(columns, Tensor) else columns
+        for columns in joint_columns(model, robot.joint_names)
+    )
+    key = model.key(robot.keyframe)
+    qpos, qvel = (torch.tensor(value, dtype=physics.dtype, device=physics.device) for value in (key.qpos, key.qvel))
+    return _OfModel(qpos, qvel, place, dof)
+
+
+def _delayed(takes: Takes, weights: Tensor) -> Tensor:
+    """The commands as they arrive; before a take's first one it is taken to be that one. Shape (S, J)."""
+    arrived, length = [], len(weights)
+    for command in takes.command.double().split(takes.lengths):
+        queue = torch.cat((command[:1].expand(length - 1, -1), command)).unfold(0, length, 1)  # (T, J, L)
+        arrived.append((queue * weights.double().T).sum(-1))
+    return torch.cat(arrived).float()
+
+
+def replay_env(
+    robot: Robot,
+    takes: Takes,
+    *,
+    chain: Sequence[Transform] | None = None,
+    joints: Joints = None,
+    num_envs: int = 1,
+    device: torch.device | str = "cpu",
+    base: TorqueEnv | None = None,
+    max_steps: int = 4000,
+    by_row: bool = False,
+    starts: Tensor | None = None,
+    seed: int = 0,
+) -> TransformedEnv:
+    """The environment that a UAN is trained in: a step is one of the physics, and the action what the torque lacks.
+
+    The correction acts where :class:`~torchrl_athletic.transforms.UANCorrection` does in a policy's environment:
+    behind the controller, before the motor's limits.
+
+    Args:
+        robot: To be corrected; its gains are those of the takes.
+        takes: What the real one did.
+        chain: What stands between a command and the motors, from the motor outwards, without net and decimation; None
+            takes the motor's limit by speed and the PD law of the robot. What a diagnosis found comes in here.
+        joints: Which are corrected and compared; None takes the group ``"arm"``, or all joints of a robot without one.
+        num_envs: N.
+        device: Of the physics.
+        base: In place of one made here.
+        max_steps: Longest episode [steps]; 20 s by default.
+        by_row: As of :class:`ReplayTakes`.
+        starts: As of :class:`ReplayTakes`.
+        seed: Of the starts.
+
+    Source:
+        Fey et al. 2025, section II-A and table of UAN rewards, https://arxiv.org/abs/2502.10894.
+
+    Example:
+        >>> from torchrl_athletic.robots import z1
+        >>> robot = z1()
+        >>> still = torch.tensor(robot.default_pose).repeat(100, 1)
+        >>> env = replay_env(robot, Takes(still, 0 * still, still, lengths=(100,)), num_envs=2)
+        >>> env.rollout(3)["observation"].shape
+        torch.Size([2, 3, 6, 40])
+    """
+    if joints is None and "arm" in robot.joint_groups:
+        joints = "arm"
+    chain = list(_plain_chain(robot, takes.driven) if chain is None else chain)
+    base = base or TorqueEnv(replace(robot, sensors={}), num_envs=num_envs, device=device)
+    behind = next(k for k in range(len(chain) + 1) if not isinstance((*chain, None)[k], (TorqueSpeedClip, PowerClip)))
+    corrected = next((law for law in chain if isinstance(law, CorrectedActuation)), None)
+    replayed = ReplayTakes(
+        takes,
+        robot,
+        joints,
+        max_steps=max_steps,
+        by_row=by_row,
+        starts=starts,
+        encoder=None if corrected is None else (corrected.encoder_scale, corrected.encoder_offset),
+        late=None if corrected is None or takes.driven == "torque" else corrected.weights,
+        seed=seed,
+    )
+    return TransformedEnv(base, Compose(*chain[:behind], AddedTorque(joints), *chain[behind:], replayed))
+
+
+def _plain_chain(robot: Robot, driven: Driven) -> list[Transform]:
+    law = PDControl(robot.kp, robot.kd) if driven == "position" else EquivalentTarget(robot.kp, robot.kd)
+    return [TorqueSpeedClip(robot.torque_limit, robot.velocity_limit), law]

@@ -1,0 +1,407 @@
+"""Training an Unsupervised Actuator Net: from recordings to takes, the two ways to give credit, the validation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
+from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.modules import MLP, ValueOperator
+
+from torchrl_athletic.envs.replay import HISTORY, Takes, replay_env
+from torchrl_athletic.identification import Simulator
+from torchrl_athletic.networks.actor_critic import GaussianHead, gaussian_actor
+from torchrl_athletic.networks.actuator_net import InUnits, PerJoint, uan_actor
+from torchrl_athletic.recordings import Recording, RecordingError, resample
+from torchrl_athletic.robots import Robot
+from torchrl_athletic.training.captured import CapturedRollout
+from torchrl_athletic.training.ppo import PPO, UAN, Learner
+
+Credit = Literal["arm", "joint"]
+"""Whether all joints share one reward, as in the paper, or each earns its own."""
+
+
+def takes_of(recordings: Sequence[Recording], robot: Robot) -> Takes:
+    """Recordings as :class:`~torchrl_athletic.envs.replay.Takes`, in the robot's order and on its physics' time step.
+
+    Velocities are the measured ones; where a robot logs none, the slope of a cubic through seven positions. Joints of
+    the robot that position-driven takes do not name rest at their default.
+
+    Args:
+        recordings: All driven by position targets, or all by torques.
+        robot: Whose gains are those of the takes.
+
+    Raises:
+        RecordingError: If a recording names other joints or gains than the robot, or is too short; says what to do.
+
+    Example:
+        >>> from torchrl_athletic.robots import z1
+        >>> robot, time = z1(), np.arange(0.0, 1.0, 0.005)
+        >>> rest = np.tile(robot.default_pose, (200, 1))
+        >>> take = Recording(time, robot.joint_names, rest, position_target=rest, kp=robot.kp, kd=robot.kd)
+        >>> takes_of([take], robot).lengths
+        (200,)
+    """
+    if not recordings:
+        raise RecordingError("no recordings: a net that shall learn what is missing needs at least one.")
+    driven = {"torque" if r.torque_command is not None else "position" for r in recordings}
+    if len(driven) > 1:
+        raise RecordingError(
+            "some takes are driven by position targets and others by torques: the errors that the net sees would mean "
+            "two things. Train on one kind."
+        )
+    step = float(robot.model().opt.timestep)
+    pieces = [_on_grid(r, robot, step) for r in recordings]
+    position, velocity, command = (
+        torch.from_numpy(np.concatenate(column)).float() for column in zip(*pieces, strict=True)
+    )
+    lengths = tuple(len(piece[0]) for piece in pieces)
+    return Takes(position, velocity, command, lengths, "torque" if "torque" in driven else "position")
+
+
+def _on_grid(recording: Recording, robot: Robot, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position, velocity and command of all the robot's joints. Shape (T, J) each."""
+    _check_joints(recording, robot)
+    _check_gains(recording, robot)
+    if abs(recording.rate * step - 1) > 1e-3:
+        recording = resample(recording, step)
+    velocity = recording.velocity if recording.velocity is not None else _slope(recording.position, step)
+    columns = [robot.joint_names.index(name) for name in recording.joint_names]
+    rest = np.tile(np.asarray(robot.default_pose), (recording.num_samples, 1))
+    whole = []
+    for values, base in ((recording.position, rest), (velocity, 0 * rest), (recording.command, rest)):
+        filled = base.copy()
+        filled[:, columns] = values
+        whole.append(filled)
+    return whole[0], whole[1], whole[2]
+
+
+def _slope(position: np.ndarray, step: float) -> np.ndarray:
+    from scipy.signal import savgol_filter
+
+    return np.asarray(savgol_filter(position, 7, 3, deriv=1, delta=step, axis=0))
+
+
+def _check_joints(recording: Recording, robot: Robot) -> None:
+    unknown = [name for name in recording.joint_names if name not in robot.joint_names]
+    if unknown:
+        raise RecordingError(
+            f"{recording.source}: joint {unknown[0]!r} is none of {robot.name}'s {robot.joint_names}. Rename the "
+            "columns, or give the robot that was recorded."
+        )
+    if recording.torque_command is not None and recording.num_joints < len(robot.joint_names):
+        missing = [name for name in robot.joint_names if name not in recording.joint_names]
+        raise RecordingError(
+            f"{recording.source}: there is no torque of {missing}, which would fall limp in the replay. Record all "
+            "joints, or take a model in which these are welded."
+        )
+
+
+def _check_gains(recording: Recording, robot: Robot) -> None:
+    if recording.kp is None or recording.kd is None:
+        return
+    columns = [robot.joint_names.index(name) for name in recording.joint_names]
+    for name, given, known in (("kp", recording.kp, robot.kp), ("kd", recording.kd, robot.kd)):
+        wanted = np.asarray(known)[columns]
+        if not np.allclose(given, wanted, rtol=1e-3):
+            raise RecordingError(
+                f"{recording.source}: {name} is {given.tolist()}, {robot.name}'s is {wanted.tolist()}: the replayed "
+                "torques would be others. Give the robot the gains of the takes: dataclasses.replace(robot, "
+                f"{name}=...)."
+            )
+
+
+def for_training(recordings: Sequence[Recording]) -> list[Recording]:
+    """Those that may be trained on: all but those whose metadata say ``split: heldout``, and throws.
+
+    Raises:
+        RecordingError: If none is left.
+    """
+    kept = [r for r in recordings if r.metadata.get("split", "train") == "train" and r.metadata.get("kind") != "throw"]
+    if not kept:
+        raise RecordingError(
+            f"all {len(recordings)} recordings are held out, so there is nothing to train on. Collect takes with "
+            "metadata split='train'."
+        )
+    return kept
+
+
+def set_aside(
+    recordings: Sequence[Recording], share: float = 0.1, seconds: float = 5.0, seed: int = 0
+) -> tuple[list[Recording], list[Recording]]:
+    """Cut windows out of takes to validate on; what lies between them is trained on.
+
+    Args:
+        recordings: To be cut.
+        share: Of each take's duration; a take too short for one window beside as much again is left whole.
+        seconds: Of a window [s].
+        seed: Of where the windows lie.
+
+    Returns:
+        Pieces to train on, and windows of equal length.
+
+    Raises:
+        RecordingError: If no take is long enough for a window.
+    """
+    generator = np.random.default_rng(seed)
+    pieces, windows = [], []
+    for r in recordings:
+        length = round(seconds * r.rate) + HISTORY
+        count = max(1, int(r.num_samples * share / length)) if r.num_samples >= 2 * length else 0
+        cells = np.linspace(0, r.num_samples, count + 1).astype(int)
+        begin = 0
+        for low, high in pairwise(cells):
+            start = int(generator.integers(low, high - length + 1))
+            windows.append(r.slice(start, start + length))
+            if start - begin > 2 * HISTORY:
+                pieces.append(r.slice(begin, start))
+            begin = start + length
+        if r.num_samples - begin > 2 * HISTORY:
+            pieces.append(r.slice(begin, r.num_samples))
+    if not windows:
+        raise RecordingError(
+            f"no take lasts {2 * seconds:.1f} s, so none can spare a window of {seconds} s to validate on. Validate on "
+            "shorter windows."
+        )
+    return pieces, windows
+
+
+def units_of(takes: Takes, robot: Robot) -> tuple[float, float]:
+    """Standard deviations of the position errors [rad] and of the velocities [rad/s] of the joints that move."""
+    kp, kd = torch.tensor(robot.kp), torch.tensor(robot.kd)
+    off = takes.command - takes.position
+    if takes.driven == "torque":
+        off = (takes.command + kd * takes.velocity) / kp
+    moves = takes.velocity.std(0) > 1e-6
+    return float(off[:, moves].std()), float(takes.velocity[:, moves].std())
+
+
+class MeanPolicy(nn.Module):
+    """The net as a policy that does not explore. Writes ``action`` (N, A)."""
+
+    def __init__(self, net: nn.Module) -> None:
+        super().__init__()
+        self.net = net
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set("action", self.net(tensordict.get("observation")).squeeze(-1))
+
+
+class Validation:
+    """Open-loop replays of windows that nothing is trained on, one a row, from their first moments to their ends.
+
+    Args:
+        env: :func:`~torchrl_athletic.envs.replay.replay_env` with a row for each window and ``by_row``.
+        net: What corrects, as it is at each call.
+        steps: Of each window.
+    """
+
+    def __init__(self, env: TransformedEnv, net: nn.Module, steps: int) -> None:
+        self.rollout = CapturedRollout(env, MeanPolicy(net), steps, keys=["privileged"], fuse=False)
+
+    @torch.no_grad()
+    def __call__(self) -> dict[str, float]:
+        """``mse`` [rad²], the mean over windows, time and joints, and ``lost``, the share of rows that had to end."""
+        batch = self.rollout()
+        return {
+            "mse": float(batch["next", "privileged"][..., 0].square().mean()),
+            "lost": float(batch["next", "terminated"].any(1).float().mean()),
+        }
+
+
+def validation_of(
+    simulator: Simulator, windows: Sequence[Recording], net: nn.Module, device: torch.device | str = "cpu"
+) -> Validation:
+    """Replays of windows by a simulator without a net, corrected by one that is being trained.
+
+    Args:
+        simulator: What it is trained in.
+        windows: Of :func:`set_aside`, of equal length.
+        net: On the device.
+        device: Of the physics.
+    """
+    takes = takes_of(windows, simulator.robot)
+    steps = min(takes.lengths) - HISTORY
+    first = torch.tensor([0, *takes.lengths[:-1]]).cumsum(0) + HISTORY - 1
+    env = replay_env(
+        simulator.robot,
+        takes,
+        chain=simulator.chain(command=takes.driven, decimation=1, randomize=False),
+        num_envs=len(windows),
+        device=device,
+        max_steps=steps,
+        by_row=True,
+        starts=first,
+    )
+    return Validation(env, net, steps)
+
+
+def uan_learner(
+    env: TransformedEnv,
+    net: nn.Module,
+    config: PPO = UAN,
+    *,
+    credit: Credit = "arm",
+    scale: float = 1.0,
+    unit: tuple[float, float] = (1.0, 1.0),
+    hidden: Sequence[int] = (256, 256),
+    seed: int = 0,
+    cuda_graph: bool = False,
+) -> Learner:
+    """PPO of a net in its replay environment.
+
+    The critic is told what no actuator knows: how far simulation and recording are apart. With ``credit="arm"`` it sees
+    that and the histories of all joints side by side, 42 numbers each, which takes wider layers than the net's; with
+    ``"joint"`` those of its joint, and which one that is, and a joint is a sample.
+
+    Args:
+        env: Of :func:`~torchrl_athletic.envs.replay.replay_env`.
+        net: Of :func:`~torchrl_athletic.networks.uan`, trained in place.
+        config: Numbers chosen by hand; the paper's by default.
+        credit: Whose reward a joint's correction is judged by.
+        scale: First standard deviation of exploration [N·m].
+        unit: Of position errors [rad] and velocity errors [rad/s], for the critic's inputs.
+        hidden: Layers of the critic.
+        seed: Of the order of samples.
+        cuda_graph: As of :class:`~torchrl_athletic.training.Learner`.
+
+    Returns:
+        For :func:`~torchrl_athletic.training.train`; its ``samples`` count joints with ``credit="joint"``.
+
+    Source:
+        Fey et al. 2025, sections II-A and appendix A. The critic's inputs are ours, the paper states none.
+    """
+    joints = env.observation_spec["observation"].shape[-2]
+    policy = uan_actor(net, scale=scale, device=env.device)
+    features = torch.tensor([*[unit[0]] * HISTORY, *[unit[1]] * HISTORY, 0.05, unit[1] / 4], device=env.device)
+    if credit == "arm":
+        critic = ValueOperator(_ArmValue(features, joints, hidden, env.device), in_keys=["observation", "privileged"])
+        learner = Learner(env, policy, critic, config, seed=seed, cuda_graph=cuda_graph)
+    else:
+        head = policy.module[0].module
+        assert isinstance(head, GaussianHead)
+        assert isinstance(head.network, PerJoint)
+        alone = GaussianHead(head.network.net, 1, scale, env.device)
+        alone.log_scale = head.log_scale  # one policy, looked at joint by joint
+        critic = ValueOperator(
+            _JointValue(features, joints, hidden, env.device), in_keys=["observation", "privileged", "joint"]
+        )
+        learner = Learner(
+            env,
+            gaussian_actor(alone, ["observation"]),
+            critic,
+            config,
+            rollout=JointRollout(env, policy, config.horizon),
+            seed=seed,
+            cuda_graph=cuda_graph,
+        )
+    left = learner.rollout.current["steps_left"]
+    left.copy_((left * torch.rand(left.shape, device=left.device)).ceil().clamp(min=1))  # do not all end at once
+    return learner
+
+
+class _ArmValue(nn.Module):
+    """(*B, J, 40), (*B, J, 2) -> (*B, 1)."""
+
+    def __init__(self, unit: Tensor, joints: int, hidden: Sequence[int], device: torch.device | None) -> None:
+        super().__init__()
+        self.units = InUnits(unit)
+        self.mlp = MLP(joints * len(unit), 1, num_cells=list(hidden), activation_class=nn.ELU, device=device)
+
+    def forward(self, observation: Tensor, privileged: Tensor) -> Tensor:
+        return self.mlp(self.units(torch.cat((observation, privileged), -1)).flatten(-2))
+
+
+class _JointValue(nn.Module):
+    """(*B, 40), (*B, 2), number of the joint (*B, 1) -> (*B, 1)."""
+
+    numbers: Tensor
+
+    def __init__(self, unit: Tensor, joints: int, hidden: Sequence[int], device: torch.device | None) -> None:
+        super().__init__()
+        self.units = InUnits(unit)
+        self.register_buffer("numbers", torch.arange(joints, device=device), persistent=False)
+        self.mlp = MLP(len(unit) + joints, 1, num_cells=list(hidden), activation_class=nn.ELU, device=device)
+
+    def forward(self, observation: Tensor, privileged: Tensor, joint: Tensor) -> Tensor:
+        which = torch.eq(joint, self.numbers).to(observation.dtype)
+        return self.mlp(torch.cat((self.units(torch.cat((observation, privileged), -1)), which), -1))
+
+
+class JointRollout(CapturedRollout):
+    """A rollout whose rows are joints: what each saw, did and earned. Shape (N * J, T).
+
+    Args:
+        env: Of :func:`~torchrl_athletic.envs.replay.replay_env`.
+        policy: Of :func:`~torchrl_athletic.networks.uan_actor`.
+        horizon: Steps T per call.
+    """
+
+    def __init__(self, env: EnvBase, policy: nn.Module, horizon: int) -> None:
+        super().__init__(env, policy, horizon, keys=["observation", "privileged", "joint_reward"], fuse=False)
+        self._rows: TensorDict | None = None
+
+    @torch.no_grad()
+    def __call__(self) -> TensorDict:
+        """Collect. Shape (N * J, T), whose second dimension is called time."""
+        rows = joint_rows(super().__call__())
+        if self._rows is None:  # where a captured update goes on reading
+            self._rows = rows.clone()
+        return self._rows.update_(rows)
+
+
+def joint_rows(batch: TensorDictBase) -> TensorDict:
+    """A batch (N, T) of arms as one of joints, (N * J, T): with rewards and log-probabilities of their own."""
+    arms, steps, joints = batch["action"].shape
+
+    def each(value: Tensor) -> Tensor:
+        """(N, T, J, ...) to (N * J, T, ...), with a last dimension."""
+        rows = value.transpose(1, 2).flatten(0, 1)
+        return rows if rows.ndim > 2 else rows.unsqueeze(-1)
+
+    def shared(flag: Tensor) -> Tensor:
+        return flag.unsqueeze(1).expand(arms, joints, steps, 1).flatten(0, 1)
+
+    after = batch["next"]
+    number = torch.arange(joints, device=batch.device).repeat(arms)[:, None, None].expand(-1, steps, 1)
+    loc, scale, action = (each(batch[key]) for key in ("loc", "scale", "action"))
+    log_prob = torch.distributions.Normal(loc, scale, validate_args=False).log_prob(action).squeeze(-1)
+    shown = {
+        "observation": each(batch["observation"]),
+        "privileged": each(batch["privileged"]),
+        "joint": number,
+        "loc": loc,
+        "scale": scale,
+        "action": action,
+        "action_log_prob": log_prob,
+        "next": {
+            "observation": each(after["observation"]),
+            "privileged": each(after["privileged"]),
+            "joint": number,
+            "reward": each(after["joint_reward"]),
+            **{key: shared(after[key]) for key in ("done", "terminated", "truncated")},
+        },
+    }
+    return TensorDict(shown, [arms * joints, steps], device=batch.device, names=[None, "time"])
+
+
+def with_gains_of(robot: Robot, recordings: Sequence[Recording]) -> Robot:
+    """The robot with the gains that the takes were recorded with, its own where they state none.
+
+    Raises:
+        RecordingError: If a recording names a joint that the robot lacks.
+    """
+    kp, kd = list(robot.kp), list(robot.kd)
+    for r in recordings:
+        _check_joints(r, robot)
+        if r.kp is None or r.kd is None:
+            continue
+        for name, p, d in zip(r.joint_names, r.kp.tolist(), r.kd.tolist(), strict=True):
+            kp[robot.joint_names.index(name)], kd[robot.joint_names.index(name)] = p, d
+    return replace(robot, kp=tuple(kp), kd=tuple(kd))

@@ -1,0 +1,232 @@
+"""Training a UAN without reinforcement learning: down the gradient of the position error, through the simulator.
+
+A step of the physics is a function of positions, velocities and torques. Its derivative, by finite differences, makes a
+replay differentiable over windows of some dozen steps, so that the error of a position tells each torque before it
+which way it was wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
+from torchrl.envs import TransformedEnv
+
+from torchrl_athletic.envs import TorqueEnv, make_physics
+from torchrl_athletic.physics.joints import joint_columns
+from torchrl_athletic.robots import Robot
+from torchrl_athletic.training.checkpoint import env_state, restore_env
+from torchrl_athletic.training.rollout import control_step
+from torchrl_athletic.training.uan import MeanPolicy
+
+WINDOWS = (16, 32, 64)
+"""Steps that the gradient goes back, in the first, second and last third of the time."""
+NUDGE = 1e-3
+"""Of a position [rad] and a velocity [rad/s]; a torque is nudged as many N·m as its limit times this."""
+
+
+class _StepOfPhysics(torch.autograd.Function):
+    """What the simulation came to, with the derivative that was measured."""
+
+    @staticmethod
+    def forward(ctx: Any, state: Tensor, following: Tensor, jacobian: Tensor) -> Tensor:
+        """Shapes (N, 3D), (N, 2D), (N, 3D, 2D) to (N, 2D)."""
+        ctx.save_for_backward(jacobian)
+        return following
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
+        (jacobian,) = ctx.saved_tensors
+        return torch.einsum("nij,nj->ni", jacobian, gradients[0]), None, None
+
+
+class DifferentiableTorqueEnv(TorqueEnv):
+    """A :class:`~torchrl_athletic.envs.TorqueEnv` of joints alone whose steps have a gradient.
+
+    Beside each row run 3 D nudged copies of it, D being the joints that are told apart: one for each position, velocity
+    and torque. What they come to tells the Jacobian of the step.
+
+    Args:
+        robot: Bolted to the world, with nothing that moves but its joints.
+        joints: Numbers of the joints that gradients pass through; None for all.
+        num_envs: N.
+        device: CPU threads or a GPU.
+
+    Raises:
+        ValueError: If the model has more degrees of freedom than joints.
+
+    Example:
+        >>> from torchrl_athletic.robots import z1
+        >>> env = DifferentiableTorqueEnv(z1(), num_envs=2)
+        >>> torque = torch.zeros(2, 7, requires_grad=True)
+        >>> speed = env._step(env.reset().set("torque", torque))["joint_velocity"]
+        >>> slope = torch.autograd.grad(speed[:, 0].sum(), torque)[0]
+        >>> bool((slope[:, 0] > 0).all())
+        True
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joints: tuple[int, ...] | None = None,
+        num_envs: int = 1,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        robot = replace(robot, sensors={})
+        super().__init__(robot, num_envs=num_envs, device=device)
+        count = len(robot.joint_names)
+        if self.physics.model.nv != count:
+            raise ValueError(
+                f"{robot.name!r} has {self.physics.model.nv} degrees of freedom and {count} joints: the state of the "
+                "rest would have no gradient. Bolt it to the world, and leave tools out."
+            )
+        chosen = tuple(range(count)) if joints is None else joints
+        self.told_apart = len(chosen)
+        self.columns = torch.tensor(chosen, device=self.device)
+        self.copies = make_physics(robot, num_envs * 3 * len(chosen), device)
+        place, dof = joint_columns(self.physics.model, robot.joint_names)
+        size = NUDGE * torch.tensor(robot.torque_limit).clamp(max=100.0)
+        nudges = torch.zeros(3, len(chosen), 3, count, dtype=self.physics.dtype)  # of what, which, then the values
+        for k, joint in enumerate(chosen):
+            nudges[0, k, 0, joint] = nudges[1, k, 1, joint] = NUDGE
+            nudges[2, k, 2, joint] = size[joint]
+        self.nudges = nudges.flatten(0, 1).to(self.device)  # (3D, 3, J)
+        self.steps = nudges.sum((-1, -2)).flatten().to(self.device)  # (3D,)
+        self._place = place.to(self.device) if isinstance(place, Tensor) else place
+        self._dof = dof.to(self.device) if isinstance(dof, Tensor) else dof
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        torque = tensordict.get("torque")
+        if not torch.is_grad_enabled():
+            return super()._step(tensordict)
+        self._nudge_copies(torque.detach())
+        shown = super()._step(tensordict)
+        seen = torch.cat([tensordict.get("joint_position"), tensordict.get("joint_velocity"), torque], -1)
+        state = seen.unflatten(-1, (3, -1))[..., self.columns].flatten(-2)
+        after = torch.cat((shown.get("joint_position"), shown.get("joint_velocity")), -1)
+        told = after.unflatten(-1, (2, -1))[..., self.columns].flatten(-2)
+        told = _StepOfPhysics.apply(state, told, self._jacobian())
+        whole = after.unflatten(-1, (2, -1)).clone()
+        whole[..., self.columns] = told.unflatten(-1, (2, -1))
+        return shown.set("joint_position", whole[:, 0]).set("joint_velocity", whole[:, 1])
+
+    def _nudge_copies(self, torque: Tensor) -> None:
+        rows = len(self.nudges)
+        position = self.physics.joint_position.unsqueeze(1) + self.nudges[:, 0]
+        velocity = self.physics.joint_velocity.unsqueeze(1) + self.nudges[:, 1]
+        self.copies.qpos.copy_(self.physics.qpos.repeat_interleave(rows, 0))
+        self.copies.qpos[:, self._place] = position.flatten(0, 1)
+        self.copies.qvel[:, self._dof] = velocity.flatten(0, 1)
+        self.copies.apply_torque((torque.to(self.nudges.dtype).unsqueeze(1) + self.nudges[:, 2]).flatten(0, 1))
+        self.copies.step()
+
+    def _jacobian(self) -> Tensor:
+        """Of positions and velocities by positions, velocities and torques before. Shape (N, 3D, 2D)."""
+        after = torch.cat((self.copies.joint_position, self.copies.joint_velocity), -1)
+        plain = torch.cat((self.physics.joint_position, self.physics.joint_velocity), -1)
+        moved = (after.unflatten(0, (-1, len(self.nudges))) - plain.unsqueeze(1)) / self.steps[:, None]
+        moved = moved.unflatten(-1, (2, -1))[..., self.columns].flatten(-2)
+        return torch.nan_to_num(moved, 0.0, 0.0, 0.0).float()
+
+
+class GradientLearner:
+    """What gradient descent changes; :func:`descend` works on it, and :func:`~torchrl_athletic.training.train`.
+
+    Rows go on from window to window through episodes as those of PPO, from measured start states, while the gradient is
+    cut at each window's start. So the net learns at the states that its own replays come to.
+
+    Args:
+        env: :func:`~torchrl_athletic.envs.replay.replay_env` on a :class:`DifferentiableTorqueEnv`.
+        net: Of :func:`~torchrl_athletic.networks.uan`, trained in place.
+        minutes: That training will take, by which windows grow and the learning rate falls to zero [min].
+        rate: First learning rate of Adam.
+        windows: Steps that the gradient goes back, one after the other.
+        max_grad_norm: Longest gradient, of the error in squared hundredths of a radian.
+    """
+
+    def __init__(
+        self,
+        env: TransformedEnv,
+        net: nn.Module,
+        *,
+        minutes: float,
+        rate: float = 2e-3,
+        windows: tuple[int, ...] = WINDOWS,
+        max_grad_norm: float = 10.0,
+    ) -> None:
+        if not minutes > 0:
+            raise ValueError(
+                f"minutes is {minutes}: windows and learning rate follow the share of it. Give more than 0."
+            )
+        self.env, self.net, self.minutes, self.rate, self.windows = env, net, minutes, rate, windows
+        self.max_grad_norm = max_grad_norm
+        self.policy = MeanPolicy(net)
+        self.optimizer = torch.optim.Adam(net.parameters(), lr=rate)
+        self.current = env.reset()
+        left = self.current["steps_left"]
+        left.copy_((left * torch.rand(left.shape, device=left.device)).ceil().clamp(min=1))
+        self.iteration, self.samples, self.seconds = 0, 0, 0.0
+
+    @property
+    def share(self) -> float:
+        """Of the time that has gone."""
+        return min(1.0, self.seconds / (60 * self.minutes))
+
+    @property
+    def window(self) -> int:
+        """Steps that the gradient goes back now."""
+        return self.windows[min(int(self.share * len(self.windows)), len(self.windows) - 1)]
+
+    def state_dict(self) -> dict[str, Any]:
+        """What it takes to go on."""
+        return {
+            "net": self.net.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "current": self.current.clone().to_dict(),
+            "env": env_state(self.env),
+            "counters": {"iteration": self.iteration, "samples": self.samples, "seconds": self.seconds},
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on where :meth:`state_dict` was taken."""
+        self.net.load_state_dict(state_dict["net"])
+        self.optimizer.load_state_dict(state_dict["optimizer"])
+        current = TensorDict(state_dict["current"], device=self.env.device).auto_batch_size_(self.env.ndim)
+        self.current = restore_env(self.env, current, state_dict["env"])
+        for name, count in state_dict["counters"].items():
+            setattr(self, name, count)
+
+
+def descend(learner: GradientLearner) -> TensorDict:
+    """Replay one window, and move the net against the gradient of its mean square position error.
+
+    Args:
+        learner: Changed in place.
+
+    Returns:
+        ``train_mse`` [rad²], ``grad_norm`` before clipping, ``rate``, ``window`` [steps], and the mean
+        ``reward``. Shape ().
+    """
+    window, rate = learner.window, learner.rate * 0.5 * (1 + math.cos(math.pi * learner.share))
+    following, errors, rewards = learner.current, [], []
+    for _ in range(window):
+        step, following = control_step(learner.env, learner.policy, following)
+        errors.append(step["next", "privileged"][..., 0].square().mean())
+        rewards.append(step["next", "reward"].detach().mean())
+    learner.current, error = following.detach(), torch.stack(errors).mean()
+    learner.optimizer.zero_grad()
+    (1e4 * error).backward()
+    norm = nn.utils.clip_grad_norm_(learner.net.parameters(), learner.max_grad_norm)
+    for group in learner.optimizer.param_groups:
+        group["lr"] = rate
+    learner.optimizer.step()
+    learner.iteration += 1
+    learner.samples += window * learner.env.numel()
+    numbers = {"rate": rate, "window": float(window)}
+    report = {name: torch.full_like(norm, value) for name, value in numbers.items()}
+    return TensorDict({"train_mse": error.detach(), "grad_norm": norm, "reward": torch.stack(rewards).mean(), **report})
