@@ -52,10 +52,10 @@ PRIVILEGED = ("ball_position", "ball_linear_velocity", "bucket_position", "bucke
 _ABSENT, _IN_BUCKET, _AWAY = 0, 1, 2
 _WAYPOINTS = (  # [s], then the joints of the arm [rad]
     (0.0, None),
-    (1.2, (0.0, 0.7, -2.45, -0.8, 0.0, 0.0)),
-    (2.5, (0.0, 0.7, -2.45, -0.8, 0.0, 0.0)),
-    (2.9, (0.0, 1.8, -2.2, -0.4, 0.0, 0.0)),
-    (3.5, (0.0, 1.8, -2.2, -0.4, 0.0, 0.0)),
+    (1.2, (0.0, 0.8, -2.3, -0.8, 0.0, 0.0)),
+    (2.5, (0.0, 0.8, -2.3, -0.8, 0.0, 0.0)),
+    (2.9, (0.0, 1.8, -1.9, -0.8, 0.0, 0.0)),
+    (3.5, (0.0, 1.8, -1.9, -0.8, 0.0, 0.0)),
     (4.0, None),
 )
 
@@ -294,7 +294,7 @@ class BallFlight(StatefulTransform):
         >>> from torchrl_athletic.robots import with_bucket, z1
         >>> base = TorqueEnv(with_bucket(z1(), BUCKET), num_envs=1, every_step=SENSED)
         >>> env = TransformedEnv(base, BallFlight(0.005, placed_at=0.01))
-        >>> shown = env.rollout(4, lambda step: step.set("torque", torch.zeros(1, 7)))["next"]
+        >>> shown = env.rollout(4, lambda td: td.set("torque", torch.zeros(1, 7)))["next"]
         >>> shown["ball_away"].flatten().tolist()  # the bucket opens down: what was put in falls out
         [False, False, False, True]
     """
