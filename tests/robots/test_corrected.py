@@ -26,6 +26,7 @@ VALUES = {
             "viscous_negative": 0.5,
         }
     },
+    "stribeck_friction": {"joint6": {"coulomb": 0.8, "stribeck": 0.6, "stribeck_speed": 0.2}},
     "viscous_friction": {"joint1": {"damping": 1.7}},
     "reflected_inertia": {"joint5": {"armature": 0.08}},
     "link_mass": {"joint2": {"mass": 2.0}},

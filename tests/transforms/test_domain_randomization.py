@@ -128,3 +128,37 @@ def test_undeclared_fields_and_unknown_groups_are_refused():
         RandomizationRanges(friction=(2.0, 1.0))
     with pytest.raises(ValueError, match="would never end"):
         RandomizationRanges(restitution=(0.0, 1.0))
+
+
+def test_joints_of_the_group_differ_in_what_their_gears_and_rotors_resist_with():
+    between = {"joint_friction_scale": (0.5, 3.5), "joint_damping_scale": (0.3, 2.0), "armature_scale": (0.4, 2.4)}
+    others = dict.fromkeys(("friction", "restitution", "mass_scale", "com_offset", "stiffness_scale"))
+    randomization = DomainRandomization(RandomizationRanges(**others, **between), joints="arm")
+    env = TransformedEnv(TorqueEnv(z1(), num_envs=64, fields=randomization.fields), randomization)
+    drawn = env.reset()["randomization"]
+    physics, names = env.base_env.physics, ("dof_frictionloss", "dof_damping", "dof_armature")
+    for k, (field, (low, high)) in enumerate(zip(names, between.values(), strict=True)):
+        scale = (
+            physics.field(field).reshape(64, 7, -1)[..., 0]
+            / torch.tensor(getattr(physics.model, field)).reshape(7, -1)[:, 0]
+        )
+        assert (scale[:, 6] == 1).all()  # the gripper's
+        expected = low + (high - low) * (drawn[:, 12 + 6 * k : 18 + 6 * k] + 1) / 2
+        torch.testing.assert_close(scale[:, :6].float(), expected)
+        assert low <= scale[:, :6].min() < low + 0.1 * (high - low)
+        assert high >= scale[:, :6].max() > high - 0.1 * (high - low)
+
+
+def test_a_joint_with_more_friction_turns_less():
+    only = dict.fromkeys(("friction", "restitution", "mass_scale", "com_offset", "stiffness_scale", "damping_scale"))
+    ranges = RandomizationRanges(**only, torque_limit_scale=None, joint_friction_scale=(0.2, 5.0))
+    randomization = DomainRandomization(ranges, joints=[0])
+    env = TransformedEnv(TorqueEnv(z1(), num_envs=16, fields=randomization.fields), randomization)
+    shown = env.reset()
+    drawn = shown["randomization"][:, 0]
+    for _ in range(20):
+        shown = env.step(shown.set("torque", torch.tensor([6.0, 0, 0, 0, 0, 0, 0]).expand(16, 7)))["next"]
+    turned = shown["joint_position"][:, 0]
+    order = drawn.argsort()
+    assert (turned[order].diff() <= 1e-6).all()
+    assert turned[order][0] > turned[order][-1] + 0.01

@@ -6,9 +6,11 @@ They explain a mismatch by numbers alone, which is what ``diagnosis`` is measure
 from torchrl_athletic.identification.actuator_net import ActuatorNetTraining, identify_actuator_net
 from torchrl_athletic.identification.cem import CEM, identify_cem
 from torchrl_athletic.identification.open_loop import OpenLoopScore, Rollout, open_loop, score
+from torchrl_athletic.identification.randomization import ARM_RANGES, randomized
 from torchrl_athletic.identification.simulator import Simulator, load_net
 
 __all__ = [
+    "ARM_RANGES",
     "CEM",
     "ActuatorNetTraining",
     "OpenLoopScore",
@@ -18,5 +20,6 @@ __all__ = [
     "identify_cem",
     "load_net",
     "open_loop",
+    "randomized",
     "score",
 ]

@@ -7,5 +7,16 @@ from torchrl_athletic.networks.actor_critic import actor, critic
 from torchrl_athletic.networks.actuator_net import uan, uan_actor
 from torchrl_athletic.networks.checkpoint import load_checkpoint, save_checkpoint
 from torchrl_athletic.networks.normalizer import RunningNormalizer
+from torchrl_athletic.networks.roa import deploy, roa_actor
 
-__all__ = ["RunningNormalizer", "actor", "critic", "load_checkpoint", "save_checkpoint", "uan", "uan_actor"]
+__all__ = [
+    "RunningNormalizer",
+    "actor",
+    "critic",
+    "deploy",
+    "load_checkpoint",
+    "roa_actor",
+    "save_checkpoint",
+    "uan",
+    "uan_actor",
+]

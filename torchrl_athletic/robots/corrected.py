@@ -153,6 +153,11 @@ def _asymmetric(model: mujoco.MjModel, given: mujoco.MjModel, joint: int, values
     model.dof_damping[dof] = (values["viscous_positive"] + values["viscous_negative"]) / 2
 
 
+def _stribeck(model: mujoco.MjModel, given: mujoco.MjModel, joint: int, values: Values) -> None:
+    """The torque to break away; what speed saves of it is the chain's."""
+    _dry_friction(model, joint, values["coulomb"] + values["stribeck"])
+
+
 def _viscous(model: mujoco.MjModel, given: mujoco.MjModel, joint: int, values: Values) -> None:
     model.dof_damping[model.jnt_dofadr[joint]] = values["damping"]
 
@@ -189,6 +194,7 @@ def _lever(model: mujoco.MjModel, joint: int) -> Any:
 _EFFECTS: Mapping[str, Callable[[mujoco.MjModel, mujoco.MjModel, int, Values], None]] = {
     "coulomb_friction": _coulomb,
     "asymmetric_friction": _asymmetric,
+    "stribeck_friction": _stribeck,
     "viscous_friction": _viscous,
     "reflected_inertia": _armature,
     "link_mass": _mass,

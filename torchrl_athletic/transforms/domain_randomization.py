@@ -53,6 +53,13 @@ class RandomizationRanges:
     """Of each link's mass and inertia [1]."""
     com_offset: Range = (-0.02, 0.02)
     """Of each link's centre of mass, along each of its axes [m]."""
+    joint_friction_scale: Range = None
+    """Of the Coulomb friction in the model, joint by joint [1]. Not in the paper's table, nor are the next two: its
+    baseline for the arm randomises them, by how much is not said."""
+    joint_damping_scale: Range = None
+    """Of the viscous friction in the model, joint by joint [1]."""
+    armature_scale: Range = None
+    """Of the rotors' inertia, joint by joint [1]."""
 
     def __post_init__(self) -> None:
         for name, between in vars(self).items():
@@ -69,7 +76,11 @@ _FIELDS = {
     "restitution": ("geom_solref",),
     "mass_scale": ("body_mass", "body_inertia"),
     "com_offset": ("body_ipos",),
+    "joint_friction_scale": ("dof_frictionloss",),
+    "joint_damping_scale": ("dof_damping",),
+    "armature_scale": ("dof_armature",),
 }
+_OF_JOINTS = ("joint_friction_scale", "joint_damping_scale", "armature_scale")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +94,10 @@ class _OfModel:
     com: Tensor
     friction: Tensor
     solref: Tensor
+    dofs: Tensor
+    """Of the joints whose drives differ."""
+    joints: dict[str, Tensor]
+    """Values of these joints by field."""
 
 
 class DomainRandomization(RandomTransform):
@@ -213,6 +228,12 @@ class DomainRandomization(RandomTransform):
         if ranges.com_offset is not None:
             offset = randomization.in_range(parts["com_offset"], *ranges.com_offset)
             change("body_ipos", given.bodies, given.com + offset.unflatten(-1, (-1, 3)))
+        for name in _OF_JOINTS:
+            between, (field,) = getattr(ranges, name), _FIELDS[name]
+            if between is not None:
+                scale = randomization.in_range(parts[name], *between)
+                value = given.joints[field]
+                change(field, given.dofs, value * (scale if value.ndim == 1 else scale.unsqueeze(-1)))
 
     def _parts(self, drawn: Tensor) -> dict[str, Tensor]:
         """Drawn numbers by what they are for."""
@@ -225,9 +246,11 @@ class DomainRandomization(RandomTransform):
         joints = position.zero()[..., joint_index(self, self.joints)].shape[-1]
         width = {"friction": 1, "restitution": 1}
         width |= dict.fromkeys(("stiffness_scale", "damping_scale", "torque_limit_scale"), joints)
+        of_joints = dict.fromkeys(_OF_JOINTS, joints)
         if self.fields:
             bodies = len(once_per_model(self, self._of_model).bodies)
             width |= {"mass_scale": bodies, "com_offset": 3 * bodies}
+        width |= of_joints
         return {name: count for name, count in width.items() if getattr(self.ranges, name) is not None}
 
     def _of_model(self, env: Any) -> _OfModel:
@@ -238,6 +261,9 @@ class DomainRandomization(RandomTransform):
             bodies = [int(model.body(name).id) for name in self.bodies]
         on_ground = self.ranges.friction is not None or self.ranges.restitution is not None
         names = (env.robot.ground if self.ground is None else self.ground) if on_ground else ()
+        driven = joint_index(self, self.joints)
+        chosen = range(len(env.robot.joint_names))[driven] if isinstance(driven, slice) else driven.tolist()
+        dofs = [int(model.joint(env.robot.joint_names[j]).dofadr[0]) for j in chosen]
         ground = [int(model.geom(name).id) for name in names]
 
         def tensor(values: Any, dtype: torch.dtype = physics.dtype) -> Tensor:
@@ -251,6 +277,8 @@ class DomainRandomization(RandomTransform):
             com=tensor(model.body_ipos[bodies]),
             friction=tensor(model.geom_friction[ground]),
             solref=tensor(model.geom_solref[ground]),
+            dofs=tensor(dofs, torch.int64),
+            joints={field: tensor(getattr(model, field)[dofs]) for name in _OF_JOINTS for field in _FIELDS[name]},
         )
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
