@@ -40,6 +40,7 @@ LOOP = 1e-3
 """Period of the drives' own control loop [s]."""
 PERIOD = 5e-3
 """Between two commands [s]."""
+LOOPS, STEPS = round(PERIOD / LOOP), round(LOOP / STEP)
 RATIO = 50
 """Of the gears."""
 RESOLUTION = 2 * np.pi / (2**14 * RATIO)
@@ -178,7 +179,7 @@ class ConcealedArm:
         torque = rows[:, 2] + self._current_noise * self._noise.normal(size=rows[:, 2].shape)
         torque[0] = first.torque[:-1]
         return Recording(
-            time=PERIOD * np.arange(len(targets)),
+            time=PERIOD * np.arange(len(targets), dtype=np.float64),
             joint_names=self.joint_names,
             position=_with_gripper(rows[:, 0]),
             velocity=_with_gripper(rows[:, 1]),
@@ -335,9 +336,9 @@ def _drives(robot: Robot, hidden: np.random.Generator) -> NDArray[np.void]:
     joints = len(SIZES)
     motors = np.array(robot.torque_limit[:joints]) / robot.torque_limit[0]
     p = ideal(joints)
-    p["rotor"] = motors * hidden.uniform(0.02, 0.045, joints)
-    p["viscous"] = motors * hidden.uniform(0.6, 1.6, joints)
-    p["coulomb"] = motors * hidden.uniform(0.8, 1.8, joints)
+    p["rotor"] = motors * hidden.uniform(0.024, 0.06, joints)
+    p["viscous"] = motors * hidden.uniform(0.7, 1.8, joints)
+    p["coulomb"] = motors * hidden.uniform(1.5, 3.0, joints)
     p["load_coefficient"] = hidden.uniform(0.06, 0.14, joints)
     p["breakaway_ratio"] = hidden.uniform(1.2, 1.5, joints)
     p["stribeck_speed"] = hidden.uniform(0.05, 0.15, joints)
@@ -376,18 +377,18 @@ def _tip(tree: Tree, q: Array, v: Array, place: Array) -> tuple[Array, Array, Ar
 
 
 @njit(cache=True)
-def _play(
+def _play(  # type: ignore[no-untyped-def]
     tree, p, x, register, last_target, targets, kp, kd, limit, no_load, torque_scale, delay, room, slopes, rows
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):
+    """Send targets; ``x``, ``register`` (last reading, speed) and ``rows`` are written."""
     n = x.shape[0]
     wanted = np.zeros(n)
-    loops, steps = int(round(PERIOD / LOOP)), int(round(LOOP / STEP))
     for k in range(targets.shape[0]):
         for j in range(n):
             rows[k, 0, j] = np.round(x[j, ROTOR] / RESOLUTION) * RESOLUTION
             rows[k, 1, j] = register[1, j]
             rows[k, 2, j] = x[j, TORQUE] / torque_scale[j]
-        for m in range(loops):
+        for m in range(LOOPS):
             late = m * LOOP < delay - 1e-9
             for j in range(n):
                 target = targets[k, j]
@@ -402,4 +403,4 @@ def _play(
                 torque = min(torque, limit[j] * (1.0 - min(max(used, 0.0), 1.0)))
                 torque = max(torque, -limit[j] * (1.0 + max(min(used, 0.0), -1.0)))
                 wanted[j] = torque_scale[j] * torque
-            advance(tree, p, x, wanted, STEP, steps, room, slopes)
+            advance(tree, p, x, wanted, STEP, STEPS, room, slopes)

@@ -3,7 +3,16 @@
 Everything that a file can get wrong is found here, with the file, the field, the row and the mend in the message.
 """
 
-from torchrl_athletic.recordings.collection import Arm, TakeStopped, Watchdog, held, record, through_poses
+from torchrl_athletic.recordings.collection import (
+    Arm,
+    TakeStopped,
+    Watchdog,
+    beginning,
+    held,
+    record,
+    recorded,
+    through_poses,
+)
 from torchrl_athletic.recordings.excitation import (
     Excitation,
     ExcitationError,
@@ -36,6 +45,7 @@ __all__ = [
     "TakeStopped",
     "Watchdog",
     "amplitude_frequency_pairs",
+    "beginning",
     "check_quality",
     "chirp",
     "fetch",
@@ -44,6 +54,7 @@ __all__ = [
     "multisine",
     "read_recordings",
     "record",
+    "recorded",
     "repeat_noise",
     "resample",
     "sensor_noise",

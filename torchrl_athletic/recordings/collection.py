@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from torchrl_athletic.recordings.excitation import Excitation, ExcitationError
+from torchrl_athletic.recordings.formats import read_recordings
 from torchrl_athletic.recordings.recording import Recording
 
 Floats = NDArray[np.float64]
@@ -189,8 +191,43 @@ def through_poses(
     leg = np.clip(np.searchsorted(when, time, side="right") - 1, 0, len(when) - 2)
     u = ((time - when[leg]) / np.diff(when)[leg])[:, None]
     command = places[leg] + (10 * u**3 - 15 * u**4 + 6 * u**5) * (places[leg + 1] - places[leg])
-    metadata = {"excitation": kind, "rate": rate, "poses": [[float(t), p.tolist()] for t, p in zip(when, places)]}
+    passed = [[float(t), place.tolist()] for t, place in zip(when, places, strict=True)]
+    metadata = {"excitation": kind, "rate": rate, "poses": passed}
     return Excitation(time, command, tuple(joint_names), kind, "position_target", metadata)
+
+
+def beginning(excitation: Excitation, seconds: float) -> Excitation:
+    """The first seconds of an excitation, to try things out.
+
+    Raises:
+        ExcitationError: If less than two samples would be left.
+
+    Example:
+        >>> len(beginning(through_poses(("hinge",), [(0.0, [0.0]), (1.0, [2.0])]), 0.5).time)
+        100
+    """
+    count = int(np.count_nonzero(excitation.time < seconds - 1e-9))
+    if count < 2:
+        raise ExcitationError(f"{seconds} s leave {count} samples of a take. Give at least two: longer.")
+    metadata = {**excitation.metadata, "cut": seconds} if count < len(excitation.time) else excitation.metadata
+    return replace(excitation, time=excitation.time[:count], command=excitation.command[:count], metadata=metadata)
+
+
+def recorded(path: str | Path, excitation: Excitation) -> bool:
+    """Whether a file holds the take of this excitation already, so that a run that was cut short can go on.
+
+    Raises:
+        ExcitationError: If it holds another one: takes of different settings would mix.
+    """
+    if not Path(path).exists():
+        return False
+    command = read_recordings(path)[0].command
+    if not np.array_equal(command, excitation.command):
+        raise ExcitationError(
+            f"{path} holds a take with another command ({len(command)} samples; now {len(excitation.command)}): it was "
+            "recorded with other settings. Move it away, or write to another folder."
+        )
+    return True
 
 
 def record(
