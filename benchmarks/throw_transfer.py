@@ -39,6 +39,7 @@ from benchmarks.concealed.arm import ConcealedArm  # noqa: E402
 from torchrl_athletic.envs import BallFlight, throw_distance, throw_task  # noqa: E402
 from torchrl_athletic.envs.throw import BUCKET, STEPS  # noqa: E402
 from torchrl_athletic.identification import Simulator  # noqa: E402
+from torchrl_athletic.networks import load_checkpoint  # noqa: E402
 from torchrl_athletic.robots import with_bucket, z1  # noqa: E402
 from torchrl_athletic.training import play  # noqa: E402
 from torchrl_athletic.transforms import Decimation  # noqa: E402
@@ -177,7 +178,7 @@ def score(folder: Path, arm: ConcealedArm, count: int) -> Throws:
         None if alone else Path((folder / "simulator.txt").read_text(encoding="utf-8").strip())
     )
     env = recipe.make_env(simulator, count, seed=7, randomize=False, ends=False, tolerance=TOLERANCE)
-    policy = stay_on_reference if alone else recipe.load_policy(folder / "policy.pt", env)
+    policy = stay_on_reference if alone else load_policy(recipe, folder / "policy.pt")
     steps = play(env, policy, STEPS)
     starts = steps["joint_position"][:, 0].double().numpy()
     simulated = throw_distance(steps[:, -1]["next"]).tolist()
@@ -189,6 +190,14 @@ def score(folder: Path, arm: ConcealedArm, count: int) -> Throws:
         [float(throw_distance(end)) for end in ends],
         [bool(end["throw_failed"]) for end in ends],
     )
+
+
+def load_policy(recipe: Any, path: Path) -> Callable[[TensorDictBase], TensorDictBase]:
+    """What the recipe saved, as it acts on a robot."""
+    sizes = torch.load(path, map_location="cpu", weights_only=True)["metadata"]["sizes"]
+    policy = recipe.make_policy(**sizes)
+    load_checkpoint(path, policy=policy)
+    return recipe.deployed(policy, sizes["adapts_to"])
 
 
 def real_throw(arm: ConcealedArm, policy: Callable[[TensorDictBase], TensorDictBase], start: np.ndarray) -> TensorDict:

@@ -7,7 +7,15 @@ rate.
 from torchrl_athletic.envs.actuation_chain import actuation_chain
 from torchrl_athletic.envs.reach import PoseGoal, draw_goal, reach_errors, reachable_poses
 from torchrl_athletic.envs.replay import ReplayTakes, Takes, replay_env
-from torchrl_athletic.envs.throw import BallFlight, ThrowFailure, throw_distance, throw_env, throw_reference, throw_task
+from torchrl_athletic.envs.throw import (
+    BallFlight,
+    ThrowFailure,
+    throw_distance,
+    throw_env,
+    throw_reference,
+    throw_summary,
+    throw_task,
+)
 from torchrl_athletic.envs.torque_env import TorqueEnv, make_physics
 from torchrl_athletic.envs.whole_body import whole_body_env, whole_body_rewards
 
@@ -27,6 +35,7 @@ __all__ = [
     "throw_distance",
     "throw_env",
     "throw_reference",
+    "throw_summary",
     "throw_task",
     "whole_body_env",
     "whole_body_rewards",

@@ -387,3 +387,20 @@ def throw_distance(step: TensorDictBase) -> Tensor:
     where = ball.landing(step["ball_position"], step["ball_linear_velocity"], BUCKET.ball_radius)[..., 0]
     counts = step["ball_away"] & ~step["throw_failed"]
     return torch.where(counts.squeeze(-1), where, 0.0)
+
+
+def throw_summary(step: TensorDictBase) -> dict[str, float]:
+    """Of many throws, those that failed counting as 0 m.
+
+    Args:
+        step: As of :func:`throw_distance`. Shape (N,).
+
+    Returns:
+        ``distance_m`` and ``spread_m``, mean and standard deviation [m]; ``failed``, the share of throws [1].
+    """
+    distance = throw_distance(step)
+    return {
+        "distance_m": float(distance.mean()),
+        "spread_m": float(distance.std(correction=0)),
+        "failed": float(step["throw_failed"].float().mean()),
+    }
