@@ -20,6 +20,7 @@ from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml, writ
 from torchrl_athletic.diagnosis.experiment import Experiment, next_experiment, write
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, fit, idle_terms, without
 from torchrl_athletic.diagnosis.gates import Evidence, judge_findings, summarise, verdict_of
+from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.locate import locate, regime_maps
 from torchrl_athletic.diagnosis.prepare import Drive, Prepared, drive_signals, prepare
 from torchrl_athletic.diagnosis.progress import Progress
@@ -381,6 +382,7 @@ class _Work:
             e for e in (self.drive_evidence, self.options[self.chosen] if self.options else None) if e is not None
         ]
         findings = judge_findings(evidence, fitted, scores.values()) if fitted is not None else ()
+        findings = with_alternatives(findings, names, self.catalogue)
         is_open = self._is_open()
         verdict, share = verdict_of(evidence, findings, scores.get("train"), scores.get("heldout"), is_open)
         if verdict == "nothing_missing" or harms(scores.get("train")):

@@ -23,6 +23,14 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Name:
+    """An effect of the catalogue on a joint; None for the whole robot."""
+
+    effect: str
+    joint: str | None
+
+
+@dataclass(frozen=True)
 class Rival:
     """Another effect that the recordings cannot rule out, and the experiment that would."""
 
@@ -52,6 +60,8 @@ class Finding:
     """Share of the joint's missing torque that this effect accounts for, 0..1."""
     grounds: Mapping[str, float] = field(default_factory=dict)
     """What the probability rests on (see :class:`~torchrl_athletic.diagnosis.calibration.Grounds`)."""
+    alternatives: tuple[tuple[Name, ...], ...] = ()
+    """Other names of the same physics, which no recording can tell from this one; each may take several together."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +182,9 @@ class Answer:
 
 def _finding(f: Mapping[str, Any]) -> Finding:
     parameters = {name: Estimate(**{**p, "ci95": tuple(p["ci95"])}) for name, p in f["parameters"].items()}
-    return Finding(**{**f, "parameters": parameters, "rivals": tuple(Rival(**r) for r in f["rivals"])})
+    alternatives = tuple(tuple(Name(**name) for name in names) for names in f.get("alternatives", ()))
+    rivals = tuple(Rival(**r) for r in f["rivals"])
+    return Finding(**{**f, "parameters": parameters, "rivals": rivals, "alternatives": alternatives})
 
 
 def _plain(value: Any) -> Any:

@@ -123,6 +123,8 @@ class Fit:
     """Sum of squares of the trims, each in standard deviations of what it may be: half its tolerance."""
     residual: Array
     """Weighted sum of squares that is left, per joint and stretch. Shape (J, S)."""
+    energy: Array
+    """Weighted sum of squares of what each term predicts, per joint. Shape (terms, J)."""
 
     @property
     def terms(self) -> tuple[Atom, ...]:
@@ -320,7 +322,14 @@ class Bank:
         coefficients = bounded_least_squares(normal, total[1:, 0], low, high)
         x = np.append(1.0, -coefficients)
         strain = float(doubt @ coefficients**2)
-        return Fit(together, len(atoms), coefficients, (low, high), strain, np.maximum((gram @ x) @ x, 0.0))
+        left = np.maximum((gram @ x) @ x, 0.0)
+        energy, at = np.zeros((len(atoms), self.joints)), 1
+        own = gram.sum(1)
+        for k, atom in enumerate(atoms):
+            part = slice(at, at + len(atom.linear))
+            energy[k] = (own[:, part, part] @ x[part]) @ x[part]
+            at = part.stop
+        return Fit(together, len(atoms), coefficients, (low, high), strain, left, energy)
 
     def _doubt(self, trims: Sequence[Atom], low: Array, high: Array) -> Array:
         """Precision with which trims are known to be zero; zero for the rest, which stands before. Shape (columns,)."""

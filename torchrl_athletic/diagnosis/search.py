@@ -33,7 +33,7 @@ RIVAL_PRICE = 2.0
 MATERIAL = 0.10
 """Share of what is still open on its joints that a term must close."""
 MISFIT = {"friction": 0.02, "presliding": 0.02, "change": 0.02, "transmission": 0.03}
-"""Share of a joint's missing torque that the right name of a class may leave, its law being simpler than nature's."""
+"""Share of the torque of a right name of a class that it may get wrong, its law being simpler than nature's."""
 EXACT = 0.005
 """The same of the other classes."""
 RICHER = 0.25
@@ -50,6 +50,8 @@ UNLIKELY = frozenset({"link_mass", "link_com", "torque_scale", "clock_offset"})
 """Effects with a third of the others' odds."""
 FINEST = 0.02
 """Relative step below which the simulation's fit finds a nonlinear parameter better."""
+STEADY = 0.1
+"""The same of a term that is no larger than what another may leave."""
 FOLDS = 5
 STRETCHES = 6
 """Parts that fewer than three takes are cut into to see whether a term holds everywhere."""
@@ -131,16 +133,27 @@ class Judge:
     def helps(self, before: Fit, after: Fit) -> bool:
         """Whether the step closes a material share of what was open, or relieves the trims.
 
-        What a true term leaves, because a real bearing is no formula, is not to be explained by another.
+        What a true term leaves, because a real bearing is no formula, is not to be explained by another: a step that is
+        smaller than that must close much and have the same strength on all recordings, as no such stand-in has.
         """
         if before.strain - after.strain > DECISIVE / 2:
             return True
         joint, share = self._closed(before, after)
-        here = [a.candidate.effect.family for a in before.terms if a.candidate.joint == joint]
-        least = max((MISFIT.get(family, EXACT) for family in here), default=0.0)
-        bare = float(self.excess(self.bare)[joint])
+        bare, total = float(self.excess(self.bare)[joint]), float(self.total[joint].sum())
+        misfit = max(
+            (
+                MISFIT.get(term.candidate.effect.family, EXACT) * min(float(energy[joint]) / total, bare)
+                for term, energy in zip(before.terms, before.energy, strict=True)
+                if term.candidate.joint == joint
+            ),
+            default=0.0,
+        )
         gained = float(self.excess(before)[joint] - self.excess(after)[joint])
-        return share > MATERIAL and gained >= least * bare
+        if share <= MATERIAL or gained >= misfit:
+            return share > MATERIAL
+        known = keys(before.terms)
+        newest = [term for term in after.terms if term.candidate.key not in known]
+        return share > RICHER and all(scatter(self.bank, after, term) < STEADY for term in newest)
 
     def closes(self, before: Fit, after: Fit) -> float:
         """Share of what was open that the step closes, on the joint where it does most."""
@@ -272,8 +285,11 @@ def _refine(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
     if not scored.fit.terms:
         return scored
     place = scored.fit.size - 1
-    own = {p.name for p in scored.fit.terms[place].candidate.parameters}
-    for name in sorted(own & scored.fit.terms[place].fixed.keys()):
+    newest = scored.fit.terms[place]
+    own = {p.name for p in newest.candidate.parameters}
+    if not newest.fixed.get("creep", 0.0):
+        own.add("presliding")  # no parameter, but what a wrong one leaves hides weaker effects
+    for name in sorted(own & newest.fixed.keys()):
         for _ in range(rounds):
             here = scored.fit.terms[place]
             value = here.fixed[name]
@@ -307,10 +323,27 @@ def _exchange(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
                 trial = judge.score([*rest, atom])
                 if trial.evidence < better.evidence - 1.0:
                     better = trial
+            better = min(better, _split(judge, kept, term), key=lambda s: s.evidence)
         if better is scored:
             break
         scored = better
     return scored
+
+
+def _split(judge: Judge, kept: Scored, term: Atom) -> Scored:
+    """A combination without a term, with two of the simpler effects that the term contains instead."""
+    parts = [
+        atom
+        for atom in judge.bank.atoms
+        if atom.candidate.joint == term.candidate.joint and atom.candidate.effect.name in term.candidate.effect.excludes
+    ]
+    best = kept
+    for _ in range(2):
+        beside = [a.candidate for a in best.fit.terms]
+        allowed = [atom for atom in parts if all(atom.candidate.allows(other) for other in beside)]
+        trials = [judge.score([*best.fit.terms, atom]) for atom in _promising(judge, best, allowed, 3)]
+        best = min([best, *trials], key=lambda s: s.evidence)
+    return best
 
 
 def _simplify(judge: Judge, scored: Scored) -> Scored:

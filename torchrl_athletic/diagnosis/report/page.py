@@ -50,6 +50,7 @@ from torchrl_athletic.diagnosis.report.words import (
     lead,
     next_takes,
     place,
+    same_as,
     stopped_early,
     title,
     unexplained,
@@ -132,6 +133,7 @@ def render(
         python=lambda text: escape(repr(text)),
         chosen=CHOSEN,
         grounds=grounds_words,
+        same_as=same_as,
         shell=lambda text: escape(shlex.quote(text)),
     )
     units = joint_units(answer, maps)

@@ -20,6 +20,7 @@ from torchrl_athletic.diagnosis.report.words import (
     next_takes,
     place,
     quality_counts,
+    same_as,
     stopped_early,
     title,
     unexplained,
@@ -74,6 +75,8 @@ def _findings(answer: Answer) -> Iterator[str]:
         yield from _parameters(finding)
         if finding.sentence not in lead(answer):
             yield _wrapped(finding.sentence, "    ", "    ")
+        for sentence in same_as(finding, answer):
+            yield _wrapped(sentence, "    ", "    ")
         yield _wrapped(f"shows {finding.regime}", "    ", "    ")
         for rival in finding.rivals:
             yield _row(f"  or {words(rival.effect)}, {place(rival.joint)}", percent(rival.probability))

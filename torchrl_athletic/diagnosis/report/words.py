@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torchrl_athletic.diagnosis.report.quantity import percent
-from torchrl_athletic.diagnosis.result import Answer, Finding, Location
+from torchrl_athletic.diagnosis.result import Answer, Finding, Location, Name
 
 _VERDICTS = {
     "nothing_missing": ("Nothing is missing", "The simulation explains the recordings as well as sensor noise allows."),
@@ -80,6 +80,30 @@ def grounds_words(finding: Finding) -> list[str]:
         "open": "Of the simulation's error above the noise floor {} stays.",
     }
     return [text.format(percent(g[name])) for name, text in said.items() if name in g]
+
+
+def same_as(finding: Finding, answer: Answer) -> list[str]:
+    """The other names of what a finding states, in sentences.
+
+    Example:
+        >>> f = Finding("clock_offset", None, 0.9, "", {}, "", alternatives=((Name("actuation_delay", "disk"),),))
+        >>> same_as(f, Answer("explained", (), findings=(f,)))
+        ['Clock offset, which here is the same as actuation delay of disk: no recording tells them apart.']
+    """
+    out = []
+    for names in finding.alternatives:
+        together = [g for g in answer.findings if g is not finding and names in g.alternatives]
+        partners = " and ".join(_named(g, finding.joint) for g in together)
+        which = f"which together with {partners}" if partners else "which here"
+        others = " with ".join(_named(n, finding.joint) for n in names)
+        out.append(f"{title(finding.effect)}, {which} is the same as {others}: no recording tells them apart.")
+    return out
+
+
+def _named(name: Name | Finding, here: str | None) -> str:
+    """With the joint where it is another one."""
+    at = "" if name.joint == here else f" of {'the ' if name.joint is None else ''}{place(name.joint)}"
+    return f"{words(name.effect)}{at}"
 
 
 def next_takes(answer: Answer) -> list[str]:
