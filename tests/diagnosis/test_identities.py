@@ -1,0 +1,104 @@
+"""One piece of physics is one answer, under all of its names, and only while they mean the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from diagnosis.sample import slider
+
+from torchrl_athletic.diagnosis.identities import with_alternatives
+from torchrl_athletic.diagnosis.report import terminal_summary
+from torchrl_athletic.diagnosis.report.page import render
+from torchrl_athletic.diagnosis.report.words import same_as
+from torchrl_athletic.diagnosis.result import Answer, Estimate, Finding, Name
+from torchrl_athletic.effects import CATALOGUE
+
+
+def finding(effect: str, joint: str | None, **values: tuple[float, float]) -> Finding:
+    return Finding(effect, joint, 0.9, "", {n: Estimate(sum(v) / 2, v, "1") for n, v in values.items()}, "everywhere")
+
+
+def names(*findings: Finding, joints=("hip", "knee")) -> list[set[tuple[Name, ...]]]:
+    return [set(f.alternatives) for f in with_alternatives(findings, joints, CATALOGUE)]
+
+
+def asymmetric(positive: tuple[float, float], negative: tuple[float, float]) -> Finding:
+    return finding("asymmetric_friction", "knee", viscous_positive=positive, viscous_negative=negative)
+
+
+def test_friction_by_direction_is_dry_friction_and_an_offset_unless_it_grows_differently_with_speed():
+    both = (Name("coulomb_friction", "knee"), Name("torque_offset", "knee"))
+    assert names(asymmetric((1.0, 2.0), (1.5, 2.5))) == [{both}]
+    assert names(asymmetric((1.0, 2.0), (2.1, 2.5))) == [set()]
+
+
+def test_dry_friction_and_an_offset_on_one_joint_are_friction_by_direction():
+    pair = finding("coulomb_friction", "knee"), finding("torque_offset", "knee")
+    assert names(*pair) == [{(Name("asymmetric_friction", "knee"),)}] * 2
+    apart = finding("coulomb_friction", "knee"), finding("torque_offset", "hip")
+    assert names(*apart) == [set(), set()]
+
+
+def test_a_late_clock_is_a_delay_of_every_joint_and_an_early_one_is_not():
+    delays = (Name("actuation_delay", "hip"), Name("actuation_delay", "knee"))
+    assert names(finding("clock_offset", None, offset=(0.004, 0.006))) == [{delays}]
+    assert names(finding("clock_offset", None, offset=(-0.006, -0.004))) == [set()]
+
+
+def test_delays_are_a_clock_only_where_all_joints_have_the_same():
+    def delays(hip: tuple[float, float], knee: tuple[float, float]) -> list[set[tuple[Name, ...]]]:
+        return names(finding("actuation_delay", "hip", delay=hip), finding("actuation_delay", "knee", delay=knee))
+
+    clock = {(Name("clock_offset", None),)}
+    assert delays((0.004, 0.006), (0.005, 0.007)) == [clock, clock]
+    assert delays((0.004, 0.006), (0.008, 0.009)) == [set(), set()]
+    assert names(finding("actuation_delay", "hip", delay=(0.004, 0.006))) == [set()]
+    assert names(finding("actuation_delay", "hip", delay=(0.004, 0.006)), joints=("hip",)) == [clock]
+
+
+def test_what_has_no_identity_and_what_the_catalogue_does_not_know_stay_as_they_are():
+    assert names(finding("backlash", "knee"), finding("an effect of your own", "knee")) == [set(), set()]
+
+
+def test_every_identity_of_the_catalogue_is_found_from_its_parts():
+    for effect in CATALOGUE:
+        for others in effect.identical_to:
+            parts = [finding(name, "hip", value=(1.0, 2.0)) for name in others]
+            whole = (Name(effect.name, None if effect.whole_robot else "hip"),)
+            assert all(whole in found for found in names(*parts, joints=("hip",)))
+
+
+def test_it_is_said_on_the_terminal_on_the_page_and_in_the_file():
+    sample = slider()
+    pair = (Name("coulomb_friction", "carriage"), Name("torque_offset", "carriage"))
+    stated = replace(sample.answer.findings[0], alternatives=(pair,))
+    answer = replace(sample.answer, findings=(stated,))
+    said = "Asymmetric friction, which here is the same as Coulomb friction with torque offset: no recording tells"
+    assert said in " ".join(terminal_summary(answer).split())
+    assert said in render(answer, (), ())
+    assert answer.to_json()["findings"][0]["alternatives"] == [
+        [{"effect": "coulomb_friction", "joint": "carriage"}, {"effect": "torque_offset", "joint": "carriage"}]
+    ]
+    assert Answer.from_json(answer.to_json()).findings == answer.findings
+
+
+def test_a_file_from_before_is_read_without_them():
+    content = slider().answer.to_json()
+    del content["findings"][0]["alternatives"]
+    assert Answer.from_json(content).findings[0].alternatives == ()
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        (
+            ("coulomb_friction", "torque_offset"),
+            "which together with torque offset is the same as asymmetric",
+        ),
+        (("torque_offset", "coulomb_friction"), "which together with Coulomb friction is the same as asymmetric"),
+    ],
+)
+def test_two_that_add_up_to_one_say_so_of_each_other(stated, said):
+    found = with_alternatives([finding(name, "hip") for name in stated], ["hip"], CATALOGUE)
+    assert said in same_as(found[0], Answer("explained", (), findings=found))[0]

@@ -1,0 +1,79 @@
+"""Findings that state the same physics as other names do: one answer, with all of its names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+from torchrl_athletic.diagnosis.result import Estimate, Finding, Name
+from torchrl_athletic.effects import Effect
+
+Values = Mapping[str, Estimate]
+
+
+def with_alternatives(
+    findings: Sequence[Finding], joints: Sequence[str], catalogue: Sequence[Effect]
+) -> tuple[Finding, ...]:
+    """The same findings, each with the names that no recording can tell from its own.
+
+    What an effect declares in ``identical_to`` holds where its values make it so: friction by direction is dry friction
+    with an offset only as long as its viscous part is the same both ways, and only a clock that is late is a delay.
+
+    Args:
+        findings: As stated.
+        joints: Of the robot: a delay is a clock's offset where all of them have it.
+        catalogue: Of the diagnosis.
+
+    Example:
+        >>> from torchrl_athletic.effects import CATALOGUE
+        >>> late = Finding("actuation_delay", "disk", 0.9, "", {"delay": Estimate(0.025, (0.024, 0.026), "s")}, "")
+        >>> with_alternatives([late], ["disk"], CATALOGUE)[0].alternatives
+        ((Name(effect='clock_offset', joint=None),),)
+        >>> with_alternatives([late], ["disk", "lever"], CATALOGUE)[0].alternatives
+        ()
+    """
+    known = {effect.name: effect for effect in catalogue}
+    out = []
+    for f in findings:
+        same = _declared(f, joints, known)
+        same += [(Name(whole.name, _joint(whole, f)),) for whole in catalogue if _is_part(f, whole, findings, joints)]
+        out.append(replace(f, alternatives=tuple(same)))
+    return tuple(out)
+
+
+def _declared(f: Finding, joints: Sequence[str], known: Mapping[str, Effect]) -> list[tuple[Name, ...]]:
+    if f.effect not in known or not _HOLDS.get(f.effect, lambda values: True)(f.parameters):
+        return []
+    where = joints if f.joint is None else [f.joint]
+    return [tuple(Name(n, joint) for joint in where for n in sorted(names)) for names in known[f.effect].identical_to]
+
+
+def _is_part(f: Finding, whole: Effect, findings: Sequence[Finding], joints: Sequence[str]) -> bool:
+    """Whether the findings, this one among them, add up to another effect."""
+    where = joints if whole.whole_robot else [f.joint]
+    for names in whole.identical_to:
+        parts = [g for g in findings if g.effect in names and g.joint in where]
+        if f in parts and len(parts) == len(names) * len(where):
+            return not whole.whole_robot or _agree([e for g in parts for e in g.parameters.values()])
+    return False
+
+
+def _joint(effect: Effect, f: Finding) -> str | None:
+    return None if effect.whole_robot else f.joint
+
+
+def _agree(estimates: Sequence[Estimate]) -> bool:
+    """Whether one value lies in all intervals."""
+    return max(e.ci95[0] for e in estimates) <= min(e.ci95[1] for e in estimates)
+
+
+def _same_both_ways(values: Values) -> bool:
+    sides = [values[name] for name in ("viscous_positive", "viscous_negative") if name in values]
+    return len(sides) == 2 and _agree(sides)
+
+
+_HOLDS: Mapping[str, Callable[[Values], bool]] = {
+    "asymmetric_friction": _same_both_ways,
+    "clock_offset": lambda values: values["offset"].value >= 0,
+}
+"""Effect -> whether its identity holds at these values."""
