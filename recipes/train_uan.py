@@ -66,7 +66,7 @@ def main(cfg: Config) -> Simulator:
     given = Simulator("uan" if cfg.model is None else "diagnosed_uan", robot, correction_of(cfg.model))
     pieces, windows = training.set_aside(recordings)
     takes = training.takes_of(pieces, robot)
-    net = uan(unit=training.units_of(takes, robot)).to(cfg.device)
+    net = uan(**training.units_of(takes, robot)).to(cfg.device)
     validate = training.validation_of(given, windows, net, device=cfg.device)
     before = validate()["mse"]  # of a net that corrects nothing yet
 
@@ -92,18 +92,17 @@ def main(cfg: Config) -> Simulator:
     return found
 
 
-def make_learner(cfg: Config, given: Simulator, takes: Takes, net: nn.Module) -> Any:
-    rows, robot = cfg.num_envs or ROWS[cfg.method, cfg.device], given.robot
+def make_learner(cfg: Config, given: Simulator, takes: Takes, net: nn.Sequential) -> Any:
+    rows, robot, unit = cfg.num_envs or ROWS[cfg.method, cfg.device], given.robot, training.torque_unit(net)
     chain = given.chain(command=takes.driven, decimation=1)
     if cfg.method == "gradient":
         moved = robot.joint_groups.get("arm")
         base = training.DifferentiableTorqueEnv(robot, joints=moved, num_envs=rows, device=cfg.device)
-        env = replay_env(robot, takes, chain=chain, base=base, max_steps=400, seed=cfg.seed)
+        env = replay_env(robot, takes, chain=chain, unit=unit, base=base, max_steps=400, seed=cfg.seed)
         return training.GradientLearner(env, net, minutes=cfg.minutes)
-    env = replay_env(robot, takes, chain=chain, num_envs=rows, device=cfg.device, seed=cfg.seed)
+    env = replay_env(robot, takes, chain=chain, unit=unit, num_envs=rows, device=cfg.device, seed=cfg.seed)
     ppo, on_gpu = replace(training.UAN, num_envs=rows, micro_batch=98_304), cfg.device == "cuda"
-    unit = training.units_of(takes, robot)
-    return training.uan_learner(env, net, ppo, credit=cfg.credit, unit=unit, seed=cfg.seed, cuda_graph=on_gpu)
+    return training.uan_learner(env, net, ppo, credit=cfg.credit, seed=cfg.seed, cuda_graph=on_gpu)
 
 
 def correction_of(path: Path | None) -> dict | None:

@@ -89,8 +89,9 @@ class AddedTorque(Transform):
 
     Args:
         joints: Which.
+        unit: Of the correction [N·m]. Shape () or (J of the group,).
         torque_key: [N·m]. Shape (*B, J).
-        correction_key: [N·m]. Shape (*B, J of the group).
+        correction_key: In units. Shape (*B, J of the group).
 
     Example:
         >>> add = AddedTorque(joints=[1])
@@ -99,20 +100,24 @@ class AddedTorque(Transform):
         tensor([[1.0000, 2.5000]])
     """
 
+    unit: Tensor
+
     def __init__(
         self,
         joints: Joints = None,
+        unit: Tensor | float = 1.0,
         *,
         torque_key: NestedKey = "torque",
         correction_key: NestedKey = "torque_correction",
     ) -> None:
         super().__init__(in_keys=[], out_keys=[], in_keys_inv=[torque_key], out_keys_inv=[torque_key])
+        self.register_buffer("unit", torch.as_tensor(unit, dtype=torch.float32).clone())
         self.joints, self.torque_key, self.correction_key = joints, torque_key, correction_key
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         torque, correction = tensordict.get(self.torque_key), tensordict.get(self.correction_key)
         added = torch.zeros_like(torque)
-        added[..., joint_index(self, self.joints)] = correction
+        added[..., joint_index(self, self.joints)] = self.unit * correction
         return tensordict.set(self.torque_key, torque + added)
 
 
@@ -135,7 +140,7 @@ class ReplayTakes(RandomTransform):
 
     Place it last in Compose, outside the controller's law. Entries, A joints of the group, float32:
 
-    - ``action`` (N, A): the corrective torques [N·m];
+    - ``action`` (N, A): the corrective torques, in units of :class:`AddedTorque`;
     - ``observation`` (N, A, 2L): for each joint the position errors [rad] and then the velocity errors [rad/s] of the
       last L steps, oldest first, as :class:`~torchrl_athletic.transforms.UANCorrection` sees them: of the simulated
       state, before an episode's start of the recorded one;
@@ -225,8 +230,8 @@ class ReplayTakes(RandomTransform):
             "lookback": torch.arange(1 - HISTORY, 1),
         }
         for name, table in tables.items():
-            self.register_buffer(name, table.clone(), persistent=False)
-        self.register_buffer("error", self._errors(self.noted, self.position, self.velocity), persistent=False)
+            self.register_buffer(name, table.clone())
+        self.register_buffer("error", self._errors(self.noted, self.position, self.velocity))
 
     def _errors(self, command: Tensor, position: Tensor, velocity: Tensor) -> Tensor:
         """Of position [rad] and velocity [rad/s], as the law in the chain notes them. Shape (*B, J, 2)."""
@@ -353,6 +358,7 @@ def replay_env(
     *,
     chain: Sequence[Transform] | None = None,
     joints: Joints = None,
+    unit: Tensor | float = 1.0,
     num_envs: int = 1,
     device: torch.device | str = "cpu",
     base: TorqueEnv | None = None,
@@ -372,6 +378,7 @@ def replay_env(
         chain: What stands between a command and the motors, from the motor outwards, without net and decimation; None
             takes the motor's limit by speed and the PD law of the robot. What a diagnosis found comes in here.
         joints: Which are corrected and compared; None takes the group ``"arm"``, or all joints of a robot without one.
+        unit: Of the action [N·m], for each joint where they differ. Shape () or (A,).
         num_envs: N.
         device: Of the physics.
         base: In place of one made here.
@@ -408,7 +415,7 @@ def replay_env(
         late=None if corrected is None or takes.driven == "torque" else corrected.weights,
         seed=seed,
     )
-    return TransformedEnv(base, Compose(*chain[:behind], AddedTorque(joints), *chain[behind:], replayed))
+    return TransformedEnv(base, Compose(*chain[:behind], AddedTorque(joints, unit), *chain[behind:], replayed))
 
 
 def _plain_chain(robot: Robot, driven: Driven) -> list[Transform]:

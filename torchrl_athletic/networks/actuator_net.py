@@ -21,7 +21,8 @@ def uan(
     device: torch.device | str | None = None,
     *,
     unit: tuple[float, float] = (1.0, 1.0),
-) -> nn.Module:
+    torque_unit: float | Sequence[float] = 1.0,
+) -> nn.Sequential:
     """Network from a joint's recent tracking errors to a corrective torque.
 
     It maps (*B, J, 2 history), position errors [rad] and then velocity errors [rad/s], to (*B, J, 1) [N·m]; the joints
@@ -33,6 +34,8 @@ def uan(
         device: Where its parameters are made.
         unit: What the position errors [rad] and the velocity errors [rad/s] are divided by first, their standard
             deviations in the data say; kept with the parameters. The paper states none.
+        torque_unit: What the output is multiplied with [N·m], for each joint where they differ: a joint with two motors
+            has twice the friction of one with one. Kept with the parameters.
 
     Source:
         Fey et al. 2025, section III-A, https://arxiv.org/abs/2502.10894.
@@ -44,7 +47,8 @@ def uan(
     net = MLP(2 * history, 1, num_cells=list(hidden), activation_class=nn.ELU, device=device)
     nn.init.zeros_(net[-1].weight)
     nn.init.zeros_(net[-1].bias)
-    return nn.Sequential(InUnits(torch.tensor(unit, device=device).repeat_interleave(history)), net)
+    seen = InUnits(torch.tensor(unit, device=device).repeat_interleave(history))
+    return nn.Sequential(seen, net, OutUnits(torque_unit, device))
 
 
 def uan_actor(
@@ -87,6 +91,25 @@ class InUnits(nn.Module):
 
     def forward(self, value: Tensor) -> Tensor:
         return value / self.unit
+
+
+class OutUnits(nn.Module):
+    """Each joint's output times its unit, which goes into the state as plain numbers. Shape (*B, J, 1)."""
+
+    unit: Tensor
+
+    def __init__(self, unit: float | Sequence[float], device: torch.device | str | None = None):
+        super().__init__()
+        self.register_buffer("unit", torch.tensor(unit, device=device).reshape(-1, 1), persistent=False)
+
+    def forward(self, value: Tensor) -> Tensor:
+        return value * self.unit
+
+    def get_extra_state(self) -> list[float]:
+        return self.unit.flatten().tolist()
+
+    def set_extra_state(self, state: list[float]) -> None:
+        self.unit = self.unit.new_tensor(state).reshape(-1, 1)
 
 
 class PerJoint(nn.Module):

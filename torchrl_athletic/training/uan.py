@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Literal
+from statistics import median
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -172,22 +173,39 @@ def set_aside(
     return pieces, windows
 
 
-def units_of(takes: Takes, robot: Robot) -> tuple[float, float]:
-    """Standard deviations of the position errors [rad] and of the velocities [rad/s] of the joints that move."""
-    kp, kd = torch.tensor(robot.kp), torch.tensor(robot.kd)
+def units_of(takes: Takes, robot: Robot) -> dict[str, Any]:
+    """What :func:`~torchrl_athletic.networks.uan` measures in: ``unit`` and ``torque_unit``.
+
+    Errors of position and velocity come in their standard deviations over the joints that move. Torques come in N·m
+    for a joint of the arm's median strength, and for others as much as their motors are stronger.
+
+    Args:
+        takes: To be trained on.
+        robot: Whose torque limits tell how strong its motors are.
+
+    Example:
+        >>> from torchrl_athletic.robots import z1
+        >>> moved = torch.rand(100, 7)
+        >>> units_of(Takes(moved, moved, moved + 0.1 * torch.randn(100, 7), (100,)), z1())["torque_unit"]
+        [1.0, 2.0, 1.0, 1.0, 1.0, 1.0]
+    """
     off = takes.command - takes.position
     if takes.driven == "torque":
-        off = (takes.command + kd * takes.velocity) / kp
+        off = (takes.command + torch.tensor(robot.kd) * takes.velocity) / torch.tensor(robot.kp)
     moves = takes.velocity.std(0) > 1e-6
-    return float(off[:, moves].std()), float(takes.velocity[:, moves].std())
+    strength = [robot.torque_limit[joint] for joint in robot.joint_groups.get("arm", range(len(robot.joint_names)))]
+    return {
+        "unit": (float(off[:, moves].std()), float(takes.velocity[:, moves].std())),
+        "torque_unit": [limit / median(strength) for limit in strength],
+    }
 
 
 class MeanPolicy(nn.Module):
-    """The net as a policy that does not explore. Writes ``action`` (N, A)."""
+    """The net as a policy that does not explore. Writes ``action`` (N, A), in units of torque."""
 
-    def __init__(self, net: nn.Module) -> None:
+    def __init__(self, net: nn.Sequential) -> None:
         super().__init__()
-        self.net = net
+        self.net = net[:-1]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         return tensordict.set("action", self.net(tensordict.get("observation")).squeeze(-1))
@@ -202,7 +220,7 @@ class Validation:
         steps: Of each window.
     """
 
-    def __init__(self, env: TransformedEnv, net: nn.Module, steps: int) -> None:
+    def __init__(self, env: TransformedEnv, net: nn.Sequential, steps: int) -> None:
         self.rollout = CapturedRollout(env, MeanPolicy(net), steps, keys=["privileged"], fuse=False)
 
     @torch.no_grad()
@@ -216,7 +234,7 @@ class Validation:
 
 
 def validation_of(
-    simulator: Simulator, windows: Sequence[Recording], net: nn.Module, device: torch.device | str = "cpu"
+    simulator: Simulator, windows: Sequence[Recording], net: nn.Sequential, device: torch.device | str = "cpu"
 ) -> Validation:
     """Replays of windows by a simulator without a net, corrected by one that is being trained.
 
@@ -233,6 +251,7 @@ def validation_of(
         simulator.robot,
         takes,
         chain=simulator.chain(command=takes.driven, decimation=1, randomize=False),
+        unit=torque_unit(net),
         num_envs=len(windows),
         device=device,
         max_steps=steps,
@@ -242,14 +261,18 @@ def validation_of(
     return Validation(env, net, steps)
 
 
+def torque_unit(net: nn.Sequential) -> Tensor:
+    """What a :func:`~torchrl_athletic.networks.uan` multiplies its output with [N·m]. Shape (1,) or (J,)."""
+    return net[-1].get_buffer("unit").flatten()
+
+
 def uan_learner(
     env: TransformedEnv,
-    net: nn.Module,
+    net: nn.Sequential,
     config: PPO = UAN,
     *,
     credit: Credit = "arm",
     scale: float = 1.0,
-    unit: tuple[float, float] = (1.0, 1.0),
     hidden: Sequence[int] = (256, 256),
     seed: int = 0,
     cuda_graph: bool = False,
@@ -261,12 +284,11 @@ def uan_learner(
     ``"joint"`` those of its joint, and which one that is, and a joint is a sample.
 
     Args:
-        env: Of :func:`~torchrl_athletic.envs.replay.replay_env`.
+        env: Of :func:`~torchrl_athletic.envs.replay.replay_env`, with ``unit=torque_unit(net)``.
         net: Of :func:`~torchrl_athletic.networks.uan`, trained in place.
         config: Numbers chosen by hand; the paper's by default.
         credit: Whose reward a joint's correction is judged by.
-        scale: First standard deviation of exploration [N·m].
-        unit: Of position errors [rad] and velocity errors [rad/s], for the critic's inputs.
+        scale: First standard deviation of exploration, in units of torque.
         hidden: Layers of the critic.
         seed: Of the order of samples.
         cuda_graph: As of :class:`~torchrl_athletic.training.Learner`.
@@ -278,8 +300,9 @@ def uan_learner(
         Fey et al. 2025, sections II-A and appendix A. The critic's inputs are ours, the paper states none.
     """
     joints = env.observation_spec["observation"].shape[-2]
-    policy = uan_actor(net, scale=scale, device=env.device)
-    features = torch.tensor([*[unit[0]] * HISTORY, *[unit[1]] * HISTORY, 0.05, unit[1] / 4], device=env.device)
+    policy = uan_actor(net[:-1], scale=scale, device=env.device)
+    errors = net[0].get_buffer("unit")
+    features = torch.cat((errors, torch.full_like(errors[:1], 0.05), errors[-1:] / 4))
     if credit == "arm":
         critic = ValueOperator(_ArmValue(features, joints, hidden, env.device), in_keys=["observation", "privileged"])
         learner = Learner(env, policy, critic, config, seed=seed, cuda_graph=cuda_graph)

@@ -141,7 +141,8 @@ class GradientLearner:
     cut at each window's start. So the net learns at the states that its own replays come to.
 
     Args:
-        env: :func:`~torchrl_athletic.envs.replay.replay_env` on a :class:`DifferentiableTorqueEnv`.
+        env: :func:`~torchrl_athletic.envs.replay.replay_env` on a :class:`DifferentiableTorqueEnv`, with
+            ``unit=torque_unit(net)``.
         net: Of :func:`~torchrl_athletic.networks.uan`, trained in place.
         minutes: That training will take, by which windows grow and the learning rate falls to zero [min].
         rate: First learning rate of Adam.
@@ -152,7 +153,7 @@ class GradientLearner:
     def __init__(
         self,
         env: TransformedEnv,
-        net: nn.Module,
+        net: nn.Sequential,
         *,
         minutes: float,
         rate: float = 2e-3,

@@ -1,0 +1,268 @@
+"""Replays start where the robot was, do what it was told, and tell how far the simulation comes from what it did."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from identification.arms import commands, recorded, robot
+from tensordict import TensorDict
+from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs.utils import check_env_specs
+
+from torchrl_athletic.envs import Takes, TorqueEnv, replay_env
+from torchrl_athletic.envs.replay import HISTORY
+from torchrl_athletic.functional import rewards
+from torchrl_athletic.identification import Simulator
+from torchrl_athletic.networks import uan
+from torchrl_athletic.testing import no_host_sync
+from torchrl_athletic.training import control_step, takes_of, torque_unit
+from torchrl_athletic.transforms import PDControl, TorqueSpeedClip, UANCorrection
+
+ROBOT = robot()
+DT = 0.005
+
+
+def takes(lengths=(90, 60), torques=False):
+    """Of the simulator itself: a replay of them without correction stays on them."""
+    simulator = Simulator("itself", ROBOT)
+    scale = 3.0 if torques else 0.5
+    return takes_of([recorded(simulator, commands(n, seed=n, scale=scale, hold=15), torques) for n in lengths], ROBOT)
+
+
+TAKES = takes()
+
+
+def nothing(tensordict):
+    return tensordict.set("action", torch.zeros_like(tensordict["torque_correction"]))
+
+
+def played(env, policy, steps):
+    """Shape (N, T)."""
+    following, out = env.reset(), []
+    for _ in range(steps):
+        step, following = control_step(env, policy, following)
+        out.append(step.clone())
+    return torch.stack(out, 1)
+
+
+def moved_net(joints=2, seed=3):
+    torch.manual_seed(seed)
+    net = uan(unit=(0.2, 2.0), torque_unit=[1.0, 1.5])
+    torch.nn.init.normal_(net[1][-1].weight, std=0.3)
+    return net
+
+
+def test_specs_match_the_data():
+    check_env_specs(replay_env(ROBOT, TAKES, num_envs=2, max_steps=30))
+
+
+@pytest.mark.parametrize("torques", [False, True])
+def test_a_simulation_stays_on_takes_of_itself_and_earns_the_most(torques):
+    env = replay_env(ROBOT, takes(torques=torques), num_envs=8)
+    steps = played(env, nothing, 50)
+    assert steps["next", "privileged"][..., 0].abs().max() < 1e-4
+    assert steps["next", "reward"].min() > DT * 13.45
+    assert not steps["next", "terminated"].any()
+
+
+def test_a_heavier_simulation_leaves_the_takes():
+    heavy = replace(ROBOT, build=lambda: _heavier(ROBOT.spec()))
+    steps = played(replay_env(heavy, TAKES, num_envs=8), nothing, 50)
+    assert steps["next", "privileged"][..., 0].abs().max() > 1e-2
+
+
+def _heavier(spec):
+    for geom in spec.geoms:
+        geom.mass *= 1.5
+    return spec
+
+
+def test_starts_are_measured_states_with_their_own_past_and_differ():
+    env = replay_env(ROBOT, TAKES, num_envs=64)
+    shown = env.reset()
+    sample = shown["sample"].squeeze(-1)
+    torch.testing.assert_close(shown["joint_position"], TAKES.position[sample])
+    torch.testing.assert_close(shown["joint_velocity"], TAKES.velocity[sample])
+    for row in (0, 17):
+        past = slice(int(sample[row]) - HISTORY + 1, int(sample[row]) + 1)
+        errors = torch.cat((TAKES.command[past] - TAKES.position[past], -TAKES.velocity[past]), 0)
+        torch.testing.assert_close(shown["observation"][row], errors.T.reshape(2, 2, HISTORY).flatten(1))
+    assert sample.unique().numel() > 30
+    assert (shown["privileged"] == 0).all()
+
+
+def test_no_episode_begins_before_a_history_or_runs_from_one_take_into_the_next():
+    env = replay_env(ROBOT, TAKES, num_envs=64)
+    steps = played(env, nothing, 150)
+    take = steps["sample"] < 90
+    assert (take == (steps["next", "sample"] < 90)).all()
+    assert steps["next", "sample"].max() == 149
+    offset = torch.where(take, steps["sample"], steps["sample"] - 90)
+    assert offset.min() == HISTORY - 1
+    at_end = (steps["next", "sample"] == 89) | (steps["next", "sample"] == 149)
+    assert (steps["next", "truncated"] == at_end).all()
+    assert (steps["next", "done"] == at_end).all()
+
+
+def test_an_episode_is_truncated_when_its_time_is_over_and_another_begins_elsewhere():
+    steps = played(replay_env(ROBOT, TAKES, num_envs=16, max_steps=5), nothing, 12)
+    full = (steps["steps_left"][:, 0] == 5).squeeze(-1)
+    assert full.sum() > 8
+    assert steps["next", "truncated"][full][:, 4].all()
+    assert not steps["next", "truncated"][full][:, :4].any()
+    jumped = steps["sample"][full][:, 5] != steps["next", "sample"][full][:, 4]
+    assert jumped.float().mean() > 0.8
+
+
+def test_by_row_every_start_has_its_turn():
+    starts = torch.tensor([30, 40, 100])
+    env = replay_env(ROBOT, TAKES, num_envs=4, by_row=True, starts=starts)
+    for _ in range(2):
+        assert env.reset()["sample"].flatten().tolist() == [30, 40, 100, 30]
+
+
+@pytest.mark.parametrize("torques", [False, True])
+def test_the_net_does_in_a_policys_chain_what_it_did_in_the_replay(torques):
+    """Torques and states are the same, bit for bit where targets are given; an equivalent target has to be rounded."""
+    net, data, start, steps = moved_net(), takes(torques=torques), 30, 50
+    env = replay_env(ROBOT, data, unit=torque_unit(net), num_envs=1, by_row=True, starts=torch.tensor([start]))
+    with torch.no_grad():
+        replayed = played(env, lambda td: td.set("action", net[:-1](td["observation"]).squeeze(-1)), steps)
+
+    law = Simulator("uan", ROBOT, net=net, kind="correction").chain(
+        command="torque" if torques else "position", decimation=1
+    )
+    chain = TransformedEnv(TorqueEnv(ROBOT, num_envs=1), Compose(*law))
+    begin = {"reset_qpos": data.position[None, start], "reset_qvel": data.velocity[None, start]}
+    chain.base_env.physics.reset(qpos=begin["reset_qpos"], qvel=begin["reset_qvel"])
+    shown = chain.reset()
+    chain.base_env.physics.reset(qpos=begin["reset_qpos"], qvel=begin["reset_qvel"])
+    shown["joint_position"], shown["joint_velocity"] = begin["reset_qpos"], begin["reset_qvel"]
+    past = replayed["observation"][:, 0].unflatten(-1, (2, HISTORY))
+    shown["error_history"] = torch.cat((torch.zeros_like(past[..., :1]), past[..., :-1]), -1)  # the newest is to come
+    exact = {"rtol": 1e-4, "atol": 1e-5} if torques else {"rtol": 0, "atol": 0}
+    for k in range(steps):
+        with torch.no_grad():
+            shown = chain._step(shown.set("action", data.command[None, start + k]))
+        torch.testing.assert_close(shown["applied_torque"], replayed["next", "applied_torque"][:, k], **exact)
+        torch.testing.assert_close(shown["joint_position"], replayed["next", "joint_position"][:, k], **exact)
+    assert replayed["torque_correction"].abs().max() > 0.1
+
+
+def test_errors_stay_those_of_the_late_command_where_a_diagnosis_found_a_delay():
+    """After the command's way through the queue, the net sees in the replay what it sees in a policy's chain."""
+    late = {"effect": "actuation_delay", "joint": "hip", "parameters": {"delay": {"value": 0.012}}}
+    found = {"schema": "torchrl_athletic/corrected/1", "joint_names": list(ROBOT.joint_names)}
+    net = moved_net()
+    simulator = Simulator("late", ROBOT, found | {"effects": [late], "trims": []}, net=net, kind="correction")
+    bare = replace(simulator, net=None, kind="none").chain(decimation=1)
+    env = replay_env(ROBOT, TAKES, chain=bare, num_envs=1, by_row=True, starts=torch.tensor([30]))
+    steps = played(env, nothing, 40)
+    seen = steps["observation"][0, 5:].unflatten(-1, (2, HISTORY))[:, 0, 0, -1]
+    command, position = TAKES.command[35:70, 0], steps["joint_position"][0, 5:, 0]
+    earlier = 0.6 * TAKES.command[33:68, 0] + 0.4 * TAKES.command[32:67, 0]  # by 2.4 steps
+    torch.testing.assert_close(seen, earlier - position)
+    assert (seen - (command - position)).abs().max() > 0.1
+
+
+def test_the_reward_is_the_tables():
+    env = replay_env(ROBOT, TAKES, num_envs=4, unit=torch.tensor([2.0, 3.0]))
+    steps = played(env, lambda td: td.set("action", torch.full_like(td["torque_correction"], 0.7)), 6)
+    last, before = steps[:, 4], steps[:, 3]
+    off = last["next", "privileged"][..., 0].double().numpy()
+    distance = np.abs(off).sum(-1), np.square(off).sum(-1)
+    table = -1.5 * distance[0] + sum(scale * np.exp(-s * distance[1]) for scale, s in ((4, 100), (4, 300), (5, 1000)))
+    assert (before["action"] == last["action"]).all()
+    np.testing.assert_allclose(last["next", "reward"].squeeze(-1), DT * (table + 0.5), rtol=1e-4)
+    alone = -1.5 * np.abs(off) + sum(a * np.exp(-s * off**2) for a, s in ((4, 100), (4, 300), (5, 1000)))
+    np.testing.assert_allclose(last["next", "joint_reward"], DT * (alone + 0.5), rtol=1e-4)
+    first = steps[:, 0]  # the change from nothing to 0.7 on two joints is rough
+    rough = rewards.uan_reward(*(torch.zeros(2) for _ in range(2)), torch.full((2,), 0.7), torch.zeros(2))
+    assert (first["next", "reward"] < DT * rough + 1e-6).all()
+
+
+def test_a_correction_counts_in_its_unit():
+    env = replay_env(ROBOT, TAKES, num_envs=1, unit=torch.tensor([2.0, 3.0]), by_row=True, starts=torch.tensor([30]))
+    plain = played(env, nothing, 1)["next", "applied_torque"][0, 0]
+    pushed = played(env, lambda td: td.set("action", torch.tensor([[1.0, -1.0]])), 1)["next", "applied_torque"][0, 0]
+    torch.testing.assert_close(pushed - plain, torch.tensor([2.0, -3.0]))
+
+
+def test_a_joint_that_is_wrong_costs_its_own_reward_alone():
+    env = replay_env(ROBOT, TAKES, num_envs=4, by_row=True, starts=torch.tensor([30, 40, 50, 60]))
+    steps = played(env, lambda td: td.set("action", torch.tensor([[0.0, 3.0]]).expand(4, 2)), 10)
+    off = steps["next", "privileged"][:, -1, :, 0].abs()
+    earned = steps["next", "joint_reward"][:, -1]
+    assert (off[:, 1] > 2 * off[:, 0]).all()
+    assert (earned[:, 1] < earned[:, 0]).all()
+
+
+def test_a_row_that_leaves_the_recording_ends_with_a_finite_penalty_and_starts_anew():
+    env = replay_env(ROBOT, TAKES, num_envs=4)
+    env.transform[-1].bound = 0.05
+
+    def first_row_mad(tensordict):
+        action = torch.zeros_like(tensordict["torque_correction"])
+        action[0] = 1e4
+        return tensordict.set("action", action)
+
+    steps = played(env, first_row_mad, 30)
+    failed = steps["next", "terminated"].squeeze(-1)
+    assert failed[0].any()
+    assert not failed[1:].any()
+    assert (steps["next", "reward"][failed] == -10.0).all()
+    for key in ("observation", "privileged", "reward", "joint_reward"):
+        assert steps["next", key].isfinite().all()
+    when = int(failed[0].nonzero()[0])
+    assert when < 29
+    assert steps["next", "done"][0, when]
+    assert (steps["privileged"][0, when + 1] == 0).all()
+
+
+def test_a_simulation_that_is_no_number_shows_the_policy_numbers():
+    env = replay_env(ROBOT, TAKES, num_envs=2)
+    shown = nothing(env.reset())
+    env.base_env.physics.qvel[0] = torch.nan
+    after = env._step(shown)
+    assert after["terminated"].flatten().tolist() == [True, False]
+    for key in ("observation", "privileged", "reward", "joint_reward"):
+        assert after[key].isfinite().all()
+
+
+def test_no_step_waits_for_a_gpu():
+    env = replay_env(ROBOT, TAKES, num_envs=4)
+    shown = nothing(env.reset())
+    replayed, add = env.transform[-1], env.transform[1]
+    after = env._step(shown.copy())
+    reset = TensorDict({"_reset": torch.tensor([[True], [False], [True], [False]])}, [4])
+    with no_host_sync():
+        inner = add.inv(replayed._inv_call(shown.copy()).set("torque", torch.zeros(4, 2)))
+        replayed.advance(inner, after.copy())
+        replayed._reset_env_preprocess(reset.copy())
+        replayed.draw(replayed.upcoming(reset), after)
+    assert inner["torque"].shape == (4, 2)
+
+
+def test_rows_draw_the_same_starts_alone_as_among_others():
+    starts = [replay_env(ROBOT, TAKES, num_envs=n, seed=4).reset()["sample"].flatten()[:2] for n in (2, 9)]
+    assert (starts[0] == starts[1]).all()
+    assert (replay_env(ROBOT, TAKES, num_envs=9, seed=5).reset()["sample"].flatten()[:2] != starts[0]).any()
+
+
+def test_the_default_chain_is_that_of_the_design():
+    env = replay_env(ROBOT, TAKES)
+    assert [type(item) for item in env.transform][::2] == [TorqueSpeedClip, PDControl]
+    assert isinstance(UANCorrection(uan()), UANCorrection)
+
+
+def test_takes_that_contradict_themselves_are_refused():
+    still = torch.zeros(50, 2)
+    with pytest.raises(ValueError, match="sum of the lengths"):
+        Takes(still, still, still, (40,))
+    with pytest.raises(ValueError, match="not finite"):
+        Takes(still, still / 0, still, (50,))
+    with pytest.raises(ValueError, match="20 to fill"):
+        Takes(still[:20], still[:20], still[:20], (20,))
+    with pytest.raises(ValueError, match=r"robot\.joint_names"):
+        replay_env(ROBOT, Takes(*[torch.zeros(50, 3)] * 3, (50,)))
