@@ -5,6 +5,8 @@ They explain a mismatch by numbers alone, which is what ``diagnosis`` is measure
 
 from torchrl_athletic.identification.actuator_net import ActuatorNetTraining, identify_actuator_net
 from torchrl_athletic.identification.cem import CEM, identify_cem
+from torchrl_athletic.identification.comparison import Result, compare, figure, table
+from torchrl_athletic.identification.diagnosed import identify_diagnosed
 from torchrl_athletic.identification.open_loop import OpenLoopScore, Rollout, open_loop, score
 from torchrl_athletic.identification.randomization import ARM_RANGES, randomized
 from torchrl_athletic.identification.simulator import Simulator, load_net
@@ -14,12 +16,17 @@ __all__ = [
     "CEM",
     "ActuatorNetTraining",
     "OpenLoopScore",
+    "Result",
     "Rollout",
     "Simulator",
+    "compare",
+    "figure",
     "identify_actuator_net",
     "identify_cem",
+    "identify_diagnosed",
     "load_net",
     "open_loop",
     "randomized",
     "score",
+    "table",
 ]

@@ -153,5 +153,5 @@ def _rms(net: nn.Module, seen: Tensor, torque: Tensor) -> float:
 def _rescale(net: nn.Module, scale: float) -> None:
     """Multiply the output, in the last layer."""
     last = [layer for layer in net.modules() if isinstance(layer, nn.Linear)][-1]
-    last.weight *= scale
-    last.bias *= scale
+    last.weight.mul_(scale)
+    last.bias.mul_(scale)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from torchrl_athletic.functional.actuation import clip_torque_speed, pd_torque
@@ -109,16 +109,19 @@ def identify_cem(
     return Simulator("cem", robot, correction_of(objective.joints, np.exp(best)), notes=notes)
 
 
-def correction_of(joints: Sequence[str], values: Array) -> dict[str, Any]:
+def correction_of(joints: Sequence[str], values: ArrayLike) -> dict[str, Any]:
     """Friction, damping and armature as the content of a ``corrected.json``.
 
     Args:
         joints: Names. Length J.
         values: All frictions, then all dampings, then all armatures. Shape (3 J,).
     """
+    found = np.split(np.asarray(values, dtype=np.float64), len(PARAMETERS))
     effects = [
         {"effect": effect, "joint": joint, "parameters": {name: {"value": float(value), "unit": unit}}}
-        for (effect, name, unit, *_), of_joints in zip(PARAMETERS, np.split(values, len(PARAMETERS)), strict=True)
+        for (effect, name, unit, *_), of_joints in zip(
+            PARAMETERS, np.split(np.asarray(values), len(PARAMETERS)), strict=True
+        )
         for joint, value in zip(joints, of_joints, strict=True)
     ]
     return {"schema": SCHEMA, "joint_names": list(joints), "effects": effects, "trims": []}

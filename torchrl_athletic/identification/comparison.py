@@ -1,0 +1,217 @@
+"""Methods of identification side by side: one table, one figure, every seed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchrl_athletic.identification.open_loop import Rollout, open_loop, score
+from torchrl_athletic.identification.simulator import Simulator
+from torchrl_athletic.recordings import Recording
+
+NAMES = {
+    "default": "Default",
+    "cem": "CEM",
+    "actuator_net": "Actuator Net",
+    "uan": "UAN",
+    "diagnosed": "Diagnosed",
+    "diagnosed_uan": "Diagnosed + UAN",
+}
+"""Methods in the order of tables and figures; others follow under their own names."""
+COLOURS = {
+    "default": "#457B9D",
+    "cem": "#E07A5F",
+    "actuator_net": "#52936C",
+    "uan": "#C45552",
+    "diagnosed": "#9A97C4",
+    "diagnosed_uan": "#2F4858",
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    """Of one simulator on one group of recordings, restarted in one way."""
+
+    method: str
+    seed: int
+    group: str
+    window: str
+    """``"whole"``, or the seconds after which rollouts start anew from the measured state."""
+    mse: float
+    """[rad²]."""
+    per_joint: Mapping[str, float]
+    diverged: float
+    """Share of rollouts in which a joint was ever off by more than a radian."""
+    training_seconds: float
+    data_seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """As numbers and texts."""
+        return asdict(self)
+
+
+def compare(
+    simulator: Simulator, groups: Mapping[str, Sequence[Recording]], windows: Sequence[float | None] = (None, 0.5)
+) -> list[Result]:
+    """Score a simulator on each group of recordings, over whole takes (None) and over windows [s].
+
+    A window is left out for a group whose takes are all shorter.
+    """
+    notes, out = simulator.notes, []
+    for group, recordings in groups.items():
+        for window in windows:
+            if not recordings or (window is not None and max(r.duration for r in recordings) < window):
+                continue
+            found = score(open_loop(simulator, recordings, window))
+            out.append(
+                Result(
+                    simulator.name, int(notes.get("seed", 0)), group, "whole" if window is None else f"{window:g} s",
+                    found.mse, found.per_joint, found.diverged,
+                    float(notes.get("training_seconds", 0.0)), float(notes.get("data_seconds", 0.0)),
+                )
+            )  # fmt: skip
+    return out
+
+
+def table(results: Sequence[Result], baseline: str = "default") -> str:
+    """Mean and standard deviation over seeds, in Markdown, and each method's error as a share of the baseline's.
+
+    A method of which some rollout diverged is marked with the share of those that did.
+    """
+    methods, columns = _methods(results), _columns(results)
+    head = ["method", *(f"{group}, {window}" for group, window in columns), "training", "data", "seeds"]
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for method in methods:
+        of_method = [r for r in results if r.method == method]
+        cells = [_cell(of_method, column, _mean(results, baseline, column)) for column in columns]
+        seeds = sorted({r.seed for r in of_method})
+        spent, used = (float(np.mean([getattr(r, n) for r in of_method])) for n in ("training_seconds", "data_seconds"))
+        last = [f"{spent:.0f} s", f"{used:.0f} s", ", ".join(map(str, seeds))]
+        lines.append("| " + " | ".join([NAMES.get(method, method), *cells, *last]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def figure(
+    results: Sequence[Result],
+    examples: Mapping[str, Mapping[str, Rollout]],
+    path: str | Path,
+    *,
+    window: str = "whole",
+    joint: str | None = None,
+    seconds: float = 3.0,
+) -> None:
+    """Draw bars on a logarithmic scale, mean and spread over seeds, and rollouts below them.
+
+    Args:
+        results: As :func:`compare` gives them.
+        examples: By what they show ("an unseen throw"), rollouts of one recording by method.
+        path: Of the picture; its ending tells the format.
+        window: Whose results are drawn.
+        joint: Of the examples; None takes the one that moves most.
+        seconds: How much of each example is drawn, where the joint moves most.
+    """
+    from matplotlib.figure import Figure
+
+    methods = _methods(results)
+    groups = [group for group, of in _columns(results) if of == window]
+    rows = 1 + len(examples)
+    picture = Figure(figsize=(2.9 * max(3, len(groups)), 2.6 * rows), layout="constrained")
+    grid = picture.add_gridspec(rows, len(groups))
+    for k, group in enumerate(groups):
+        _bars(picture.add_subplot(grid[0, k]), results, methods, (group, window), first=k == 0)
+    for row, (title, rollouts) in enumerate(examples.items(), start=1):
+        _traces(picture.add_subplot(grid[row, :]), title, rollouts, joint, seconds)
+    handles = [_patch(method) for method in methods]
+    picture.legend(handles=handles, loc="outside lower center", ncols=len(methods), frameon=False)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    picture.savefig(path)
+
+
+def _bars(axes: Any, results: Sequence[Result], methods: Sequence[str], column: tuple[str, str], first: bool) -> None:
+    for k, method in enumerate(methods):
+        values = _values(results, method, column)
+        if not values:
+            continue
+        mean, spread = float(np.mean(values)), float(np.std(values))
+        colour = COLOURS.get(method, "#888888")
+        axes.bar(k, mean, yerr=spread or None, color=colour, edgecolor="black", linewidth=0.6, capsize=3)
+        axes.plot([k] * len(values), values, ".", color="black", markersize=3)
+        lost = "*" if _diverged(results, method, column) else ""
+        axes.annotate(
+            f"{mean:.1e}{lost}", (k, mean), xytext=(0, 5), textcoords="offset points", ha="center", fontsize=6
+        )
+    axes.set_yscale("log")
+    axes.margins(y=0.25)
+    axes.set_xticks([])
+    axes.set_title(f"{column[0]} ({'whole takes' if column[1] == 'whole' else column[1]})", fontsize=9)
+    if first:
+        axes.set_ylabel("mean squared error [rad²]", fontsize=8)
+    axes.tick_params(labelsize=7)
+    axes.grid(axis="y", which="major", linewidth=0.3)
+
+
+def _traces(axes: Any, title: str, rollouts: Mapping[str, Rollout], joint: str | None, seconds: float) -> None:
+    some = next(iter(rollouts.values()))
+    j = some.joints.index(joint) if joint else int(np.ptp(some.measured, axis=(0, 1)).argmax())
+    measured = some.measured[..., j].ravel()
+    period = 1.0 / some.recording.rate
+    length = min(len(measured), round(seconds / period))
+    strides = range(0, len(measured) - length + 1, max(1, length // 4))
+    start = max(strides, key=lambda s: np.ptp(measured[s : s + length]))
+    shown = slice(start, start + length)
+    time = some.recording.time[some.index.ravel()][shown]
+    axes.plot(time, measured[shown], color="black", linewidth=1.6, label="recorded")
+    for method, rollout in rollouts.items():
+        axes.plot(time, rollout.position[..., j].ravel()[shown], color=COLOURS.get(method, "#888888"), linewidth=0.9)
+    axes.set_title(f"{title}, {some.joints[j]}", fontsize=9)
+    axes.set_ylabel("position [rad]", fontsize=8)
+    axes.set_xlabel("time [s]", fontsize=8)
+    axes.tick_params(labelsize=7)
+    axes.legend(fontsize=7, frameon=False, loc="upper right")
+
+
+def _patch(method: str) -> Any:
+    from matplotlib.patches import Patch
+
+    return Patch(facecolor=COLOURS.get(method, "#888888"), edgecolor="black", label=NAMES.get(method, method))
+
+
+def _methods(results: Sequence[Result]) -> list[str]:
+    order = list(NAMES)
+    found = dict.fromkeys(r.method for r in results)
+    return sorted(found, key=lambda m: (order.index(m) if m in order else len(order), m))
+
+
+def _columns(results: Sequence[Result]) -> list[tuple[str, str]]:
+    return list(dict.fromkeys((r.group, r.window) for r in results))
+
+
+def _values(results: Sequence[Result], method: str, column: tuple[str, str]) -> list[float]:
+    return [r.mse for r in results if r.method == method and (r.group, r.window) == column]
+
+
+def _mean(results: Sequence[Result], method: str, column: tuple[str, str]) -> float:
+    values = _values(results, method, column)
+    return float(np.mean(values)) if values else math.nan
+
+
+def _diverged(results: Sequence[Result], method: str, column: tuple[str, str]) -> float:
+    found = [r.diverged for r in results if r.method == method and (r.group, r.window) == column]
+    return float(np.mean(found)) if found else 0.0
+
+
+def _cell(of_method: Sequence[Result], column: tuple[str, str], baseline: float) -> str:
+    method = of_method[0].method
+    values = _values(of_method, method, column)
+    if not values:
+        return ""
+    mean = float(np.mean(values))
+    spread = f" ± {np.std(values):.1e}" if len(values) > 1 else ""
+    share = f" ({mean / baseline:.3f})" if baseline > 0 else ""
+    lost = _diverged(of_method, method, column)
+    return f"{mean:.2e}{spread}{share}" + (f", {100 * lost:.0f} % diverge" if lost else "")
