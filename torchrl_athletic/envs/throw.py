@@ -52,7 +52,7 @@ PRIVILEGED = ("ball_position", "ball_linear_velocity", "bucket_position", "bucke
 _ABSENT, _IN_BUCKET, _AWAY = 0, 1, 2
 _WAYPOINTS = (  # [s], then the joints of the arm [rad]
     (0.0, None),
-    (1.2, (0.0, 0.8, -2.3, -0.8, 0.0, 0.0)),
+    (1.9, (0.0, 0.8, -2.3, -0.8, 0.0, 0.0)),
     (2.5, (0.0, 0.8, -2.3, -0.8, 0.0, 0.0)),
     (2.9, (0.0, 1.8, -1.9, -0.8, 0.0, 0.0)),
     (3.5, (0.0, 1.8, -1.9, -0.8, 0.0, 0.0)),
