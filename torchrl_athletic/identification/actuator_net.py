@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,19 +70,20 @@ def identify_actuator_net(
     seen, torque = (torch.cat([train[k].flatten(0, 1) for train, _ in fit]) for k in (0, 1))
     held_seen, held_torque = (torch.cat([held[k].flatten(0, 1) for _, held in fit]) for k in (0, 1))
     spread = seen.unflatten(-1, (2, settings.history)).std((0, 2)).clamp(min=1e-6)
-    net = uan(settings.history, settings.hidden, unit=(float(spread[0]), float(spread[1])))
     scale = float(torque.std().clamp(min=1e-6))
+    units = (float(spread[0]), float(spread[1]))
+    net = uan(settings.history, settings.hidden, unit=units, torque_unit=scale)
     optimiser = torch.optim.Adam(net.parameters(), settings.learning_rate)
-    best, least, waited = {k: v.clone() for k, v in net.state_dict().items()}, np.inf, 0
+    best, least, waited = deepcopy(net.state_dict()), np.inf, 0
     for epoch in range(settings.epochs):
         for chosen in torch.randperm(len(seen)).split(settings.batch):
-            loss = (net(seen[chosen]).squeeze(-1) - torque[chosen] / scale).square().mean()
+            loss = ((net(seen[chosen]).squeeze(-1) - torque[chosen]) / scale).square().mean()
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
-        error = scale * _rms(net, held_seen, held_torque / scale)
+        error = _rms(net, held_seen, held_torque)
         if error < least:
-            best, least, waited = {k: v.clone() for k, v in net.state_dict().items()}, error, 0
+            best, least, waited = deepcopy(net.state_dict()), error, 0
         else:
             waited += 1
         if progress is not None:
@@ -89,7 +91,6 @@ def identify_actuator_net(
         if waited >= settings.patience:
             break
     net.load_state_dict(best)
-    _rescale(net, scale)
     notes = {
         "seed": seed,
         "training_seconds": time.perf_counter() - started,
@@ -147,11 +148,3 @@ def _rms(net: nn.Module, seen: Tensor, torque: Tensor) -> float:
         (net(s).squeeze(-1) - t).square().sum() for s, t in zip(seen.split(65536), torque.split(65536), strict=True)
     ]
     return float((torch.stack(squared).sum() / len(seen)).sqrt())
-
-
-@torch.no_grad()
-def _rescale(net: nn.Module, scale: float) -> None:
-    """Multiply the output, in the last layer."""
-    last = [layer for layer in net.modules() if isinstance(layer, nn.Linear)][-1]
-    last.weight.mul_(scale)
-    last.bias.mul_(scale)

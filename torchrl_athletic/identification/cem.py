@@ -119,9 +119,7 @@ def correction_of(joints: Sequence[str], values: ArrayLike) -> dict[str, Any]:
     found = np.split(np.asarray(values, dtype=np.float64), len(PARAMETERS))
     effects = [
         {"effect": effect, "joint": joint, "parameters": {name: {"value": float(value), "unit": unit}}}
-        for (effect, name, unit, *_), of_joints in zip(
-            PARAMETERS, np.split(np.asarray(values), len(PARAMETERS)), strict=True
-        )
+        for (effect, name, unit, *_), of_joints in zip(PARAMETERS, found, strict=True)
         for joint, value in zip(joints, of_joints, strict=True)
     ]
     return {"schema": SCHEMA, "joint_names": list(joints), "effects": effects, "trims": []}
