@@ -122,6 +122,8 @@ class DifferentiableTorqueEnv(TorqueEnv):
         self.copies.qpos.copy_(self.physics.qpos.repeat_interleave(rows, 0))
         self.copies.qpos[:, self._place] = position.flatten(0, 1)
         self.copies.qvel[:, self._dof] = velocity.flatten(0, 1)
+        warm = self.physics.data("qacc_warmstart")  # the solver begins alike, so that differences are the nudge's
+        self.copies.data("qacc_warmstart").copy_(warm.repeat_interleave(rows, 0))
         self.copies.apply_torque((torque.to(self.nudges.dtype).unsqueeze(1) + self.nudges[:, 2]).flatten(0, 1))
         self.copies.step()
 

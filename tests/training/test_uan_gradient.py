@@ -1,0 +1,150 @@
+"""The gradient that goes through the simulator is the simulator's own."""
+
+import math
+from copy import deepcopy
+from dataclasses import replace
+
+import pytest
+import torch
+from identification.arms import commands, recorded, robot
+
+from torchrl_athletic.envs import replay_env
+from torchrl_athletic.identification import Simulator
+from torchrl_athletic.networks import uan
+from torchrl_athletic.robots import b2z1, from_mjcf
+from torchrl_athletic.training import (
+    DifferentiableTorqueEnv,
+    GradientLearner,
+    control_step,
+    descend,
+    set_aside,
+    takes_of,
+    torque_unit,
+    train,
+    units_of,
+    validation_of,
+)
+
+PENDULUM = """
+<mujoco model="pendulum">
+  <option timestep="0.005" integrator="implicitfast"/>
+  <worldbody>
+    <body>
+      <joint name="hinge" axis="0 1 0" damping="0.4"/>
+      <inertial pos="0 0 -0.5" mass="2" diaginertia="0.01 0.01 0.01"/>
+    </body>
+  </worldbody>
+  <actuator><motor joint="hinge" forcerange="-30 30"/></actuator>
+</mujoco>"""
+
+
+def test_the_derivative_of_a_step_is_that_of_a_pendulum():
+    """Of v' = v + h (I + h d)⁻¹ (τ - d v - m g l sin q) and q' = q + h v', by q, v and τ."""
+    h, inertia, damping, weight = 0.005, 0.01 + 2 * 0.25, 0.4, 2 * 9.81 * 0.5
+    env = DifferentiableTorqueEnv(from_mjcf(PENDULUM), num_envs=1)
+    shown = env.reset()
+    env.physics.qpos[:], env.physics.qvel[:] = 0.7, -1.5
+    given = {"joint_position": 0.7, "joint_velocity": -1.5, "torque": 2.0}
+    leaves = {name: torch.full((1, 1), value, requires_grad=True) for name, value in given.items()}
+    after = env._step(shown.update(leaves))
+    gain = h / (inertia + h * damping)
+    by_state = {"joint_position": -gain * weight * math.cos(0.7), "joint_velocity": 1 - gain * damping, "torque": gain}
+    for name, leaf in leaves.items():
+        speed = torch.autograd.grad(after["joint_velocity"].sum(), leaf, retain_graph=True)[0].item()
+        place = torch.autograd.grad(after["joint_position"].sum(), leaf, retain_graph=True)[0].item()
+        assert speed == pytest.approx(by_state[name], rel=1e-3)
+        assert place == pytest.approx(h * by_state[name] + (name == "joint_position"), rel=1e-3)
+
+
+def take(seed=0, samples=600):
+    """Of an arm with twice the friction, which is what a net has to learn."""
+    real = replace(robot(), build=lambda: _stiff(robot().spec()))
+    return recorded(Simulator("real", real), commands(samples, seed=seed))
+
+
+def _stiff(spec):
+    for joint in spec.joints:
+        joint.damping[0] *= 4.0
+        joint.frictionloss *= 3.0
+    return spec
+
+
+def replayed(net, num_envs=4, max_steps=400):
+    base = DifferentiableTorqueEnv(robot(), num_envs=num_envs)
+    return replay_env(robot(), takes_of([take()], robot()), base=base, unit=torque_unit(net), max_steps=max_steps)
+
+
+def test_the_gradient_of_a_replay_is_its_slope():
+    """By the correction of the first of five steps, against the error that follows, nudged for real."""
+    net = uan()
+    env = replayed(net, num_envs=2)
+    env.transform[-1].by_row, env.transform[-1].starts = True, torch.tensor([200, 330])
+
+    def error(first):
+        following, total = env.reset(), 0.0
+        for k in range(5):
+            action = first if k == 0 else torch.zeros(2, 2)
+            step, following = control_step(env, lambda td, action=action: td.set("action", action), following)
+            total = total + step["next", "privileged"][..., 0].square().sum()
+        return total
+
+    action = torch.tensor([[0.5, -0.3], [1.0, 0.2]], requires_grad=True)
+    slope = torch.autograd.grad(error(action), action)[0]
+    with torch.no_grad():
+        for row, joint in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            nudge = torch.zeros(2, 2)
+            nudge[row, joint] = 0.1
+            measured = (error(action + nudge) - error(action - nudge)) / 0.2
+            assert slope[row, joint].item() == pytest.approx(measured.item(), rel=0.05, abs=1e-7)
+
+
+def learner_of(net, **options):
+    return GradientLearner(replayed(net, num_envs=8), net, minutes=1.0, windows=(16,), **options)
+
+
+def test_it_learns_friction_from_encoders_alone():
+    """In 60 windows the error of windows that it never saw falls to less than half."""
+    torch.manual_seed(0)
+    pieces, windows = set_aside([take(seed) for seed in (0, 1)], seconds=1.0)
+    takes = takes_of(pieces, robot())
+    net = uan(**units_of(takes, robot()))
+    validate = validation_of(Simulator("uan", robot()), windows, net)
+    before = validate()["mse"]
+    base = DifferentiableTorqueEnv(robot(), num_envs=8)
+    env = replay_env(robot(), takes, base=base, unit=torque_unit(net), max_steps=100)
+    train(GradientLearner(env, net, minutes=1.0, windows=(16,)), iterations=60, step=descend, progress=False)
+    assert validate()["mse"] < before / 2
+
+
+def test_windows_grow_and_the_rate_falls_with_the_time():
+    learner = learner_of(uan())
+    learner.windows = (4, 8, 16)
+    seen = []
+    for share in (0.0, 0.5, 0.99):
+        learner.seconds = 60 * share
+        report = descend(learner)
+        seen.append((report["window"].item(), report["rate"].item()))
+    assert [window for window, _ in seen] == [4, 8, 16]
+    assert seen[0][1] == pytest.approx(learner.rate)
+    assert seen[1][1] == pytest.approx(learner.rate / 2)
+    assert seen[2][1] < learner.rate / 100
+    assert learner.samples == 8 * (4 + 8 + 16)
+
+
+def test_it_goes_on_where_it_was():
+    torch.manual_seed(1)
+    first, second = learner_of(uan()), learner_of(uan())
+    descend(first)
+    second.load_state_dict(deepcopy(first.state_dict()))
+    for learner in (first, second):
+        descend(learner)
+    for one, other in zip(first.net.parameters(), second.net.parameters(), strict=True):
+        torch.testing.assert_close(one, other)
+    assert second.iteration == 2
+
+
+def test_a_walking_robot_and_no_time_are_refused():
+    with pytest.raises(ValueError, match="Bolt it to the world"):
+        DifferentiableTorqueEnv(b2z1())
+    with pytest.raises(ValueError, match="minutes is 0"):
+        GradientLearner(replayed(uan()), uan(), minutes=0.0)
