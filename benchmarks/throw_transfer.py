@@ -73,6 +73,8 @@ class Config:
     """Where to train."""
     num_envs: int = 4096
     """Of each training."""
+    evaluate_every: int = 200
+    """Iterations between measurements, each of which takes as long as some tens of iterations."""
     throws: int = 10
     """With each policy."""
     timeout: float = 2.0
@@ -150,6 +152,7 @@ def start(folder: Path, seed: int, output: Path, cfg: Config) -> tuple[subproces
         "minutes": cfg.minutes,
         "device": cfg.device,
         "ppo.num-envs": cfg.num_envs,
+        "evaluate-every": cfg.evaluate_every,
     }
     words = [word for name, value in flags.items() for word in (f"--{name}", str(value))]
     with (output / "log.txt").open("wb") as log:
