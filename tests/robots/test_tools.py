@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from robots.standing import Plant
 
-from torchrl_athletic.robots import Bucket, Dumbbell, b2z1, z1
+from torchrl_athletic.robots import Bucket, Dumbbell, b2z1, with_bucket, z1
 
 FRONT_BACK_SIDES = np.array([0.0, 0.3, -0.2, -0.1, 0.4, 0.2, 0.0])
 
@@ -88,3 +88,25 @@ def test_a_dumbbell_weighs_on_the_shoulder_by_its_lever():
 def test_a_tool_that_cannot_be_is_refused(tool, wrong, advice):
     with pytest.raises(ValueError, match=advice):
         tool(**wrong)
+
+
+def test_a_ball_that_is_fixed_in_its_bucket_weighs_the_same_and_flies_nowhere():
+    bucket = Bucket(opening=(0.0, 0.0, -1.0))
+    free, fixed = z1(tool=bucket), with_bucket(z1(), bucket)
+    assert fixed.model().nq == len(fixed.joint_names)
+    assert fixed.model().body_mass.sum() == pytest.approx(free.model().body_mass.sum())
+    assert fixed.model().body("bucket").mass == pytest.approx(bucket.mass + bucket.ball_mass)
+    plants = Plant(free), Plant(fixed)
+    for sensor in ("bucket_position", "bucket_axis"):
+        np.testing.assert_allclose(*(plant.sensed(sensor) for plant in plants), atol=1e-9)
+    np.testing.assert_allclose(plants[0].sensed("ball_position"), plants[1].sensed("bucket_position"), atol=1e-9)
+
+
+def test_the_bucket_s_axis_points_out_of_its_opening():
+    plant = Plant(with_bucket(z1(), Bucket(opening=(0.0, 0.0, -2.0))))
+    link = plant.data.body("link06").xmat.reshape(3, 3)
+    np.testing.assert_allclose(plant.sensed("bucket_axis"), -link[:, 2], atol=1e-9)
+    deepest = plant.model.geom("bucket_bottom").pos[2] + 0.5 * 0.008
+    rest = plant.model.site("bucket").pos[2]
+    assert rest - deepest == pytest.approx(0.035)  # it lies on the bottom, a radius high
+    assert Bucket().rim == pytest.approx(0.08 - 0.035)

@@ -49,7 +49,7 @@ class TorqueEnv(EnvBase):
         terminate: From what a step shows to whether the episode has failed, bool of shape (N, 1).
         fields: Of the model, to differ between environments, where ``physics`` is None.
         every_step: Of the robot's ``sensors``, those to show at every physics step, for transforms within
-            :class:`~torchrl_athletic.transforms.Decimation`: a quarter of the speed goes.
+            :class:`~torchrl_athletic.transforms.Decimation`. Refreshing them takes time.
 
     Raises:
         ValueError: If the physics drives other joints than the robot's, or the robot lacks one of the sensors.
