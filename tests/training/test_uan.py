@@ -1,0 +1,213 @@
+"""From recordings to a trained net: what may be learnt from, whose reward counts, and that it learns."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from identification.arms import commands, recorded, robot
+
+from torchrl_athletic.envs import replay_env
+from torchrl_athletic.envs.replay import HISTORY
+from torchrl_athletic.identification import Simulator
+from torchrl_athletic.networks import uan
+from torchrl_athletic.recordings import Recording, RecordingError
+from torchrl_athletic.robots import z1
+from torchrl_athletic.training import (
+    UAN,
+    for_training,
+    iterate,
+    set_aside,
+    takes_of,
+    torque_unit,
+    train,
+    uan_learner,
+    units_of,
+    validation_of,
+    with_gains_of,
+)
+from torchrl_athletic.training.uan import joint_rows
+
+ROBOT = robot()
+
+
+def take(samples=300, seed=0, **changes):
+    return replace(recorded(Simulator("real", ROBOT), commands(samples, seed=seed)), **changes)
+
+
+def swinging(names=("joint2", "joint1"), rate=200.0, **changes):
+    """Of a Z1, by formulas."""
+    time = np.arange(0.0, 1.0, 1 / rate)
+    position = np.stack([1.5 + 0.2 * np.sin(6 * time), 0.3 * np.sin(4 * time)], -1)
+    target = position + np.array([0.05, -0.1])
+    return Recording(
+        time, names, position, **{"position_target": target, "kp": [128.0, 64.0], "kd": [3.0, 1.5]} | changes
+    )
+
+
+def test_takes_are_in_the_robots_order_and_joints_that_are_not_named_rest():
+    arm = z1()
+    takes = takes_of([swinging()], arm)
+    time = torch.arange(200) * 0.005
+    torch.testing.assert_close(takes.position[:, 0], (0.3 * torch.sin(4 * time.double())).float())
+    torch.testing.assert_close(takes.command[:, 1], (1.55 + 0.2 * torch.sin(6 * time.double())).float())
+    rest = torch.tensor(arm.default_pose)[2:].expand(200, 5)
+    torch.testing.assert_close(takes.position[:, 2:], rest)
+    torch.testing.assert_close(takes.command[:, 2:], rest)
+    assert takes.velocity[:, 2:].abs().max() == 0
+
+
+def test_velocities_that_were_not_logged_are_slopes():
+    velocity = takes_of([swinging()], z1()).velocity[:, 1]
+    expected = 1.2 * torch.cos(6 * torch.arange(200) * 0.005)
+    torch.testing.assert_close(velocity, expected, atol=2e-3, rtol=0)
+
+
+def test_takes_of_another_rate_come_on_the_physics_grid():
+    takes = takes_of([swinging(rate=400.0)], z1())
+    assert takes.lengths == (200,)
+    expected = 1.5 + 0.2 * torch.sin(6 * torch.arange(200) * 0.005)
+    torch.testing.assert_close(takes.position[:, 1], expected, atol=1e-4, rtol=0)
+
+
+def test_torques_need_no_gains_but_all_joints():
+    took = take(kp=None, kd=None, position_target=None, torque_command=np.ones((300, 2)))
+    took = replace(took, torque_measured=None, torque_semantics=None)
+    takes = takes_of([took], ROBOT)
+    assert takes.driven == "torque"
+    assert (takes.command == 1).all()
+    torques = swinging(position_target=None, kp=None, kd=None, torque_command=np.zeros((200, 2)))
+    with pytest.raises(RecordingError, match="fall limp"):
+        takes_of([torques], z1())
+    with pytest.raises(RecordingError, match="Train on one kind"):
+        takes_of([took, take()], ROBOT)
+
+
+def test_takes_of_other_gains_or_joints_are_refused_and_a_robot_gets_the_gains_of_its_takes():
+    other = swinging(kp=[100.0, 50.0])
+    with pytest.raises(RecordingError, match=r"kp is \[100\.0, 50\.0\], z1's is \[128\.0, 64\.0\]"):
+        takes_of([other], z1())
+    arm = with_gains_of(z1(), [other])
+    assert arm.kp == (50.0, 100.0, *z1().kp[2:])
+    assert takes_of([other], arm).lengths == (200,)
+    with pytest.raises(RecordingError, match="none of z1's"):
+        takes_of([swinging(names=("elbow", "joint1"))], z1())
+    with pytest.raises(RecordingError, match="at least one"):
+        takes_of([], z1())
+
+
+def test_what_is_held_out_and_what_throws_is_never_trained_on():
+    kinds = [{"split": "train", "kind": "sine"}, {"split": "heldout", "kind": "gaussian"}, {"kind": "throw"}, {}]
+    takes = [take(100, metadata=metadata) for metadata in kinds]
+    assert for_training(takes) == [takes[0], takes[3]]
+    with pytest.raises(RecordingError, match="all 1 recordings are held out"):
+        for_training(takes[1:2])
+
+
+def test_windows_to_validate_on_share_no_sample_with_the_pieces_to_train_on():
+    takes = [take(samples, seed, source=str(samples)) for seed, samples in enumerate((1500, 900, 150))]
+    pieces, windows = set_aside(takes, share=0.5, seconds=1.0)
+    assert {r.num_samples for r in windows} == {200 + HISTORY}
+    assert len([w for w in windows if w.source == "1500"]) == 3
+    assert not [w for w in windows if w.source == "150"]
+    for source in ("1500", "900", "150"):
+        ours = [r.time for r in pieces if r.source == source]
+        theirs = [r.time for r in windows if r.source == source]
+        both = np.concatenate(ours + theirs)
+        assert len(np.unique(both)) == len(both)
+    with pytest.raises(RecordingError, match=r"none can spare a window"):
+        set_aside(takes[2:], seconds=1.0)
+
+
+def test_validation_replays_whole_windows_again_and_again():
+    heavy = replace(ROBOT, kp=ROBOT.kp, build=lambda: _heavier(ROBOT.spec()))
+    windows = set_aside([take(900)], seconds=1.0)[1]
+    same, other = (validation_of(Simulator("s", r), windows, uan(torque_unit=[1.0, 1.0])) for r in (ROBOT, heavy))
+    assert same()["mse"] < 1e-8
+    first = other()
+    assert first["mse"] > 1e-5
+    assert other() == first
+    assert first["lost"] == 0
+
+
+def _heavier(spec):
+    for geom in spec.geoms:
+        geom.mass *= 1.3
+    return spec
+
+
+def arm_env(net, num_envs=6):
+    takes = takes_of([take(300, seed) for seed in (0, 1)], ROBOT)
+    return replay_env(ROBOT, takes, unit=torque_unit(net), num_envs=num_envs, max_steps=40)
+
+
+def test_joints_as_rows_are_what_each_joint_saw_did_and_earned():
+    torch.manual_seed(0)
+    net = uan()
+    learner = uan_learner(arm_env(net), net, replace(UAN, num_envs=6, horizon=50), credit="joint", scale=0.3)
+    batch = super(type(learner.rollout), learner.rollout).__call__()
+    rows = joint_rows(batch)
+    assert rows.shape == (12, 50)
+    for row, arm, joint in ((0, 0, 0), (5, 2, 1), (11, 5, 1)):
+        for key in ("observation", "privileged", ("next", "observation")):
+            assert (rows[key][row] == batch[key][arm, :, joint]).all()
+        assert (rows["next", "reward"][row, :, 0] == batch["next", "joint_reward"][arm, :, joint]).all()
+        assert (rows["next", "done"][row] == batch["next", "done"][arm]).all()
+        assert (rows["joint"][row] == joint).all()
+    torch.testing.assert_close(rows["action_log_prob"].unflatten(0, (6, 2)).sum(1), batch["action_log_prob"])
+
+
+@pytest.mark.parametrize("credit", ["arm", "joint"])
+def test_the_policy_that_collects_is_the_one_that_learns(credit):
+    torch.manual_seed(0)
+    net = uan(torque_unit=[1.0, 1.0])
+    config = replace(UAN, num_envs=6, horizon=20)
+    learner = uan_learner(arm_env(net), net, config, credit=credit, scale=0.3)
+    seen = []
+    loss_actor = learner.stepper.loss.loss_actor
+
+    def noting(batch):
+        report = loss_actor(batch)
+        seen.append(report["kl"].item())
+        return report
+
+    learner.stepper.loss.loss_actor = noting
+    for _ in range(2):
+        seen.clear()
+        iterate(learner)
+        assert seen[0] == pytest.approx(0.0, abs=1e-5)
+        assert max(seen) > 1e-4
+    assert net[1][-1].weight.abs().max() > 0
+    assert learner.samples == 2 * 6 * 20 * (2 if credit == "joint" else 1)
+
+
+def test_episodes_do_not_all_end_at_once():
+    net = uan()
+    left = uan_learner(arm_env(net, 32), net, replace(UAN, num_envs=32)).rollout.current["steps_left"]
+    assert left.unique().numel() > 12
+    assert left.min() >= 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("credit", ["arm", "joint"])
+def test_it_learns_friction_by_trying(credit):
+    """In 40 iterations the error of windows that it never saw falls to less than two thirds."""
+    torch.manual_seed(0)
+    real = replace(ROBOT, build=lambda: _stiffer(ROBOT.spec()))
+    takes = [recorded(Simulator("real", real), commands(600, seed=seed)) for seed in (0, 1)]
+    pieces, windows = set_aside(takes, seconds=1.0)
+    found = takes_of(pieces, ROBOT)
+    net = uan(**units_of(found, ROBOT))
+    validate = validation_of(Simulator("uan", ROBOT), windows, net)
+    before = validate()["mse"]
+    env = replay_env(ROBOT, found, unit=torque_unit(net), num_envs=64)
+    learner = uan_learner(env, net, replace(UAN, num_envs=64, horizon=48), credit=credit, scale=0.5)
+    train(learner, iterations=40, progress=False)
+    assert validate()["mse"] < before * 2 / 3
+
+
+def _stiffer(spec):
+    for joint in spec.joints:
+        joint.damping[0] *= 4.0
+        joint.frictionloss *= 3.0
+    return spec
