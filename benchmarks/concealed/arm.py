@@ -15,17 +15,18 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from benchmarks.concealed.harmonic import (
+    PERIOD,
     POSITION,
+    RESOLUTION,
     ROTOR,
     SPEED,
     STATES,
     TORQUE,
-    advance,
     ideal,
+    play,
     workroom,
 )
 from benchmarks.concealed.plant import Tree
@@ -34,19 +35,6 @@ from torchrl_athletic.robots import Robot, z1
 
 Array = NDArray[np.float64]
 
-STEP = 1e-4
-"""Of the integrator [s]."""
-LOOP = 1e-3
-"""Period of the drives' own control loop [s]."""
-PERIOD = 5e-3
-"""Between two commands [s]."""
-LOOPS, STEPS = round(PERIOD / LOOP), round(LOOP / STEP)
-RATIO = 50
-"""Of the gears."""
-RESOLUTION = 2 * np.pi / (2**14 * RATIO)
-"""Of the encoders, 14 bits on the rotor, seen at the joint [rad]."""
-SPEED_FILTER = 0.4
-"""Share of a new encoder difference in the drive's estimate of the speed, each millisecond."""
 SETTLE = 1.0
 """How long a pose is held before anything else happens [s]."""
 ARCMIN = np.pi / 180 / 60
@@ -208,7 +196,7 @@ class ConcealedArm:
         """Rows (position, velocity, torque) before each target. Shape (T, 3, 6)."""
         wanted = np.ascontiguousarray(targets[:, :-1])
         rows = np.empty((len(wanted), 3, wanted.shape[1]))
-        _play(
+        play(
             self._tree, self._drives, self._x, self._register, self._last_target, wanted, self._kp, self._kd,
             self._limit, self._no_load, self._torque_scale, self._delay, self._room, self._slopes, rows,
         )  # fmt: skip
@@ -374,33 +362,3 @@ def _tip(tree: Tree, q: Array, v: Array, place: Array) -> tuple[Array, Array, Ar
     point = origin + frame @ place
     velocity = sum((v[j] * np.cross(axes[j], point - origins[j]) for j in range(len(q))), np.zeros(3))
     return point, frame, velocity
-
-
-@njit(cache=True)
-def _play(  # type: ignore[no-untyped-def]
-    tree, p, x, register, last_target, targets, kp, kd, limit, no_load, torque_scale, delay, room, slopes, rows
-):
-    """Send targets; ``x``, ``register`` (last reading, speed) and ``rows`` are written."""
-    n = x.shape[0]
-    wanted = np.zeros(n)
-    for k in range(targets.shape[0]):
-        for j in range(n):
-            rows[k, 0, j] = np.round(x[j, ROTOR] / RESOLUTION) * RESOLUTION
-            rows[k, 1, j] = register[1, j]
-            rows[k, 2, j] = x[j, TORQUE] / torque_scale[j]
-        for m in range(LOOPS):
-            late = m * LOOP < delay - 1e-9
-            for j in range(n):
-                target = targets[k, j]
-                if late:
-                    target = last_target[j] if k == 0 else targets[k - 1, j]
-                reading = np.round(x[j, ROTOR] / RESOLUTION) * RESOLUTION
-                register[1, j] += SPEED_FILTER * ((reading - register[0, j]) / LOOP - register[1, j])
-                register[0, j] = reading
-                speed = register[1, j]
-                used = speed / no_load[j]
-                torque = kp[j] * (target - reading) - kd[j] * speed
-                torque = min(torque, limit[j] * (1.0 - min(max(used, 0.0), 1.0)))
-                torque = max(torque, -limit[j] * (1.0 + max(min(used, 0.0), -1.0)))
-                wanted[j] = torque_scale[j] * torque
-            advance(tree, p, x, wanted, STEP, STEPS, room, slopes)

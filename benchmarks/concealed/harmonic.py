@@ -12,6 +12,9 @@ Per joint, all seen at the link's side, with wind-up φ = θ - q [rad] and ω th
 Bristles start, stick, slip and forget in an ordinary differential equation, and are passive at any speed: their power
 f ω = (f²/2s)' + |ω| f² / level never falls below the change of what they store (the same holds for h).
 
+All that is compiled stands in this file, since Numba's cache sees no change in another one: after an edit of
+``plant.py``, delete ``__pycache__``.
+
 Sources:
     Stiffness in three pieces: Harmonic Drive's catalogues. Dahl 1968, TOR-0158(3107-18)-1. Canudas de Wit, Olsson,
     Åström, Lischinsky 1995, IEEE Trans. Automatic Control 40(3), without the bristle's damping, which alone can make
@@ -29,6 +32,20 @@ from numpy.typing import NDArray
 from benchmarks.concealed.plant import dynamics, solve
 
 Array = NDArray[np.float64]
+
+STEP = 1e-4
+"""Of the integrator [s]."""
+LOOP = 1e-3
+"""Period of the drives' own control loop [s]."""
+PERIOD = 5e-3
+"""Between two commands [s]."""
+LOOPS, STEPS = round(PERIOD / LOOP), round(LOOP / STEP)
+RATIO = 50
+"""Of the gears."""
+RESOLUTION = 2 * np.pi / (2**14 * RATIO)
+"""Of the encoders, 14 bits on the rotor, seen at the joint [rad]."""
+SPEED_FILTER = 0.4
+"""Share of a new encoder difference in the drive's estimate of the speed, each millisecond."""
 
 FIELDS: dict[str, float] = {
     "rotor": 0.03,  # [kg·m²] J, with the wave generator, times the ratio squared
@@ -174,3 +191,51 @@ def advance(tree, p, x, wanted, step, steps, room, slopes):  # type: ignore[no-u
         moved[:] = x + step * k3
         derivative(tree, p, moved, wanted, room, k4)
         x += step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+
+@njit(cache=True)
+def play(  # type: ignore[no-untyped-def]
+    tree, p, x, register, last_target, targets, kp, kd, limit, no_load, torque_scale, delay, room, slopes, rows
+):
+    """Send targets to the drives, which close their loops at :data:`LOOP`, and let them move the arm.
+
+    Args:
+        tree: Bodies, a :class:`~benchmarks.concealed.plant.Tree`.
+        p: Drives, records of :data:`JOINT`. Shape (J,).
+        x: State, is overwritten. Shape (J, 7).
+        register: The drives' last encoder reading [rad] and estimate of the speed [rad/s]; overwritten. Shape (2, J).
+        last_target: That was sent before [rad]. Shape (J,).
+        targets: One each :data:`PERIOD` [rad]. Shape (T, J).
+        kp: [N·m/rad]. Shape (J,).
+        kd: [N·m·s/rad]. Shape (J,).
+        limit: Torque at standstill [N·m]. Shape (J,).
+        no_load: Speed at which no torque is left [rad/s]. Shape (J,).
+        torque_scale: True torque per torque that the drive believes in [1]. Shape (J,).
+        delay: Of targets, less than :data:`PERIOD` [s].
+        room: Of :func:`workroom`.
+        slopes: Room. Shape (5, J, 7).
+        rows: Written: position, velocity, torque as the drives see them, before each target. Shape (T, 3, J).
+    """
+    n = x.shape[0]
+    wanted = np.zeros(n)
+    for k in range(targets.shape[0]):
+        for j in range(n):
+            rows[k, 0, j] = np.round(x[j, ROTOR] / RESOLUTION) * RESOLUTION
+            rows[k, 1, j] = register[1, j]
+            rows[k, 2, j] = x[j, TORQUE] / torque_scale[j]
+        for m in range(LOOPS):
+            late = m * LOOP < delay - 1e-9
+            for j in range(n):
+                target = targets[k, j]
+                if late:
+                    target = last_target[j] if k == 0 else targets[k - 1, j]
+                reading = np.round(x[j, ROTOR] / RESOLUTION) * RESOLUTION
+                register[1, j] += SPEED_FILTER * ((reading - register[0, j]) / LOOP - register[1, j])
+                register[0, j] = reading
+                speed = register[1, j]
+                used = speed / no_load[j]
+                torque = kp[j] * (target - reading) - kd[j] * speed
+                torque = min(torque, limit[j] * (1.0 - min(max(used, 0.0), 1.0)))
+                torque = max(torque, -limit[j] * (1.0 + max(min(used, 0.0), -1.0)))
+                wanted[j] = torque_scale[j] * torque
+            advance(tree, p, x, wanted, STEP, STEPS, room, slopes)

@@ -147,6 +147,15 @@ def test_its_drives_close_the_loop_with_the_gains_that_they_are_given(arm):
     assert abs(soft.position - POSE)[2] > 3 * abs(stiff.position - POSE)[2] > 0.0
 
 
+def test_more_damping_makes_it_slower(arm):
+    target = np.tile(POSE, (60, 1))
+    target[:, 0] += 0.4
+    light, heavy = (arm.play(target, start=POSE, kd=k * np.array(z1().kd)).velocity[:, 0].max() for k in (1.0, 10.0))
+    push = 0.4 * z1().kp[0]
+    assert 0.3 < heavy < push / (10.0 * z1().kd[0])  # what damping alone would leave
+    assert light > 1.5 * heavy
+
+
 def test_a_target_takes_time_to_arrive_and_to_act(arm):
     arm.reset(POSE)
     before = arm.true_state().position[0]
