@@ -3,6 +3,7 @@
 python recipes/diagnose.py                    # demo: an arm that hides one effect; no data, a minute, 0.4 GB
 python recipes/diagnose.py --dataset emps     # a public recording of a real bench
 python recipes/diagnose.py --model robot.xml --recordings train/ --heldout heldout/ --output out/
+python recipes/diagnose.py --uan              # and teach a net what no named physics explains: two minutes more
 
 Files and folders are named one after the other. Ctrl-C leaves a report of what is known; the same command goes on.
 
@@ -14,6 +15,7 @@ Over 0.5 s windows kept aside the error falls from 23.1 to 0.6 mrad, where the s
 import tyro
 
 from torchrl_athletic.diagnosis.command import Config, main
+from torchrl_athletic.training import learn_remainder
 
 if __name__ == "__main__":
-    main(tyro.cli(Config, description=__doc__))
+    main(tyro.cli(Config, description=__doc__), learn_remainder)

@@ -19,7 +19,12 @@ def main(args: Sequence[str] | None = None) -> None:
         description="Find out why a MuJoCo simulation and a real robot disagree.",
         args=args,
     )
-    command.main(config)
+    if config.uan:
+        from torchrl_athletic.training import learn_remainder  # brings TorchRL, which a diagnosis does without
+
+        command.main(config, learn_remainder)
+    else:
+        command.main(config)
 
 
 if __name__ == "__main__":

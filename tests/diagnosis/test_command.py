@@ -167,3 +167,26 @@ def test_the_recipe_ends_with_one_line_on_stderr_and_code_1(folder):
     assert run.returncode == 1
     assert run.stdout == ""
     assert run.stderr == "error: nowhere.xml: there is no such model. Name an MJCF file, or pass its text.\n"
+
+
+def test_what_is_left_is_handed_over_when_asked_and_only_then(folder, asked):
+    handed = []
+
+    def hand_over(diagnosis, output):
+        handed.append(output)
+        return SimpleNamespace(experiment=None, answer=Answer("nothing_missing", ("A net was taught.",)))
+
+    given = parsed("--model", "robot.xml", "--recordings", "train", "--uan")
+    assert main(given, hand_over).answer.summary == ("A net was taught.",)
+    assert handed == [given.output]
+    main(parsed("--model", "robot.xml", "--recordings", "train"), hand_over)
+    assert len(handed) == 1
+
+
+def test_a_remainder_that_cannot_be_learnt_leaves_the_diagnosis_and_says_why(folder, asked, capsys):
+    def hand_over(diagnosis, output):
+        raise ValueError("the takes have several gains")
+
+    found = main(parsed("--model", "robot.xml", "--recordings", "train", "--uan"), hand_over)
+    assert found.answer.summary == ("All is well.",)
+    assert "No UAN was trained: the takes have several gains" in capsys.readouterr().out

@@ -116,3 +116,14 @@ def test_what_quality_control_left_out_is_counted_over_all_recordings():
     text = flat(terminal_summary(arm().answer))
     assert "45 samples (gap), 205 samples (stall)" in text  # 3 (1 + ... + 5), 5 x 41
     assert "Warning: multisine_2.csv: jitter of 0.6 ms" in text
+
+
+def test_a_net_on_the_remainder_has_a_row_of_its_own():
+    answer = slider().answer
+    named = answer.fit["heldout"]
+    learnt = replace(
+        named, after=0.1e-3, per_joint={"carriage": {"before": 1.05e-3, "after": 0.1e-3, "floor": 0.06e-3}}
+    )
+    assert "with a UAN" not in terminal_summary(answer)
+    text = terminal_summary(replace(answer, fit={**answer.fit, "heldout_uan": learnt}))
+    assert row(text, "kept aside, with a UAN, carriage [mm]")[1] == "0.10"

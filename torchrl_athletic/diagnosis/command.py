@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -43,10 +44,18 @@ class Config:
     """Time after which no further combination of effects is fitted [s]."""
     seed: int = 0
     """Of the bootstrap and of the choice of windows."""
+    uan: bool = False
+    """Hand what no named physics explains to an Unsupervised Actuator Net: two more minutes, and uan.pt."""
 
 
-def main(config: Config) -> Diagnosis:
-    """Run a diagnosis, print its summary, and leave the report in ``config.output``."""
+def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | None = None) -> Diagnosis:
+    """Run a diagnosis, print its summary, and leave the report in ``config.output``.
+
+    Args:
+        config: The flags.
+        hand_over: What ``--uan`` asks for, since a diagnosis knows of no training:
+            :func:`~torchrl_athletic.training.learn_remainder`.
+    """
     try:
         if config.output.is_file():  # said now, not after the fit
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
@@ -69,6 +78,11 @@ def main(config: Config) -> Diagnosis:
         sys.exit(f"error: {' '.join(str(error).split())}")
     except KeyboardInterrupt:
         sys.exit("Stopped before there was anything to report.")
+    if config.uan and hand_over is not None and diagnosis.answer.complete:
+        try:
+            diagnosis = hand_over(diagnosis, config.output)
+        except ValueError as error:
+            print(f"No UAN was trained: {error}\n")
     plan = diagnosis.experiment.sentence if diagnosis.experiment else ""
     print(terminal_summary(diagnosis.answer, plan))
     print(f"\nReport: {config.output / 'report.html'}")

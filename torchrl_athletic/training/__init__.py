@@ -6,6 +6,7 @@ from torchrl_athletic.training.evaluation import play, record_video
 from torchrl_athletic.training.finite import NonFiniteError, check_finite
 from torchrl_athletic.training.logging import CSVTable, LoggerName, MetricLogger, make_logger
 from torchrl_athletic.training.ppo import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
+from torchrl_athletic.training.remainder import learn_remainder
 from torchrl_athletic.training.rollout import Rollout, control_step
 from torchrl_athletic.training.uan import (
     Credit,
@@ -46,6 +47,7 @@ __all__ = [
     "for_training",
     "fuse_transforms",
     "iterate",
+    "learn_remainder",
     "make_logger",
     "play",
     "record_video",

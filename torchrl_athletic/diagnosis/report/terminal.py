@@ -92,7 +92,8 @@ def _parameters(finding: Finding) -> Iterator[str]:
 
 def _fit(answer: Answer) -> Iterator[str]:
     units = joint_units(answer)
-    shown = [(split, on) for split, on in (("heldout", "kept aside"), ("train", "fitted")) if split in answer.fit]
+    names = {"heldout": "kept aside", "heldout_uan": "kept aside, with a UAN", "train": "fitted"}
+    shown = [(split, on) for split, on in names.items() if split in answer.fit]
     if shown:
         yield _row("error over 0.5 s", "before", "after", "floor", "closed")
     for i, (split, on) in enumerate(shown):

@@ -1,0 +1,225 @@
+"""What named physics leaves of an error, handed to a UAN: trained on the diagnosis's own takes, scored as it scores."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from torchrl_athletic.diagnosis import Diagnosis, Score
+from torchrl_athletic.diagnosis.compare import score
+from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.effects import JointAddress, Law, Now, Parameter, Plant, Start
+from torchrl_athletic.effects.effect import torque_bound
+from torchrl_athletic.envs import replay_env
+from torchrl_athletic.identification import Simulator
+from torchrl_athletic.networks import save_checkpoint, uan
+from torchrl_athletic.recordings import Recording
+from torchrl_athletic.robots import Robot, from_mjcf
+from torchrl_athletic.training.ppo import train
+from torchrl_athletic.training.uan import takes_of, torque_unit, units_of
+from torchrl_athletic.training.uan_gradient import DifferentiableTorqueEnv, GradientLearner, descend
+
+Array = NDArray[np.float64]
+
+HISTORY = 20
+"""Physics steps that the net looks back."""
+HIDDEN = (32, 32)
+"""What is left is small, and so is the net: takes of a minute would teach a larger one their noise."""
+FILE = "uan.pt"
+
+
+def learn_remainder(
+    diagnosis: Diagnosis,
+    output: str | Path | None = None,
+    *,
+    minutes: float = 2.0,
+    rows: int = 16,
+    iterations: int | None = None,
+    progress: bool = True,
+) -> Diagnosis:
+    """Teach a net the torques that the corrected simulation still lacks, and score it on the same windows.
+
+    The net is trained down the gradient of the position error on the fitted takes; those kept aside only score. Its
+    score is ``train_uan`` and ``heldout_uan`` of the answer's ``fit``, beside those of the named physics.
+
+    Args:
+        diagnosis: Complete, as :func:`~torchrl_athletic.diagnosis.diagnose` returns it.
+        output: Folder of the diagnosis, which is written again, with ``uan.pt`` beside it.
+        minutes: Of training [min].
+        rows: Replayed at once.
+        iterations: When to stop in any case.
+        progress: Whether to show a bar.
+
+    Returns:
+        The diagnosis with the two scores.
+
+    Raises:
+        ValueError: If the diagnosis holds no recordings, takes are of several kinds, or a finding has no place in a
+            simulation that a policy can be trained in.
+    """
+    if not diagnosis.recordings:
+        raise ValueError(
+            "the diagnosis holds no recordings (it was loaded, or stopped early), so there is nothing to learn from. "
+            "Diagnose to the end, and hand over what diagnose() returns."
+        )
+    robot = driven_robot(diagnosis.xml, diagnosis.recordings)
+    simulator = Simulator("diagnosed_uan", robot, diagnosis.corrected.to_json())
+    torch.manual_seed(diagnosis.answer.seed)
+    takes = takes_of([_named(r, robot) for r in diagnosis.recordings], robot)
+    net = uan(HISTORY, HIDDEN, **units_of(takes, robot))
+    base = DifferentiableTorqueEnv(simulator.robot, num_envs=rows)
+    env = replay_env(
+        simulator.robot,
+        takes,
+        chain=simulator.chain(command=takes.driven, limits=False, decimation=1),
+        unit=torque_unit(net),
+        base=base,
+        max_steps=round(0.5 / float(robot.model().opt.timestep)),
+        seed=diagnosis.answer.seed,
+    )
+    learner = GradientLearner(env, net, minutes=minutes)
+    train(learner, minutes=minutes, iterations=iterations, progress=progress, show=["train_mse"], step=descend)
+    scores = {
+        f"{split}_uan": scored(diagnosis, net, robot, split, group)
+        for split, group in (("train", diagnosis.recordings), ("heldout", diagnosis.heldout))
+        if group
+    }
+    answer = diagnosis.answer
+    answer = replace(answer, fit={**answer.fit, **scores}, remarks=(*answer.remarks, *_remark(answer.fit, scores)))
+    found = replace(diagnosis, answer=answer)
+    if output is not None:
+        save_checkpoint(Path(output) / FILE, {"hidden": list(HIDDEN), "history": HISTORY}, net=net)
+        found.save(output)
+    return found
+
+
+def driven_robot(xml: str, recordings: Sequence[Recording]) -> Robot:
+    """The given model with the gains of its takes; with a unit gain where they are torques.
+
+    Raises:
+        ValueError: If the gains differ between takes, since the errors that a net sees would mean several things.
+    """
+    kp, kd = recordings[0].kp, recordings[0].kd
+    if len({(str(r.kp), str(r.kd)) for r in recordings}) > 1:
+        raise ValueError(
+            "the takes have several gains, or positions and torques for commands: the errors that a net sees would "
+            "mean several things. Diagnose takes of one kind to hand the rest to a UAN."
+        )
+    robot = from_mjcf(xml, kp=1.0, kd=0.0, torque_limit=1.0)
+    model = robot.model()
+    address = JointAddress.of(model, robot.joint_names)
+    limits = [torque_bound(model, address, j) for j in range(len(robot.joint_names))]
+    robot = replace(robot, torque_limit=tuple(limits))
+    if kp is None or kd is None:
+        return robot
+    columns = [recordings[0].joint_names.index(name) for name in robot.joint_names]
+    return replace(robot, kp=tuple(kp[columns].tolist()), kd=tuple(kd[columns].tolist()))
+
+
+def _named(recording: Recording, robot: Robot) -> Recording:
+    """Without the channels that training does not look at."""
+    return replace(recording.ordered(robot.joint_names), torque_measured=None, torque_semantics=None)
+
+
+def _remark(before: Mapping[str, Score], after: Mapping[str, Score]) -> tuple[str, ...]:
+    """What the net did on the takes that decide."""
+    split = "heldout" if "heldout" in before else "train"
+    named, learnt = before[split].after, after[f"{split}_uan"].after
+    where = "kept aside" if split == "heldout" else "that it was fitted on"
+    if learnt >= named:
+        return (f"A UAN on the remainder does not help on recordings {where}: leave it out of the simulation.",)
+    share = 100 * (1 - learnt / max(named, 1e-12))
+    return (f"A UAN on the remainder takes another {share:.0f} % off the error on recordings {where}.",)
+
+
+# --- the net in the diagnosis's own replay ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class WithNet(Hypothesis):
+    """A hypothesis with a net beside it, which acts where its last parameter is one and not where that is zero."""
+
+    net: nn.Module | None = None
+    robot: Robot | None = None
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (*super().parameters, Parameter("net", "1", 0.0, 0.0, 1.0, 1.0))
+
+    def build(self, plant: Plant, values: Array) -> None:
+        super().build(plant, values[:, :-1])
+        assert self.net is not None
+        assert self.robot is not None
+        law = LearnedTorque(self.net, self.robot, plant, values[:, -1:])
+        plant.motor.append(law.note)
+        plant.laws.append(law)
+
+
+class LearnedTorque(Law):
+    """A UAN's torque beside the motor, from the errors of the last physics steps of the robot that it was trained on.
+
+    Args:
+        net: As :func:`~torchrl_athletic.networks.uan` makes it.
+        robot: With the gains that make an error of position of a torque, and its time step.
+        plant: That it acts in.
+        share: 1 where it acts, 0 where not. Shape (rows, 1).
+    """
+
+    def __init__(self, net: nn.Module, robot: Robot, plant: Plant, share: Array) -> None:
+        names = [mujoco.mj_id2name(plant.model, mujoco.mjtObj.mjOBJ_JOINT, j) for j in plant.address.joint]
+        order = [robot.joint_names.index(name) for name in names]
+        self.back = np.argsort(order)
+        self.net, self.share = net, share
+        self.kp, self.kd = np.array(robot.kp)[order], np.array(robot.kd)[order]
+        self.servo = bool(self.kd.any())
+        self.period, self.step = float(robot.model().opt.timestep), float(plant.model.opt.timestep)
+        self.stride = max(1, round(self.period / self.step))
+
+    def begin(self, start: Start) -> None:
+        """Fill the history with what was measured before; before a take's first sample it stood as it began."""
+        self.start = start
+        errors = self._errors(start.command, start.position, start.velocity)  # (S, J, 2)
+        back = np.arange(HISTORY * self.stride, 0, -1) * self.step
+        at = start.time[start.sample][:, None] - back  # (rows, L)
+        columns = errors.reshape(len(errors), -1).T
+        past = np.stack([np.interp(at, start.time, column) for column in columns], -1)
+        self.past = past.reshape(*at.shape, *errors.shape[1:])  # (rows, L, J, 2)
+
+    def note(self, now: Now) -> Array:
+        """See the motor's errors; its torque stays as it is."""
+        torque = now.torque
+        if not self.servo:  # as it was sent, whatever delays it on its way
+            at = np.searchsorted(self.start.time, now.time + 1e-9, side="right") - 1
+            torque = self.start.command[np.clip(at, 0, None)]
+        errors = self._errors(torque, now.position, now.velocity)[:, None]
+        self.past = np.concatenate([self.past[:, 1:], errors], 1)
+        return now.torque
+
+    def __call__(self, now: Now) -> Array:
+        seen = self.past[:, self.stride - 1 :: self.stride][:, :, self.back]  # (rows, L, J, 2), in the robot's order
+        features = torch.from_numpy(seen.transpose(0, 2, 3, 1).reshape(*seen.shape[::2], -1)).float()
+        with torch.no_grad():
+            torque = self.net(features).squeeze(-1).double().numpy()
+        return np.asarray(self.share * torque[:, np.argsort(self.back)])
+
+    def _errors(self, torque: Array, position: Array, velocity: Array) -> Array:
+        """Position error of the target that commands this torque, and velocity error. Shape (..., J, 2)."""
+        return np.stack([(torque + self.kd * velocity) / self.kp, -velocity], -1)
+
+
+def scored(diagnosis: Diagnosis, net: nn.Module, robot: Robot, split: str, recordings: Sequence[Recording]) -> Score:
+    """The given model against the corrected one with the net, over the windows that the diagnosis was scored on."""
+    corrected = diagnosis.corrected
+    prepared = prepare(recordings, corrected.model)
+    hypothesis = WithNet(corrected.hypothesis.terms, corrected.hypothesis.trims, net, robot)
+    values = np.append(corrected.values, 1.0)
+    rng = np.random.default_rng([diagnosis.answer.seed, *split.encode()])
+    return score(prepared.takes, hypothesis, values, prepared.position_noise, rng, prepared.repeatability)[0]
