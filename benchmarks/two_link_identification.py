@@ -1,0 +1,223 @@
+"""Methods of identification on a real arm: fitted on some files, scored on others, with 5 to 60 s of data.
+
+python benchmarks/two_link_identification.py --jobs 8
+
+The two-link arm of DFKI's lab follows torque commands late, through friction; measured torques come from the motor
+current. Every method starts from the published links without rotors and friction. Six takes with sines on both motors
+are for fitting, in their order: 5 s are the first half of the first take. Kept aside are the swing-up and the two takes
+where the elbow alone is driven. Each case leaves a simulator, so that the same command goes on after a kill.
+Results: docs/identification.md.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+import tyro
+from tqdm import tqdm
+
+from torchrl_athletic import training
+from torchrl_athletic.envs import replay_env
+from torchrl_athletic.identification import (
+    CEM,
+    ActuatorNetTraining,
+    Result,
+    Rollout,
+    Simulator,
+    compare,
+    figure,
+    identify_actuator_net,
+    identify_cem,
+    identify_diagnosed,
+    open_loop,
+    table,
+)
+from torchrl_athletic.identification.comparison import COLOURS, NAMES
+from torchrl_athletic.networks import uan
+from torchrl_athletic.recordings import Recording, resample
+from torchrl_athletic.recordings.datasets.two_link_arm import load
+from torchrl_athletic.robots import Robot, from_mjcf
+from torchrl_athletic.robots.benches import two_link_arm
+
+Method = Literal["default", "cem", "actuator_net", "uan", "diagnosed", "diagnosed_uan"]
+STEP = 0.005
+SEEDED = ("cem", "actuator_net", "uan", "diagnosed_uan")
+GROUPS = {"swing-up": "swing-up", "open-loop sines on the elbow": "elbow alone"}
+
+
+@dataclass(frozen=True)
+class Config:
+    output: Path = Path("outputs/two_link")
+    """Folder of simulators, numbers and pictures."""
+    seconds: tuple[float, ...] = (5.0, 10.0, 20.0, 40.0, 60.0)
+    """Of data to fit."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Of methods that draw random numbers."""
+    methods: tuple[Method, ...] = get_args(Method)
+    """Which to run."""
+    minutes: float = 2.0
+    """Of training a UAN, by gradient descent on two cores [min]."""
+    jobs: int = 1
+    """Cases at a time."""
+
+
+@dataclass(frozen=True)
+class Case:
+    method: Method
+    seconds: float
+    seed: int
+
+    @property
+    def name(self) -> str:
+        return f"{self.method}_{self.seconds:g}s_seed{self.seed}"
+
+
+def main(cfg: Config) -> None:
+    cases = list(cases_of(cfg))
+    for wave in (("default", "cem", "actuator_net", "uan", "diagnosed"), ("diagnosed_uan",)):  # the last needs a model
+        todo = [c for c in cases if c.method in wave and not (cfg.output / c.name / "simulator.json").exists()]
+        with ProcessPoolExecutor(cfg.jobs) as pool:
+            running = [pool.submit(identify, case, cfg) for case in todo]
+            for done in tqdm(as_completed(running), total=len(todo), desc=", ".join(wave)):
+                done.result()
+    robot, (_, heldout) = arm(), takes()
+    groups = {name: [t for t in heldout if kind in t.metadata["excitation"]] for kind, name in GROUPS.items()}
+    found = {c: Simulator.load(cfg.output / c.name, robot) for c in cases}
+    results = {c: compare(s, groups, (None, 2.0, 0.5)) for c, s in tqdm(found.items(), desc="scores")}
+    most = max(cfg.seconds)
+    whole = [r for c, of in results.items() if c.seconds == most or c.method == "default" for r in of]
+    everything = [{"seconds": c.seconds, **r.to_json()} for c, of in results.items() for r in of]
+    (cfg.output / "two_link.json").write_text(json.dumps(everything, indent=1))
+    text = table(whole) + "\n" + efficiency_table(results, cfg.seconds)
+    (cfg.output / "two_link.md").write_text(text)
+    first = {c.method: s for c, s in reversed(found.items()) if c.seconds in (most, 0.0)}
+    figure(whole, overlays(first, groups), cfg.output / "two_link.svg", window="0.5 s", seconds=4.0)
+    draw_efficiency(results, cfg.output / "two_link_efficiency.svg")
+    print(text)
+
+
+def cases_of(cfg: Config) -> Iterator[Case]:
+    for method, seconds, seed in product(cfg.methods, cfg.seconds, cfg.seeds):
+        if method == "default":
+            continue
+        if method in SEEDED or seed == cfg.seeds[0]:
+            yield Case(method, seconds, seed)
+    if "default" in cfg.methods:
+        yield Case("default", 0.0, 0)
+
+
+def arm() -> Robot:
+    """The gains belong to the drive that nets imagine behind a torque command; the arm has none."""
+    return from_mjcf(two_link_arm(timestep=STEP), kp=20.0, kd=0.5)
+
+
+def takes() -> tuple[list[Recording], list[Recording]]:
+    """To fit and kept aside, on the grid of the simulation."""
+    data = load()
+    return tuple([resample(take, STEP) for take in group] for group in (data.recordings, data.heldout))  # type: ignore[return-value]
+
+
+def first_seconds(recordings: Sequence[Recording], seconds: float) -> list[Recording]:
+    """As many takes as it takes, the last one cut."""
+    out: list[Recording] = []
+    left = round(seconds / STEP)
+    for take in recordings:
+        if left > 1:
+            out.append(take.slice(0, min(left, take.num_samples)))
+            left -= out[-1].num_samples
+    return out
+
+
+def identify(case: Case, cfg: Config) -> None:
+    torch.set_num_threads(1)
+    robot, fit = arm(), first_seconds(takes()[0], case.seconds)
+    simulator = Simulator("default", robot)
+    if case.method == "cem":
+        windows = max(4, min(48, round(case.seconds)))
+        simulator = identify_cem(robot, fit, CEM(population=12, windows=windows, window=0.5), seed=case.seed)
+    elif case.method == "actuator_net":
+        simulator = identify_actuator_net(robot, fit, ActuatorNetTraining(batch=1024, epochs=100), seed=case.seed)
+    elif case.method == "diagnosed":
+        simulator = identify_diagnosed(robot, fit, output=cfg.output / case.name / "diagnosis")
+    elif case.method == "uan":
+        simulator = with_uan(Simulator("uan", robot), fit, case.seed, cfg.minutes)
+    elif case.method == "diagnosed_uan":
+        folder = cfg.output / Case("diagnosed", case.seconds, cfg.seeds[0]).name
+        given = replace(Simulator.load(folder, robot), name="diagnosed_uan")
+        simulator = with_uan(given, fit, case.seed, cfg.minutes)
+    simulator.save(cfg.output / case.name)
+
+
+def with_uan(given: Simulator, recordings: Sequence[Recording], seed: int, minutes: float) -> Simulator:
+    """An Unsupervised Actuator Net on what a simulator leaves, down the gradient of the position's error."""
+    torch.manual_seed(seed)
+    takes = training.takes_of(recordings, given.robot)
+    net = uan(**training.units_of(takes, given.robot))
+    base = training.DifferentiableTorqueEnv(given.robot, num_envs=32)
+    unit, chain = training.torque_unit(net), given.chain(command=takes.driven, decimation=1)
+    env = replay_env(given.robot, takes, chain=chain, unit=unit, base=base, max_steps=200, seed=seed)
+    learner = training.GradientLearner(env, net, minutes=minutes)
+    training.train(learner, minutes=minutes, step=training.descend, progress=False)
+    seconds = float(sum(r.duration for r in recordings))
+    notes = {"seed": seed, "training_seconds": 60 * minutes, "data_seconds": seconds}
+    return replace(given, net=net, kind="correction", notes=notes)
+
+
+def overlays(simulators: dict[Method, Simulator], groups: dict[str, list[Recording]]) -> dict[str, dict[str, Rollout]]:
+    """Each group's first take, in windows of 2 s."""
+    return {
+        f"kept aside: {name}": {method: open_loop(s, kept[:1], 2.0)[0] for method, s in simulators.items()}
+        for name, kept in groups.items()
+    }
+
+
+def efficiency(results: dict[Case, list[Result]], method: str, seconds: float) -> list[float]:
+    """Mean squared error over 0.5 s windows of all takes kept aside, for each seed [rad²]."""
+    return [
+        float(np.mean([r.mse for r in of if r.window == "0.5 s"]))
+        for c, of in results.items()
+        if c.method == method and c.seconds == seconds
+    ]
+
+
+def efficiency_table(results: dict[Case, list[Result]], seconds: Sequence[float]) -> str:
+    methods = list(dict.fromkeys(c.method for c in results if c.method != "default"))
+    lines = ["| data | " + " | ".join(NAMES[m] for m in methods) + " |", "|" + " --- |" * (1 + len(methods))]
+    for s in seconds:
+        cells = [efficiency(results, m, s) for m in methods]
+        text = [
+            f"{np.mean(v):.2e} ± {np.std(v):.0e}" if len(v) > 1 else f"{np.mean(v):.2e}" if v else "" for v in cells
+        ]
+        lines.append(f"| {s:g} s | " + " | ".join(text) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def draw_efficiency(results: dict[Case, list[Result]], path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    picture = Figure(figsize=(5, 3.2), layout="constrained")
+    axes = picture.add_subplot()
+    for method in dict.fromkeys(c.method for c in results):
+        if method == "default":
+            axes.axhline(float(np.mean(efficiency(results, method, 0.0))), color=COLOURS[method], label=NAMES[method])
+            continue
+        seconds = sorted({c.seconds for c in results if c.method == method})
+        values = [efficiency(results, method, s) for s in seconds]
+        spread = [float(np.std(v)) for v in values]
+        means = [float(np.mean(v)) for v in values]
+        axes.errorbar(seconds, means, spread, color=COLOURS[method], marker="o", capsize=3, label=NAMES[method])
+    axes.set(xscale="log", yscale="log", xlabel="data to fit [s]", ylabel="mean squared error, 0.5 s windows [rad²]")
+    axes.legend(fontsize=7, frameon=False)
+    picture.savefig(path)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))

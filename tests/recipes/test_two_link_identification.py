@@ -1,0 +1,66 @@
+"""The comparison on the real two-link arm: what is fitted, what is kept aside, and what the tables say of it."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from torchrl_athletic.identification import Result
+from torchrl_athletic.recordings import Recording
+
+PATH = Path(__file__).parents[2] / "benchmarks" / "two_link_identification.py"
+SPEC = importlib.util.spec_from_file_location("benchmarks_two_link_identification", PATH)
+benchmark = importlib.util.module_from_spec(SPEC)
+sys.modules[SPEC.name] = benchmark  # where dataclasses look for annotations
+SPEC.loader.exec_module(benchmark)
+
+
+def take(samples):
+    blank = np.zeros((samples, 2))
+    return Recording(0.005 * np.arange(samples), ("shoulder", "elbow"), blank, torque_command=blank)
+
+
+@pytest.mark.parametrize(("seconds", "lengths"), [(5, [1000]), (10, [2000]), (12.5, [2000, 500]), (100, [2000, 2000])])
+def test_so_many_seconds_are_the_first_ones_in_the_order_of_the_takes(seconds, lengths):
+    cut = benchmark.first_seconds([take(2000), take(2000)], seconds)
+    assert [t.num_samples for t in cut] == lengths
+
+
+def test_methods_that_draw_nothing_run_once_and_the_default_needs_no_data():
+    cases = list(benchmark.cases_of(benchmark.Config(seconds=(5.0, 60.0), seeds=(0, 1, 2))))
+    count = {m: sum(c.method == m for c in cases) for m in ("default", "cem", "uan", "diagnosed", "diagnosed_uan")}
+    assert count == {"default": 1, "cem": 6, "uan": 6, "diagnosed": 2, "diagnosed_uan": 6}
+    assert len({c.name for c in cases}) == len(cases)
+
+
+def result(method, seed, mse, group="swing-up", window="0.5 s"):
+    return Result(method, seed, group, window, mse, {}, 0.0, 0.0, 0.0)
+
+
+def test_efficiency_is_the_mean_over_the_groups_kept_aside_for_each_seed():
+    case = benchmark.Case
+    results = {
+        case("default", 0.0, 0): [result("default", 0, 0.4)],
+        case("cem", 5.0, 0): [
+            result("cem", 0, 0.1),
+            result("cem", 0, 0.3, "elbow alone"),
+            result("cem", 0, 9.0, window="whole"),
+        ],
+        case("cem", 5.0, 1): [result("cem", 1, 0.4), result("cem", 1, 0.4, "elbow alone")],
+        case("cem", 60.0, 0): [result("cem", 0, 0.01)],
+    }
+    assert benchmark.efficiency(results, "cem", 5.0) == pytest.approx([0.2, 0.4])
+    text = benchmark.efficiency_table(results, (5.0, 60.0))
+    assert "| 5 s | 3.00e-01 ± 1e-01 |" in text
+    assert "| 60 s | 1.00e-02 |" in text
+
+
+def test_the_arm_steps_as_often_as_the_takes_are_sampled_and_has_neither_rotors_nor_friction():
+    robot = benchmark.arm()
+    model = robot.model()
+    assert model.opt.timestep == benchmark.STEP
+    assert robot.joint_names == ("shoulder", "elbow")
+    assert not model.dof_frictionloss.any()
+    assert not model.dof_armature.any()
