@@ -71,7 +71,7 @@ class Config:
     """Of each [min]."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where to train."""
-    num_envs: int = 4096
+    num_envs: int = 2048
     """Of each training."""
     evaluate_every: int = 200
     """Iterations between measurements, each of which takes as long as some tens of iterations."""
