@@ -46,6 +46,8 @@ RESOLUTION = 2 * np.pi / (2**14 * RATIO)
 """Of the encoders, 14 bits on the rotor, seen at the joint [rad]."""
 SPEED_FILTER = 0.4
 """Share of a new encoder difference in the drive's estimate of the speed, each millisecond."""
+SPEED_RESOLUTION = 1e-6
+"""Below which that estimate is zero [rad/s]."""
 
 FIELDS: dict[str, float] = {
     "rotor": 0.03,  # [kg·m²] J, with the wave generator, times the ratio squared
@@ -231,6 +233,8 @@ def play(  # type: ignore[no-untyped-def]
                     target = last_target[j] if k == 0 else targets[k - 1, j]
                 reading = np.round(x[j, ROTOR] / RESOLUTION) * RESOLUTION
                 register[1, j] += SPEED_FILTER * ((reading - register[0, j]) / LOOP - register[1, j])
+                if abs(register[1, j]) < SPEED_RESOLUTION:
+                    register[1, j] = 0.0
                 register[0, j] = reading
                 speed = register[1, j]
                 used = speed / no_load[j]

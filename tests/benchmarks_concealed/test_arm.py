@@ -121,6 +121,9 @@ def test_a_take_is_the_same_as_its_steps(arm):
     readings = [arm.reset(target[0])] + [arm.step(row) for row in target[:-1]]
     np.testing.assert_array_equal(recording.position, [r.position for r in readings])
     np.testing.assert_array_equal(recording.velocity, [r.velocity for r in readings])
+    torque = np.array([r.torque for r in readings])
+    np.testing.assert_allclose(recording.torque_measured, torque, atol=8 * 0.005 * 60.0)  # noise of both
+    assert np.abs(torque).max() > 10.0  # far above that noise
     assert recording.rate == pytest.approx(arm.rate)
     assert recording.torque_semantics == "current_derived"
 
@@ -154,6 +157,12 @@ def test_more_damping_makes_it_slower(arm):
     push = 0.4 * z1().kp[0]
     assert 0.3 < heavy < push / (10.0 * z1().kd[0])  # what damping alone would leave
     assert light > 1.5 * heavy
+
+
+def test_a_joint_that_rests_has_no_speed(arm):
+    speed = arm.play(np.tile(POSE, (100, 1))).velocity
+    assert (speed[-1, [0, 5]] == 0.0).all()
+    assert ((speed == 0.0) | (np.abs(speed) >= 1e-6)).all()
 
 
 def test_a_target_takes_time_to_arrive_and_to_act(arm):
