@@ -94,7 +94,7 @@ def main(cfg: Config) -> Simulator:
 
 def make_learner(cfg: Config, given: Simulator, takes: Takes, net: nn.Sequential) -> Any:
     rows, robot, unit = cfg.num_envs or ROWS[cfg.method, cfg.device], given.robot, training.torque_unit(net)
-    chain = given.chain(command=takes.driven, decimation=1)
+    chain = training.chain_with(given, net, takes)
     if cfg.method == "gradient":
         moved = robot.joint_groups.get("arm")
         base = training.DifferentiableTorqueEnv(robot, joints=moved, num_envs=rows, device=cfg.device)

@@ -10,14 +10,14 @@ from tensordict import TensorDict
 from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from torchrl_athletic.envs import Takes, TorqueEnv, replay_env
-from torchrl_athletic.envs.replay import HISTORY
+from torchrl_athletic.envs import ReplayTakes, Takes, TorqueEnv, replay_env
+from torchrl_athletic.envs.replay import HISTORY, AddedTorque
 from torchrl_athletic.functional import rewards
 from torchrl_athletic.identification import Simulator
 from torchrl_athletic.networks import uan
 from torchrl_athletic.testing import no_host_sync
 from torchrl_athletic.training import control_step, takes_of, torque_unit
-from torchrl_athletic.transforms import PDControl, TorqueSpeedClip, UANCorrection
+from torchrl_athletic.transforms import EquivalentTarget, PDControl, TorqueSpeedClip, UANCorrection
 
 ROBOT = robot()
 DT = 0.005
@@ -122,18 +122,31 @@ def test_by_row_every_start_has_its_turn():
         assert env.reset()["sample"].flatten().tolist() == [30, 40, 100, 30]
 
 
+def chain_of(net, torques, innermost):
+    """Of a policy's environment, from the joints outwards."""
+    correction = UANCorrection(net)
+    limit = TorqueSpeedClip(ROBOT.torque_limit, ROBOT.velocity_limit)
+    law = (EquivalentTarget if torques else PDControl)(ROBOT.kp, ROBOT.kd)
+    return [correction, limit, law] if innermost else [limit, correction, law]
+
+
 @pytest.mark.parametrize("torques", [False, True])
-def test_the_net_does_in_a_policys_chain_what_it_did_in_the_replay(torques):
+@pytest.mark.parametrize("innermost", [False, True])
+def test_the_net_does_in_a_policys_chain_what_it_did_in_the_replay(torques, innermost):
     """Torques and states are the same, bit for bit where targets are given; an equivalent target has to be rounded."""
     net, data, start, steps = moved_net(), takes(torques=torques), 30, 50
-    env = replay_env(ROBOT, data, unit=torque_unit(net), num_envs=1, by_row=True, starts=torch.tensor([start]))
+    env = replay_env(
+        ROBOT,
+        data,
+        chain=chain_of(net, torques, innermost),
+        unit=torque_unit(net),
+        by_row=True,
+        starts=torch.tensor([start]),
+    )
     with torch.no_grad():
         replayed = played(env, lambda td: td.set("action", net[:-1](td["observation"]).squeeze(-1)), steps)
 
-    law = Simulator("uan", ROBOT, net=net, kind="correction").chain(
-        command="torque" if torques else "position", decimation=1
-    )
-    chain = TransformedEnv(TorqueEnv(ROBOT, num_envs=1), Compose(*law))
+    chain = TransformedEnv(TorqueEnv(ROBOT, num_envs=1), Compose(*chain_of(net, torques, innermost)))
     begin = {"reset_qpos": data.position[None, start], "reset_qvel": data.velocity[None, start]}
     chain.base_env.physics.reset(qpos=begin["reset_qpos"], qvel=begin["reset_qvel"])
     shown = chain.reset()
@@ -233,7 +246,7 @@ def test_a_simulation_that_is_no_number_shows_the_policy_numbers():
 def test_no_step_waits_for_a_gpu():
     env = replay_env(ROBOT, TAKES, num_envs=4)
     shown = nothing(env.reset())
-    replayed, add = env.transform[-1], env.transform[1]
+    replayed, add = env.transform[-1], env.transform[0]
     after = env._step(shown.copy())
     reset = TensorDict({"_reset": torch.tensor([[True], [False], [True], [False]])}, [4])
     with no_host_sync():
@@ -250,10 +263,15 @@ def test_rows_draw_the_same_starts_alone_as_among_others():
     assert (replay_env(ROBOT, TAKES, num_envs=9, seed=5).reset()["sample"].flatten()[:2] != starts[0]).any()
 
 
-def test_the_default_chain_is_that_of_the_design():
-    env = replay_env(ROBOT, TAKES)
-    assert [type(item) for item in env.transform][::2] == [TorqueSpeedClip, PDControl]
-    assert isinstance(UANCorrection(uan()), UANCorrection)
+def test_a_correction_is_not_cut_off_with_the_motors_torque():
+    """Far from its target a motor gives all it has; friction at the joint takes from that."""
+    far = replace(TAKES, command=TAKES.command + 5.0)
+    env = replay_env(ROBOT, far, num_envs=1, by_row=True, starts=torch.tensor([30]))
+    assert [type(item) for item in env.transform] == [AddedTorque, TorqueSpeedClip, PDControl, ReplayTakes]
+    plain = played(env, nothing, 1)["next", "applied_torque"][0, 0]
+    braked = played(env, lambda td: td.set("action", torch.tensor([[-4.0, -3.0]])), 1)["next", "applied_torque"][0, 0]
+    torch.testing.assert_close(braked - plain, torch.tensor([-4.0, -3.0]))
+    assert (plain < 0.5 * 5.0 * torch.tensor(ROBOT.kp)).all()
 
 
 def test_takes_that_contradict_themselves_are_refused():

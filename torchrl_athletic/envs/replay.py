@@ -16,7 +16,7 @@ from torchrl_athletic.envs.torque_env import TorqueEnv
 from torchrl_athletic.functional import history, rewards, streams
 from torchrl_athletic.physics.joints import joint_columns
 from torchrl_athletic.robots import Robot
-from torchrl_athletic.transforms import CorrectedActuation, EquivalentTarget, PDControl, PowerClip, TorqueSpeedClip
+from torchrl_athletic.transforms import CorrectedActuation, EquivalentTarget, PDControl, TorqueSpeedClip, UANCorrection
 from torchrl_athletic.transforms.simulated import once_per_model, simulated_env
 from torchrl_athletic.transforms.stateful import Joints, RandomTransform, joint_index
 
@@ -369,14 +369,16 @@ def replay_env(
 ) -> TransformedEnv:
     """The environment that a UAN is trained in: a step is one of the physics, and the action what the torque lacks.
 
-    The correction acts where :class:`~torchrl_athletic.transforms.UANCorrection` does in a policy's environment:
-    behind the controller, before the motor's limits.
+    The correction acts where the chain holds a :class:`~torchrl_athletic.transforms.UANCorrection`, whose place it
+    takes, else nearest to the joint: friction and inertia know no limits of a motor, and a net that is cut off where
+    the motor saturates neither acts nor learns there.
 
     Args:
         robot: To be corrected; its gains are those of the takes.
         takes: What the real one did.
-        chain: What stands between a command and the motors, from the motor outwards, without net and decimation; None
-            takes the motor's limit by speed and the PD law of the robot. What a diagnosis found comes in here.
+        chain: What stands between a command and the joints of a policy's environment, from the joints outwards, without
+            decimation; None takes the motor's limit by speed and the PD law of the robot. What a diagnosis found comes
+            in here.
         joints: Which are corrected and compared; None takes the group ``"arm"``, or all joints of a robot without one.
         unit: Of the action [N·m], for each joint where they differ. Shape () or (A,).
         num_envs: N.
@@ -402,7 +404,8 @@ def replay_env(
         joints = "arm"
     chain = list(_plain_chain(robot, takes.driven) if chain is None else chain)
     base = base or TorqueEnv(replace(robot, sensors={}), num_envs=num_envs, device=device)
-    behind = next(k for k in range(len(chain) + 1) if not isinstance((*chain, None)[k], (TorqueSpeedClip, PowerClip)))
+    place = next((k for k, item in enumerate(chain) if isinstance(item, UANCorrection)), None)
+    inner, outer = ([], chain) if place is None else (chain[:place], chain[place + 1 :])
     corrected = next((law for law in chain if isinstance(law, CorrectedActuation)), None)
     replayed = ReplayTakes(
         takes,
@@ -415,7 +418,7 @@ def replay_env(
         late=None if corrected is None or takes.driven == "torque" else corrected.weights,
         seed=seed,
     )
-    return TransformedEnv(base, Compose(*chain[:behind], AddedTorque(joints, unit), *chain[behind:], replayed))
+    return TransformedEnv(base, Compose(*inner, AddedTorque(joints, unit), *outer, replayed))
 
 
 def _plain_chain(robot: Robot, driven: Driven) -> list[Transform]:

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import EnvBase, Transform, TransformedEnv
 from torchrl.modules import MLP, ValueOperator
 
 from torchrl_athletic.envs.replay import HISTORY, Takes, replay_env
@@ -250,7 +250,7 @@ def validation_of(
     env = replay_env(
         simulator.robot,
         takes,
-        chain=simulator.chain(command=takes.driven, decimation=1, randomize=False),
+        chain=chain_with(simulator, net, takes),
         unit=torque_unit(net),
         num_envs=len(windows),
         device=device,
@@ -259,6 +259,18 @@ def validation_of(
         starts=first,
     )
     return Validation(env, net, steps)
+
+
+def chain_with(simulator: Simulator, net: nn.Module, takes: Takes) -> list[Transform]:
+    """What stands between the takes' commands and the joints once the simulator has the net.
+
+    Args:
+        simulator: Without a net.
+        net: To be trained; :func:`~torchrl_athletic.envs.replay.replay_env` puts the action in its place.
+        takes: Whose commands they are.
+    """
+    corrected = replace(simulator, net=net, kind="correction")
+    return corrected.chain(command=takes.driven, decimation=1, randomize=False)
 
 
 def torque_unit(net: nn.Sequential) -> Tensor:
