@@ -35,7 +35,7 @@ class Config:
     """Of weights, starts and exploration."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where to simulate and learn."""
-    hidden: tuple[int, ...] = (256, 128)
+    hidden: tuple[int, ...] = (128, 64)
     """Layers of both networks."""
     ppo: PPO = field(
         default_factory=lambda: PPO(num_envs=256, entropy_coeff=0.0, actor_lr=1e-4, critic_lr=1e-3, kl_target=0.015)
@@ -99,9 +99,9 @@ def make_policy(
     """That begins with the reference, but for what it explores."""
     if adapts_to:
         keys = ("observation", "randomization", "observation")
-        policy = roa_actor(seen, joints, adapts_to, seen, in_keys=keys, hidden=hidden, scale=0.08, device=device)
+        policy = roa_actor(seen, joints, adapts_to, seen, in_keys=keys, hidden=hidden, scale=0.3, device=device)
     else:
-        policy = actor(seen, joints, hidden=hidden, scale=0.08, device=device)
+        policy = actor(seen, joints, hidden=hidden, scale=0.3, device=device)
     outputs = [m for m in policy.modules() if isinstance(m, torch.nn.Linear) and m.out_features == joints]
     torch.nn.init.zeros_(outputs[-1].weight)
     return policy

@@ -178,8 +178,14 @@ def test_zero_action_is_the_reference_and_the_gripper_stays_shut(thrown):
     history = thrown["next", "action_history"][0, :, -1]
     torch.testing.assert_close(history[:, :6], REFERENCE[:STEPS])
     assert (history[:, 6] == ROBOT.default_pose[6]).all()
-    beside = follow(throw_env(ROBOT, num_envs=1), offset=0.1, steps=2)["next", "action_history"][0, :, -1]
-    torch.testing.assert_close(beside[:, :6], REFERENCE[:2] + 0.1)
+
+
+def test_the_action_is_added_to_the_reference_and_counts_in_full_in_the_throw():
+    targets = follow(throw_env(ROBOT, num_envs=1, ends=False), offset=0.1)["next", "action_history"][0, :, -1]
+    beside = targets[:, :6] - REFERENCE[:STEPS]
+    throw = torch.zeros(STEPS, 1)
+    throw[125:175] = 1
+    torch.testing.assert_close(beside, (0.025 + 0.075 * throw).expand_as(beside))
 
 
 def fails(position=ROBOT.default_pose, height=0.5, away=False, phase=0, **options):

@@ -235,30 +235,42 @@ class AroundReference(Transform):
     """The action is added to the reference, and both together are the position targets; other joints stay at home.
 
     So a policy that knows nothing throws as the reference does. The paper's starts from one that tracks references.
+    Outside of the throw only a share of the action counts: what a policy has to try there, to find a better throw,
+    would here shake the ball out of the bucket.
 
     Args:
         robot: With joints in the group ``"arm"``, one after another, that the reference is of.
+        share: Of the action outside of the throw [1].
         action_key: Targets of all J joints further in, of the arm's for the policy [rad]. Shape (N, J).
         reference_key: The reference as the policy sees it, now first [rad].
+        phase_key: Number of the task's phase.
     """
 
     home: Tensor
 
     def __init__(
-        self, robot: Robot, *, action_key: NestedKey = "action", reference_key: NestedKey = "reference"
+        self,
+        robot: Robot,
+        share: float = 0.25,
+        *,
+        action_key: NestedKey = "action",
+        reference_key: NestedKey = "reference",
+        phase_key: NestedKey = "task_phase_index",
     ) -> None:
         super().__init__(in_keys=[], out_keys=[], in_keys_inv=[action_key], out_keys_inv=[action_key])
         arm = robot.joint_groups["arm"]
         self.arm, self.width = slice(arm[0], arm[-1] + 1), len(arm)
-        self.action_key, self.reference_key = action_key, reference_key
+        self.share, self.throw = share, throw_phases().index("throw")
+        self.action_key, self.reference_key, self.phase_key = action_key, reference_key, phase_key
         self.register_buffer("home", torch.tensor(robot.default_pose, dtype=torch.float32), persistent=False)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.parent is None:  # on its way into a buffer
             return tensordict
         action = tensordict.get(self.action_key)
+        counts = torch.where(tensordict.get(self.phase_key) == self.throw, 1.0, self.share)
         target = self.home.expand(*action.shape[:-1], -1).clone()
-        target[..., self.arm] = tensordict.get(self.reference_key)[..., : self.width] + action
+        target[..., self.arm] = tensordict.get(self.reference_key)[..., : self.width] + counts * action
         return tensordict.set(self.action_key, target)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
