@@ -48,6 +48,8 @@ class Config:
     """How long and how closely CEM looks."""
     actuator_net: ActuatorNetTraining = field(default_factory=ActuatorNetTraining)
     """How the supervised net is trained."""
+    seconds_per_take: float = 15.0
+    """What the diagnosis looks at of each take [s]."""
     time_budget: float = 600.0
     """Of the diagnosis [s]."""
 
@@ -70,8 +72,14 @@ def identify(robot: Robot, takes: list[Recording], cfg: Config) -> Simulator:
     if cfg.method in ("dr", "roa"):
         return randomized(robot, adaptation=cfg.method == "roa")
     if cfg.method == "diagnosed":
-        report = folder_of(cfg) / "diagnosis"
-        return identify_diagnosed(robot, takes, seed=cfg.seed, time_budget=cfg.time_budget, output=report)
+        return identify_diagnosed(
+            robot,
+            takes,
+            seed=cfg.seed,
+            seconds_per_take=cfg.seconds_per_take,
+            time_budget=cfg.time_budget,
+            output=folder_of(cfg) / "diagnosis",
+        )
     rounds = cfg.cem.generations if cfg.method == "cem" else cfg.actuator_net.epochs
     with tqdm(total=rounds, desc=cfg.method) as bar:
 

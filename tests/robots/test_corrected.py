@@ -12,7 +12,7 @@ import pytest
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.screen import FIT_TRIMS
 from torchrl_athletic.effects import CATALOGUE, JointAddress, Plant
-from torchrl_athletic.robots import b2z1, z1
+from torchrl_athletic.robots import b2z1, from_mjcf, z1
 from torchrl_athletic.robots.corrected import SCHEMA, with_correction
 
 ARM = z1()
@@ -144,3 +144,12 @@ def test_a_link_that_is_another_is_refused():
 def test_another_schema_is_refused():
     with pytest.raises(ValueError, match="schema is 'other'"):
         with_correction(ARM, correction(schema="other"))
+
+
+def test_a_link_without_a_name_gets_its_mass_too():
+    xml = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="1"/></body></worldbody>
+      <actuator><motor joint="hinge" forcerange="-30 30"/></actuator></mujoco>"""
+    heavy = {"effect": "link_mass", "joint": "hinge", "parameters": {"mass": {"value": 1.3, "nominal": 1.0}}}
+    found = {"schema": SCHEMA, "joint_names": ["hinge"], "effects": [heavy], "trims": []}
+    assert with_correction(from_mjcf(xml), found).model().body_mass.sum() == pytest.approx(1.3)

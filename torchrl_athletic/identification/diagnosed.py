@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+
+import numpy as np
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
 from torchrl_athletic.effects import CATALOGUE, Effect
+from torchrl_athletic.identification.open_loop import start_velocity
 from torchrl_athletic.identification.simulator import Simulator
 from torchrl_athletic.recordings import Recording
 from torchrl_athletic.robots import Robot
@@ -30,28 +33,71 @@ def identify_diagnosed(
     *,
     heldout: Sequence[Recording] = (),
     seed: int = 0,
+    seconds_per_take: float | None = None,
     time_budget: float | None = None,
     output: str | Path | None = None,
 ) -> Simulator:
     """Diagnose what the robot's model leaves out, among the effects that a policy's simulation can act out.
 
     What has no place there (a gear's flexibility and play, friction by load, slow drift) is left to a net on the
-    remainder: train a UAN on this simulator.
+    remainder: train a UAN on this simulator. The drives' limits by speed are known, so that takes are diagnosed as
+    driven :func:`within_limits`.
 
     Args:
         robot: Its model is diagnosed.
         recordings: Takes to fit.
         heldout: Takes of another kind, that the diagnosis checks its findings on; none of those that score.
         seed: Of the diagnosis.
+        seconds_per_take: How much of each take is looked at, from its start [s]; None takes all.
         time_budget: After which no further combination is fitted [s].
         output: Folder for the diagnosis' own report.
     """
     started = time.perf_counter()
-    spec = robot.spec()
+    taken = [_first(recording, seconds_per_take) for recording in recordings]
+    fit, aside = ([within_limits(robot, recording) for recording in group] for group in (taken, heldout))
     diagnosis = diagnose(
-        spec, recordings, heldout, catalogue=actable_effects(), seed=seed, time_budget=time_budget, output=output
+        robot.spec(), fit, aside, catalogue=actable_effects(), seed=seed, time_budget=time_budget, output=output
     )
-    return simulator_of(diagnosis, robot, recordings, time.perf_counter() - started, seed)
+    return simulator_of(diagnosis, robot, taken, time.perf_counter() - started, seed)
+
+
+def within_limits(robot: Robot, recording: Recording) -> Recording:
+    """The take with targets and torques no further off than the drives could follow them, by their data sheet.
+
+    Where :class:`~torchrl_athletic.transforms.TorqueSpeedClip` would have cut the torque at the measured state, the
+    target becomes the one that commands what was left. A replay without that transform then gets the same torques.
+
+    Args:
+        robot: Whose limits they are.
+        recording: Of its joints, in any order.
+
+    Example:
+        >>> import numpy as np
+        >>> from torchrl_athletic.robots import z1
+        >>> robot, rest = z1(), np.zeros((2, 1))
+        >>> gains = {"kp": np.array([100.0]), "kd": np.array([1.0])}
+        >>> far = Recording(np.array([0.0, 0.005]), ("joint1",), rest, position_target=rest + 1.0, **gains)
+        >>> within_limits(robot, far).position_target[0]  # of 100 N·m the motor has 30
+        array([0.3])
+    """
+    columns = [robot.joint_names.index(name) for name in recording.joint_names]
+    limit, fastest = (np.asarray(v)[columns] for v in (robot.torque_limit, robot.velocity_limit))
+    velocity, position = start_velocity(recording), recording.position
+    used = velocity / fastest
+    low, high = -limit * (1 + np.clip(used, -1, 0)), limit * (1 - np.clip(used, 0, 1))
+    if recording.position_target is None:
+        return replace(recording, torque_command=np.clip(recording.command, low, high))
+    assert recording.kp is not None
+    assert recording.kd is not None
+    torque = recording.kp * (recording.position_target - position) - recording.kd * velocity
+    target = position + (np.clip(torque, low, high) + recording.kd * velocity) / np.maximum(recording.kp, 1e-12)
+    cut = (torque < low) | (torque > high)
+    return replace(recording, position_target=np.where(cut, target, recording.position_target))
+
+
+def _first(recording: Recording, seconds: float | None) -> Recording:
+    samples = recording.num_samples if seconds is None else max(2, round(seconds * recording.rate))
+    return recording if samples >= recording.num_samples else recording.slice(0, samples)
 
 
 def simulator_of(

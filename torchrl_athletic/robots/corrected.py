@@ -106,7 +106,7 @@ def _corrected(
         _EFFECTS[effect](model, given, model.joint(joint).id, dict(values))
     for joint in dict.fromkeys(joint for _, joint, _ in entries):
         _write_joint(spec.joint(joint), model, int(model.joint(joint).dofadr[0]))
-        _write_link(spec, model, given, int(model.joint(joint).bodyid[0]))
+        _write_link(spec.joint(joint).parent, model, given, int(model.joint(joint).bodyid[0]))
     return spec
 
 
@@ -117,12 +117,11 @@ def _write_joint(joint: Any, model: mujoco.MjModel, dof: int) -> None:
     joint.armature = float(model.dof_armature[dof])
 
 
-def _write_link(spec: mujoco.MjSpec, model: mujoco.MjModel, given: mujoco.MjModel, body: int) -> None:
-    """Mass, centre and principal moments, where they changed."""
+def _write_link(link: Any, model: mujoco.MjModel, given: mujoco.MjModel, body: int) -> None:
+    """Mass, centre and principal moments, where they changed. The link itself, since it may have no name."""
     fields = ("body_mass", "body_ipos", "body_inertia")
     if all(np.array_equal(getattr(model, name)[body], getattr(given, name)[body]) for name in fields):
         return
-    link = spec.body(model.body(body).name)
     link.mass, link.ipos, link.iquat = float(model.body_mass[body]), model.body_ipos[body], model.body_iquat[body]
     link.fullinertia = [np.nan, 0, 0, 0, 0, 0]  # which would count instead
     link.inertia, link.explicitinertial = model.body_inertia[body], True
