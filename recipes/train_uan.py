@@ -4,7 +4,7 @@ python recipes/train_uan.py --recordings outputs/recordings/z1                  
 python recipes/train_uan.py --recordings outputs/recordings/z1 --method ppo --device cuda   # as the paper does
 python recipes/train_uan.py --recordings outputs/recordings/z1 --model outputs/diagnosis    # what the diagnosis left
 
-Takes that say ``split: heldout``, and throws, are not looked at. Windows of 5 s, a tenth of the rest, are validated on:
+Takes that say ``split: heldout``, and throws, are not looked at. Windows, a tenth of the rest, are validated on:
 ``mse`` of their open-loop replays against time stands in ``progress.csv``. The same command goes on after a kill. The
 result is a folder that ``Simulator.load`` reads. How the methods compare: docs/uan.md.
 """
@@ -50,6 +50,8 @@ class Config:
     """Of weights, starts and exploration."""
     device: Literal["cpu", "cuda"] = "cuda" if torch.cuda.is_available() else "cpu"
     """Of simulation and nets."""
+    window: float = 5.0
+    """Of what is kept aside for validation, a tenth of the takes, the length of one piece [s]."""
     evaluate_every: int = 20
     """Iterations between validations."""
     logger: training.LoggerName = "csv"
@@ -64,7 +66,7 @@ def main(cfg: Config) -> Simulator:
     recordings = training.for_training(read_recordings(cfg.recordings))
     robot = training.with_gains_of(z1() if cfg.robot == "z1" else from_mjcf(cfg.robot), recordings)
     given = Simulator("uan" if cfg.model is None else "diagnosed_uan", robot, correction_of(cfg.model))
-    pieces, windows = training.set_aside(recordings)
+    pieces, windows = training.set_aside(recordings, seconds=cfg.window)
     takes = training.takes_of(pieces, robot)
     net = uan(**training.units_of(takes, robot)).to(cfg.device)
     validate = training.validation_of(given, windows, net, device=cfg.device)
