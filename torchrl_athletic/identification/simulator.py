@@ -24,6 +24,7 @@ from torchrl_athletic.transforms import (
     Decimation,
     DomainRandomization,
     EquivalentTarget,
+    LimitedTarget,
     PDControl,
     PowerClip,
     RandomizationRanges,
@@ -76,6 +77,11 @@ class Simulator:
                 f"simulator {self.name!r} has {'no' if self.net is None else 'a'} net and kind {self.kind!r}: it would "
                 "not be known what acts. Give both a net and 'correction' or 'torque', or neither."
             )
+        if self.kind == "torque" and self.correction is not None:
+            raise ValueError(
+                f"simulator {self.name!r} has a correction and a net in place of the torque law, which would overrule "
+                "each other. Give one of them, or a net of kind 'correction'."
+            )
 
     @cached_property
     def robot(self) -> Robot:
@@ -107,7 +113,10 @@ class Simulator:
         randomize: bool = True,
         seed: int = 0,
     ) -> list[Transform]:
-        """All that stands between a policy's action and the motors, from the motor outwards, as ``actuation_chain``.
+        """All that stands between a policy's action and the joints, from the joint outwards.
+
+        A UAN comes last on the way in, behind the motor's limits: what it corrects, friction say, happens there, and a
+        saturated motor would hide it.
 
         Args:
             command: What the action is: position targets, or torques.
@@ -122,13 +131,12 @@ class Simulator:
             Transforms for ``Compose``. The net's errors are noted in ``error_history``, shape (N, J, 2, history).
         """
         robot, group = self.robot, _group(self.robot)
-        chain: list[Transform] = [] if arm_power is None else [PowerClip(arm_power, joints=group)]
-        if limits:
-            chain.append(TorqueSpeedClip(robot.torque_limit, _finite(robot.velocity_limit)))
-        if self.net is not None:
-            law = {"correction": UANCorrection, "torque": ActuatorNet}[self.kind]
-            chain.append(law(self.net, joints=group, length=self.history))
-        chain += self._law(command)
+        chain: list[Transform] = []
+        if self.net is not None and self.kind == "correction":  # what it corrects happens behind the motor
+            chain.append(UANCorrection(self.net, joints=group, length=self.history))
+        if arm_power is not None:
+            chain.append(PowerClip(arm_power, joints=group))
+        chain += self._motor(group, limits) + self._law(command, limits)
         if max_delay:
             chain.append(ActionDelay(max_delay, before=robot.default_pose, seed=seed))
         if decimation > 1:
@@ -137,7 +145,17 @@ class Simulator:
             chain.append(self._randomizer(seed))
         return chain
 
-    def _law(self, command: Command) -> list[Transform]:
+    def _motor(self, group: str | None, limits: bool) -> list[Transform]:
+        """The motor, where no correction holds it."""
+        if self.correction is not None:
+            return []
+        robot = self.robot
+        motor: list[Transform] = [TorqueSpeedClip(robot.torque_limit, _finite(robot.velocity_limit))] if limits else []
+        if self.net is not None and self.kind == "torque":
+            motor.append(ActuatorNet(self.net, joints=group, length=self.history))
+        return motor
+
+    def _law(self, command: Command, limits: bool) -> list[Transform]:
         """From the command to a torque, and the target that nets look at."""
         robot, positions = self.robot, command == "position"
         if self.correction is None:
@@ -150,7 +168,10 @@ class Simulator:
             kd=robot.kd if positions else None,
             torque_limit=robot.torque_limit,
         )
-        return [corrected] if positions else [corrected, EquivalentTarget(robot.kp, robot.kd)]
+        most = robot.torque_limit, _finite(robot.velocity_limit)
+        if positions:  # the drive's limits come before its lag, and before what friction does
+            return [corrected, *([LimitedTarget(robot.kp, robot.kd, *most)] if limits else [])]
+        return [corrected, *([TorqueSpeedClip(*most)] if limits else []), EquivalentTarget(robot.kp, robot.kd)]
 
     def _randomizer(self, seed: int) -> DomainRandomization:
         return DomainRandomization(self.randomization, joints=_group(self.robot), seed=seed)

@@ -15,6 +15,7 @@ from torchrl_athletic.transforms.encoder_offset import EncoderOffset
 from torchrl_athletic.transforms.external_push import B2Z1_PUSHES, ExternalPush, Push
 from torchrl_athletic.transforms.gait_clock import GaitClock
 from torchrl_athletic.transforms.initial_state import InitialState, StartRanges
+from torchrl_athletic.transforms.limited_target import LimitedTarget
 from torchrl_athletic.transforms.observation_history import ObservationHistory
 from torchrl_athletic.transforms.reference_trajectory import ReferenceTrajectory
 from torchrl_athletic.transforms.reward_terms import RewardTerm, RewardTerms, Term
@@ -35,6 +36,7 @@ __all__ = [
     "ExternalPush",
     "GaitClock",
     "InitialState",
+    "LimitedTarget",
     "ObservationHistory",
     "PDControl",
     "PowerClip",

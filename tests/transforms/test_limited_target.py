@@ -1,0 +1,46 @@
+"""A target moved within the motor's limits commands what the limits leave, and one within them stays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ClassVar
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import Compose, Transform
+
+from torchrl_athletic.functional.actuation import clip_torque_speed, pd_torque
+from torchrl_athletic.testing import TransformContract
+from torchrl_athletic.transforms import LimitedTarget, PDControl
+
+Key = Callable[[str], object]
+
+
+class TestLimitedTargetContract(TransformContract):
+    env_settings: ClassVar = {"action": "torque"}
+
+    def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
+        seen = {"position_key": key("joint_position"), "velocity_key": key("joint_velocity")}
+        law = PDControl(20.0, 0.5, torque_key=key("torque"), action_key=key("action"), target_key=key("target"), **seen)
+        return Compose(law, LimitedTarget(20.0, 0.5, 0.4, 2.0, action_key=key("action"), **seen))
+
+
+def test_the_law_commands_what_the_limits_leave() -> None:
+    torch.manual_seed(0)
+    names = ("action", "joint_position", "joint_velocity")
+    seen = TensorDict({name: 2 * torch.randn(200, 2) for name in names}, batch_size=[200])
+    kp, kd, limit, fastest = torch.tensor([10.0, 20.0]), torch.tensor([0.5, 1.0]), torch.tensor([8.0, 5.0]), 3.0
+    near = LimitedTarget(kp, kd, limit, fastest).inv(seen)["action"]
+    position, velocity = seen["joint_position"], seen["joint_velocity"]
+    asked = pd_torque(seen["action"], position, velocity, kp, kd)
+    left = clip_torque_speed(asked, velocity, limit, torch.tensor(fastest))
+    torch.testing.assert_close(pd_torque(near, position, velocity, kp, kd), left, atol=1e-4, rtol=1e-4)
+    within = asked == left
+    assert 0.05 < within.float().mean() < 0.9
+    torch.testing.assert_close(near[within], seen["action"][within], atol=0, rtol=0)
+
+
+def test_a_law_without_stiffness_has_no_targets() -> None:
+    with pytest.raises(ValueError, match="or leave LimitedTarget out"):
+        LimitedTarget([1.0, 0.0], 1.0, 1.0, 1.0)
