@@ -25,7 +25,7 @@ from torchrl_athletic.networks import uan
 from torchrl_athletic.recordings import read_recordings
 from torchrl_athletic.robots import from_mjcf, z1
 
-ROWS = {("ppo", "cpu"): 256, ("ppo", "cuda"): 4096, ("gradient", "cpu"): 32, ("gradient", "cuda"): 512}
+ROWS = {("ppo", "cpu"): 256, ("ppo", "cuda"): 4096, ("gradient", "cpu"): 64, ("gradient", "cuda"): 512}
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def make_learner(cfg: Config, given: Simulator, takes: Takes, net: nn.Sequential
     chain = training.chain_with(given, net, takes)
     if cfg.method == "gradient":
         moved = robot.joint_groups.get("arm")
-        base = training.DifferentiableTorqueEnv(robot, joints=moved, num_envs=rows, device=cfg.device)
+        base = training.DifferentiableTorqueEnv(robot, joints=moved, num_envs=rows, device=cfg.device, along=takes)
         env = replay_env(robot, takes, chain=chain, unit=unit, base=base, max_steps=400, seed=cfg.seed)
         return training.GradientLearner(env, net, minutes=cfg.minutes)
     env = replay_env(robot, takes, chain=chain, unit=unit, num_envs=rows, device=cfg.device, seed=cfg.seed)

@@ -14,6 +14,9 @@ from torchrl_athletic.networks.actor_critic import GaussianHead, gaussian_actor
 HISTORY = 20
 """Physics steps of 5 ms that a UAN looks back: 100 ms."""
 
+LINEAR = 1e-3
+"""Sharpness at which a scale is linear to a part in a million."""
+
 
 def uan(
     history: int = HISTORY,
@@ -21,6 +24,7 @@ def uan(
     device: torch.device | str | None = None,
     *,
     unit: tuple[float, float] = (1.0, 1.0),
+    sharpness_of_velocity: float = 0.0,
     torque_unit: float | Sequence[float] = 1.0,
 ) -> nn.Sequential:
     """Network from a joint's recent tracking errors to a corrective torque.
@@ -34,6 +38,8 @@ def uan(
         device: Where its parameters are made.
         unit: What the position errors [rad] and the velocity errors [rad/s] are divided by first, their standard
             deviations in the data say; kept with the parameters. The paper states none.
+        sharpness_of_velocity: How much finer velocities are seen about zero, where friction turns over, than at their
+            unit (:class:`InUnits`); 0 sees all alike, as in the paper.
         torque_unit: What the output is multiplied with [N·m], for each joint where they differ: a joint with two motors
             has twice the friction of one with one. Kept with the parameters.
 
@@ -47,8 +53,9 @@ def uan(
     net = MLP(2 * history, 1, num_cells=list(hidden), activation_class=nn.ELU, device=device)
     nn.init.zeros_(net[-1].weight)
     nn.init.zeros_(net[-1].bias)
-    seen = InUnits(torch.tensor(unit, device=device).repeat_interleave(history))
-    return nn.Sequential(seen, net, OutUnits(torque_unit, device))
+    units = torch.tensor(unit, device=device).repeat_interleave(history)
+    sharpness = torch.tensor([LINEAR, max(sharpness_of_velocity, LINEAR)], device=device).repeat_interleave(history)
+    return nn.Sequential(InUnits(units, sharpness), net, OutUnits(torque_unit, device))
 
 
 def uan_actor(
@@ -81,16 +88,25 @@ def uan_actor(
 
 
 class InUnits(nn.Module):
-    """Each feature divided by its unit. Shape (*B, F)."""
+    r"""Each feature divided by its unit, and seen on a scale that is fine about zero. Shape (*B, F).
+
+    .. math:: \mathrm{asinh}(s\,x / u) \,/\, \mathrm{asinh}(s)
+
+    Args:
+        unit: u. Shape (F,).
+        sharpness: s > 0 [1]: how much finer than at the unit; near 0 the scale is linear. Shape (F,).
+    """
 
     unit: Tensor
+    sharpness: Tensor
 
-    def __init__(self, unit: Tensor):
+    def __init__(self, unit: Tensor, sharpness: Tensor):
         super().__init__()
         self.register_buffer("unit", unit)
+        self.register_buffer("sharpness", sharpness)
 
     def forward(self, value: Tensor) -> Tensor:
-        return value / self.unit
+        return torch.asinh(self.sharpness * value / self.unit) / torch.asinh(self.sharpness)
 
 
 class OutUnits(nn.Module):

@@ -18,7 +18,7 @@ from torchrl.modules import MLP, ValueOperator
 from torchrl_athletic.envs.replay import HISTORY, Takes, replay_env
 from torchrl_athletic.identification import Simulator
 from torchrl_athletic.networks.actor_critic import GaussianHead, gaussian_actor
-from torchrl_athletic.networks.actuator_net import InUnits, PerJoint, uan_actor
+from torchrl_athletic.networks.actuator_net import LINEAR, InUnits, PerJoint, uan_actor
 from torchrl_athletic.recordings import Recording, RecordingError, resample
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.training.captured import CapturedRollout
@@ -26,6 +26,9 @@ from torchrl_athletic.training.ppo import PPO, UAN, Learner
 
 Credit = Literal["arm", "joint"]
 """Whether all joints share one reward, as in the paper, or each earns its own."""
+
+SHARPNESS = 30.0
+"""How much finer velocities are seen about zero than at their standard deviation."""
 
 
 def takes_of(recordings: Sequence[Recording], robot: Robot) -> Takes:
@@ -174,10 +177,11 @@ def set_aside(
 
 
 def units_of(takes: Takes, robot: Robot) -> dict[str, Any]:
-    """What :func:`~torchrl_athletic.networks.uan` measures in: ``unit`` and ``torque_unit``.
+    """What :func:`~torchrl_athletic.networks.uan` measures in: ``unit``, ``sharpness_of_velocity``, ``torque_unit``.
 
-    Errors of position and velocity come in their standard deviations over the joints that move. Torques come in N·m
-    for a joint of the arm's median strength, and for others as much as their motors are stronger.
+    Errors of position and velocity come in their standard deviations over the joints that move, velocities on a scale
+    that tells creeping from rest. Torques come in N·m for a joint of the arm's median strength, and for others as much
+    as their motors are stronger.
 
     Args:
         takes: To be trained on.
@@ -196,6 +200,7 @@ def units_of(takes: Takes, robot: Robot) -> dict[str, Any]:
     strength = [robot.torque_limit[joint] for joint in robot.joint_groups.get("arm", range(len(robot.joint_names)))]
     return {
         "unit": (float(off[:, moves].std()), float(takes.velocity[:, moves].std())),
+        "sharpness_of_velocity": SHARPNESS,
         "torque_unit": [limit / median(strength) for limit in strength],
     }
 
@@ -346,7 +351,7 @@ class _ArmValue(nn.Module):
 
     def __init__(self, unit: Tensor, joints: int, hidden: Sequence[int], device: torch.device | None) -> None:
         super().__init__()
-        self.units = InUnits(unit)
+        self.units = InUnits(unit, torch.full_like(unit, LINEAR))
         self.mlp = MLP(joints * len(unit), 1, num_cells=list(hidden), activation_class=nn.ELU, device=device)
 
     def forward(self, observation: Tensor, privileged: Tensor) -> Tensor:
@@ -360,7 +365,7 @@ class _JointValue(nn.Module):
 
     def __init__(self, unit: Tensor, joints: int, hidden: Sequence[int], device: torch.device | None) -> None:
         super().__init__()
-        self.units = InUnits(unit)
+        self.units = InUnits(unit, torch.full_like(unit, LINEAR))
         self.register_buffer("numbers", torch.arange(joints, device=device), persistent=False)
         self.mlp = MLP(len(unit) + joints, 1, num_cells=list(hidden), activation_class=nn.ELU, device=device)
 

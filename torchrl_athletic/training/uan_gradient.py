@@ -16,7 +16,8 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.envs import TransformedEnv
 
-from torchrl_athletic.envs import TorqueEnv, make_physics
+from torchrl_athletic.envs import Takes, TorqueEnv, make_physics
+from torchrl_athletic.functional import actuation
 from torchrl_athletic.physics.joints import joint_columns
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.training.checkpoint import env_state, restore_env
@@ -27,6 +28,9 @@ WINDOWS = (16, 32, 64)
 """Steps that the gradient goes back, in the first, second and last third of the time."""
 NUDGE = 1e-3
 """Of a position [rad] and a velocity [rad/s]; a torque is nudged as many N·m as its limit times this."""
+
+EVERY = 8
+"""Samples of a recording from one known Jacobian to the next: 40 ms."""
 
 
 class _StepOfPhysics(torch.autograd.Function):
@@ -48,13 +52,16 @@ class DifferentiableTorqueEnv(TorqueEnv):
     """A :class:`~torchrl_athletic.envs.TorqueEnv` of joints alone whose steps have a gradient.
 
     Beside each row run 3 D nudged copies of it, D being the joints that are told apart: one for each position, velocity
-    and torque. What they come to tells the Jacobian of the step.
+    and torque. What they come to tells the Jacobian of the step. Where it is to be replayed what is known beforehand,
+    Jacobians can be measured once, along the recording: with 19 times fewer simulations a step, for gradients that are
+    those of a simulation which stays near it.
 
     Args:
         robot: Bolted to the world, with nothing that moves but its joints.
         joints: Numbers of the joints that gradients pass through; None for all.
         num_envs: N.
         device: CPU threads or a GPU.
+        along: What will be replayed, by steps that hold ``sample``; None measures at each step, where it is.
 
     Raises:
         ValueError: If the model has more degrees of freedom than joints.
@@ -76,6 +83,7 @@ class DifferentiableTorqueEnv(TorqueEnv):
         joints: tuple[int, ...] | None = None,
         num_envs: int = 1,
         device: torch.device | str = "cpu",
+        along: Takes | None = None,
     ) -> None:
         robot = replace(robot, sensors={})
         super().__init__(robot, num_envs=num_envs, device=device)
@@ -99,21 +107,41 @@ class DifferentiableTorqueEnv(TorqueEnv):
         self.steps = nudges.sum((-1, -2)).flatten().to(self.device)  # (3D,)
         self._place = place.to(self.device) if isinstance(place, Tensor) else place
         self._dof = dof.to(self.device) if isinstance(dof, Tensor) else dof
+        self.known = None if along is None else self._measure(along)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         torque = tensordict.get("torque")
         if not torch.is_grad_enabled():
             return super()._step(tensordict)
-        self._nudge_copies(torque.detach())
+        if self.known is None:
+            self._nudge_copies(torque.detach())
         shown = super()._step(tensordict)
+        jacobian = self._jacobian() if self.known is None else self.known[tensordict.get("sample").squeeze(-1) // EVERY]
         seen = torch.cat([tensordict.get("joint_position"), tensordict.get("joint_velocity"), torque], -1)
         state = seen.unflatten(-1, (3, -1))[..., self.columns].flatten(-2)
         after = torch.cat((shown.get("joint_position"), shown.get("joint_velocity")), -1)
         told = after.unflatten(-1, (2, -1))[..., self.columns].flatten(-2)
-        told = _StepOfPhysics.apply(state, told, self._jacobian())
+        told = _StepOfPhysics.apply(state, told, jacobian)
         whole = after.unflatten(-1, (2, -1)).clone()
         whole[..., self.columns] = told.unflatten(-1, (2, -1))
         return shown.set("joint_position", whole[:, 0]).set("joint_velocity", whole[:, 1])
+
+    def _measure(self, takes: Takes) -> Tensor:
+        """Jacobians at every so many samples of takes, under the torques that were commanded. Shape (S', 3D, 2D)."""
+        kp, kd = torch.tensor(self.robot.kp), torch.tensor(self.robot.kd)
+        found = []
+        samples = torch.arange(0, len(takes.position), EVERY)
+        for part in samples.split(self.physics.num_envs):
+            rows = torch.cat((part, part[-1:].expand(self.physics.num_envs - len(part))))
+            position, velocity, command = (v[rows] for v in (takes.position, takes.velocity, takes.command))
+            torque = command if takes.driven == "torque" else actuation.pd_torque(command, position, velocity, kp, kd)
+            self.physics.qpos[:, self._place] = position.to(self.physics.qpos)
+            self.physics.qvel[:, self._dof] = velocity.to(self.physics.qvel)
+            self._nudge_copies(torque.to(self.device))
+            self.physics.apply_torque(torque.to(self.device))
+            self.physics.step()
+            found.append(self._jacobian()[: len(part)])
+        return torch.cat(found)
 
     def _nudge_copies(self, torque: Tensor) -> None:
         rows = len(self.nudges)
