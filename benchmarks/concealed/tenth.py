@@ -2,8 +2,8 @@
 
     python benchmarks/concealed/tenth.py --jobs 2
 
-One joint, sent torques, block by block of the tuning split: one to two minutes on two cores. Fails where a rate is worse
-than the committed table's by more than chance explains, once in a hundred runs.
+One joint, sent torques, block by block of the tuning split: one to two minutes on two cores. Fails where a rate is
+worse than the committed table's by more than chance explains, once in a hundred runs.
 """
 
 from __future__ import annotations
