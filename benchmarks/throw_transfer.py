@@ -18,7 +18,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean, pstdev
@@ -28,6 +28,7 @@ import numpy as np
 import torch
 import tyro
 from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 from tqdm import tqdm
@@ -105,9 +106,9 @@ def main(cfg: Config) -> None:
     if cfg.action == "train":
         train_all(cfg)
         return
-    arm = ConcealedArm(robot=with_bucket(z1(), BUCKET))
-    found = [score(Path("reference"), arm, cfg.throws)]
-    found += [score(folder, arm, cfg.throws) for folder in tqdm(cfg.folders) if (folder / "policy.pt").exists()]
+    arms = [ConcealedArm(robot=with_bucket(z1(), BUCKET), seed=k) for k in range(cfg.throws)]
+    folders = [Path("reference"), *(folder for folder in cfg.folders if (folder / "policy.pt").exists())]
+    found = [score(folder, arms) for folder in tqdm(folders)]
     cfg.results.mkdir(parents=True, exist_ok=True)
     content = json.dumps([asdict(throws) for throws in found], indent=1)
     (cfg.results / "throw_transfer.json").write_text(content + "\n", encoding="utf-8")
@@ -167,31 +168,29 @@ def last_line(log: Path, code: int) -> str:
     return measured[-1] if measured else f"ended with {code}: {lines[-1] if lines else 'said nothing'}"
 
 
-def score(folder: Path, arm: ConcealedArm, count: int) -> Throws:
+def score(folder: Path, arms: Sequence[ConcealedArm]) -> Throws:
     """Throws from the same starts, in the policy's own simulator and on the arm.
 
     Args:
         folder: With ``policy.pt`` and ``simulator.txt``; one that is called ``reference`` needs neither.
-        arm: To throw with.
-        count: Throws.
+        arms: The same arm again and again, one for each throw.
     """
     recipe = load_recipe()
     alone = folder.name == "reference"
     simulator: Simulator = recipe.load_simulator(
         None if alone else Path((folder / "simulator.txt").read_text(encoding="utf-8").strip())
     )
-    env = recipe.make_env(simulator, count, seed=7, randomize=False, ends=False, tolerance=TOLERANCE)
+    env = recipe.make_env(simulator, len(arms), seed=7, randomize=False, ends=False, tolerance=TOLERANCE)
     policy = stay_on_reference if alone else load_policy(recipe, folder / "policy.pt")
     steps = play(env, policy, STEPS)
-    starts = steps["joint_position"][:, 0].double().numpy()
-    simulated = throw_distance(steps[:, -1]["next"]).tolist()
-    ends = [real_throw(arm, policy, start) for start in starts]
+    simulated = steps[:, -1]["next"]
+    real = throw_with(arms, policy, starts=steps["joint_position"][:, 0])
     return Throws(
         "reference" if alone else simulator.name,
         folder.name,
-        simulated,
-        [float(throw_distance(end)) for end in ends],
-        [bool(end["throw_failed"]) for end in ends],
+        throw_distance(simulated).tolist(),
+        throw_distance(real).tolist(),
+        real["throw_failed"].flatten().tolist(),
     )
 
 
@@ -203,12 +202,13 @@ def load_policy(recipe: Any, path: Path) -> Callable[[TensorDictBase], TensorDic
     return recipe.deployed(policy, sizes["adapts_to"])
 
 
-def real_throw(arm: ConcealedArm, policy: Callable[[TensorDictBase], TensorDictBase], start: np.ndarray) -> TensorDict:
-    """One throw on the arm: what it ends with. Shape ()."""
-    robot = arm.robot
-    task = throw_task(robot, ends=False, tolerance=TOLERANCE)
-    env = TransformedEnv(ArmEnv(arm, start), Compose(BallFlight(1 / arm.rate), Decimation(4), *task))
-    return play(env, policy, STEPS)[0, -1]["next"]
+def throw_with(
+    arms: Sequence[ConcealedArm], policy: Callable[[TensorDictBase], TensorDictBase], starts: Tensor
+) -> TensorDictBase:
+    """What a throw with each arm ends with. Shape (N,)."""
+    task = throw_task(arms[0].robot, ends=False, tolerance=TOLERANCE)
+    env = TransformedEnv(ArmEnv(arms, starts), Compose(BallFlight(1 / arms[0].rate), Decimation(4), *task))
+    return play(env, policy, STEPS)[:, -1]["next"]
 
 
 def stay_on_reference(step: TensorDictBase) -> TensorDictBase:
@@ -216,50 +216,53 @@ def stay_on_reference(step: TensorDictBase) -> TensorDictBase:
 
 
 class ArmEnv(EnvBase):
-    """An arm that takes position targets and 5 ms for each, beside which a camera follows the bucket.
+    """Arms that take position targets and 5 ms for each, beside which cameras follow the buckets.
 
     Shows what :class:`~torchrl_athletic.envs.TorqueEnv` does; joints as the drives report them.
 
     Args:
-        arm: With ``reset``, ``step`` and ``true_state``.
-        start: Joint positions to start from [rad]. Shape (J,).
+        arms: Each with ``reset``, ``step`` and ``true_state``.
+        starts: Joint positions to start from [rad]. Shape (N, J).
     """
 
-    def __init__(self, arm: ConcealedArm, start: np.ndarray) -> None:
-        super().__init__(batch_size=[1])
-        self.arm, self.start = arm, start
-        joints = len(start)
+    def __init__(self, arms: Sequence[ConcealedArm], starts: Tensor) -> None:
+        count, joints = starts.shape
+        super().__init__(batch_size=[count])
+        self.arms, self.starts = arms, starts
         widths = {"joint_position": joints, "joint_velocity": joints, "applied_torque": joints, "arm_force": 3}
         widths |= dict.fromkeys(("bucket_position", "bucket_linear_velocity", "bucket_axis"), 3)
-        shown = {key: Unbounded(shape=(1, width)) for key, width in widths.items()}
-        self.observation_spec = Composite(shown, shape=[1])
-        self.action_spec = Composite(action=Unbounded(shape=(1, joints)), shape=[1])
-        self.reward_spec = Unbounded(shape=(1, 1))
+        shown = {key: Unbounded(shape=(count, width)) for key, width in widths.items()}
+        self.observation_spec = Composite(shown, shape=[count])
+        self.action_spec = Composite(action=Unbounded(shape=(count, joints)), shape=[count])
+        self.reward_spec = Unbounded(shape=(count, 1))
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: object) -> TensorDictBase:
-        return self._shown(self.arm.reset(self.start))
+        starts = self.starts.double().numpy()
+        return self._shown([arm.reset(start) for arm, start in zip(self.arms, starts, strict=True)])
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        reading = self.arm.step(tensordict["action"][0].double().numpy())
-        return self._shown(reading).set("reward", torch.zeros(1, 1))
+        targets = tensordict["action"].double().numpy()
+        shown = self._shown([arm.step(target) for arm, target in zip(self.arms, targets, strict=True)])
+        return shown.set("reward", torch.zeros(*self.batch_size, 1))
 
     def _set_seed(self, seed: int | None) -> None:
-        """The arm has its own."""
+        """The arms have their own."""
 
-    def _shown(self, reading: Any) -> TensorDict:
-        state = self.arm.true_state()
+    def _shown(self, readings: Sequence[Any]) -> TensorDict:
+        states = [arm.true_state() for arm in self.arms]
         values = {
-            "joint_position": reading.position,
-            "joint_velocity": reading.velocity,
-            "applied_torque": reading.torque,
-            "arm_force": np.zeros(3),
-            "bucket_position": state.site_position,
-            "bucket_linear_velocity": state.site_velocity,
-            "bucket_axis": state.site_rotation[:, 2],
+            "joint_position": [reading.position for reading in readings],
+            "joint_velocity": [reading.velocity for reading in readings],
+            "applied_torque": [reading.torque for reading in readings],
+            "arm_force": [np.zeros(3)] * len(states),
+            "bucket_position": [state.site_position for state in states],
+            "bucket_linear_velocity": [state.site_velocity for state in states],
+            "bucket_axis": [state.site_rotation[:, 2] for state in states],
         }
-        flags = {key: torch.zeros(1, 1, dtype=torch.bool) for key in ("done", "terminated", "truncated")}
-        shown = {key: torch.tensor(np.asarray(value), dtype=torch.float32)[None] for key, value in values.items()}
-        return TensorDict({**shown, **flags}, batch_size=[1])
+        shown = {key: torch.from_numpy(np.stack(rows)).float() for key, rows in values.items()}
+        flag = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
+        flags = {key: flag.clone() for key in ("done", "terminated", "truncated")}
+        return TensorDict({**shown, **flags}, batch_size=self.batch_size)
 
 
 def load_recipe() -> Any:

@@ -38,7 +38,9 @@ class Config:
     hidden: tuple[int, ...] = (128, 64)
     """Layers of both networks."""
     ppo: PPO = field(
-        default_factory=lambda: PPO(num_envs=256, entropy_coeff=0.0, actor_lr=1e-4, critic_lr=1e-3, kl_target=0.015)
+        default_factory=lambda: PPO(
+            num_envs=512, horizon=16, entropy_coeff=0.0, actor_lr=1e-4, critic_lr=1e-3, kl_target=0.02
+        )
     )
     """What else is chosen by hand."""
     evaluate_every: int = 50
@@ -54,13 +56,11 @@ def main(cfg: Config) -> None:
     simulator = load_simulator(cfg.simulator)
     env = make_env(simulator, cfg.ppo.num_envs, device=cfg.device, seed=cfg.seed)
     exam = make_env(simulator, 32, device=cfg.device, seed=1_000_000, randomize=False, ends=False)
-
     spec = env.observation_spec
     seen, known, joints = spec["observation"].shape[-1], spec["privileged"].shape[-1], env.action_spec.shape[-1]
     adapts_to = spec["randomization"].shape[-1] if simulator.name == "roa" else 0
     policy = make_policy(seen, joints, adapts_to, cfg.hidden, cfg.device)
     value = critic(seen + known, in_keys=["observation", "privileged"], hidden=cfg.hidden, device=cfg.device)
-
     watch = ["reward_terms", "throw_failed"]
     learner = Learner(env, policy, value, cfg.ppo, watch=watch, seed=cfg.seed, cuda_graph=cfg.device == "cuda")
     learner.rollout.current["step_count"].random_(0, STEPS)  # so that episodes do not end all at once

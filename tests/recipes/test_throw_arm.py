@@ -124,7 +124,7 @@ class OpenArm:
 
 def test_an_arm_that_is_as_simulated_throws_as_far_as_simulated(trained):
     for folder in (trained, Path("reference")):
-        throws = benchmark.score(folder, OpenArm(), count=2)
+        throws = benchmark.score(folder, [OpenArm(), OpenArm()])
         assert throws.method == ("default" if folder == trained else "reference")
         assert min(throws.real) > 1.0
         assert throws.real == pytest.approx(throws.simulated, abs=0.01)
@@ -197,8 +197,8 @@ def test_a_training_is_told_all_that_it_needs(trained, tmp_path, monkeypatch):
 
 
 def test_scores_are_written_for_all_policies(trained, tmp_path, monkeypatch):
-    monkeypatch.setattr(benchmark, "ConcealedArm", lambda robot: OpenArm())
-    monkeypatch.setattr(benchmark, "score", lambda folder, arm, count: some("default", folder.name, (1.0,), (1.1,)))
+    monkeypatch.setattr(benchmark, "ConcealedArm", lambda robot, seed: OpenArm())
+    monkeypatch.setattr(benchmark, "score", lambda folder, arms: some("default", folder.name, (1.0,), (1.1,)))
     benchmark.main(benchmark.Config("score", (trained, tmp_path), results=tmp_path / "results"))
     rows = json.loads((tmp_path / "results" / "throw_transfer.json").read_text())
     assert [row["name"] for row in rows] == ["reference", "default-0"]
