@@ -25,7 +25,7 @@ from torchrl_athletic.networks import uan
 from torchrl_athletic.recordings import read_recordings
 from torchrl_athletic.robots import from_mjcf, z1
 
-ROWS = {("ppo", "cpu"): 256, ("ppo", "cuda"): 4096, ("gradient", "cpu"): 64, ("gradient", "cuda"): 512}
+ROWS = {("ppo", "cpu"): 256, ("ppo", "cuda"): 4096, ("gradient", "cpu"): 128, ("gradient", "cuda"): 512}
 
 
 @dataclass(frozen=True)

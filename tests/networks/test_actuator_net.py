@@ -1,3 +1,4 @@
+import pytest
 import torch
 from networks.samples import move
 from tensordict import TensorDict
@@ -5,7 +6,7 @@ from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_athletic.losses import SplitClipPPOLoss
-from torchrl_athletic.networks import critic, uan, uan_actor
+from torchrl_athletic.networks import critic, load_checkpoint, save_checkpoint, uan, uan_actor
 
 
 def moved():
@@ -31,6 +32,41 @@ def test_every_joint_is_corrected_by_the_same_network_and_by_its_own_errors_alon
     errors[:, 2] += 1.0
     changed = (net(errors) - out).abs().amax((0, 2)) > 1e-6
     assert changed.tolist() == [False, False, True, False, False, False]
+
+
+def test_in_units_a_joint_of_twice_the_strength_gets_twice_the_torque():
+    torch.manual_seed(0)
+    plain, strong = uan(), uan(torque_unit=[1.0, 2.0, 1.0])
+    move(plain)
+    strong.load_state_dict(
+        {key: value for key, value in plain.state_dict().items() if "extra" not in key}, strict=False
+    )
+    errors = torch.randn(4, 3, 40)
+    torch.testing.assert_close(strong(errors), plain(errors) * torch.tensor([[1.0], [2.0], [1.0]]))
+
+
+def test_without_units_it_sees_errors_as_they_are():
+    errors = 5 * torch.randn(100, 40)
+    torch.testing.assert_close(uan()[0](errors), errors, rtol=1e-4, atol=1e-5)
+
+
+def test_velocities_are_told_apart_about_rest_and_positions_are_not_bent():
+    seen = uan(unit=(0.1, 2.0), sharpness_of_velocity=30.0)[0]
+    at = torch.tensor([0.0, 0.01, 0.02, 2.0])
+    positions = seen((at / 20).unsqueeze(-1).expand(4, 40))[:, 0]
+    velocities = seen(at.unsqueeze(-1).expand(4, 40))[:, 20]
+    torch.testing.assert_close(positions, at / 2, rtol=1e-4, atol=1e-6)
+    assert velocities[-1] == pytest.approx(1.0)
+    assert velocities[1] > 5 * 0.01 / 2.0
+    torch.testing.assert_close(seen(-at.unsqueeze(-1).expand(4, 40))[:, 20], -velocities)
+
+
+def test_units_are_saved_and_come_back_with_the_parameters(tmp_path):
+    net = uan(unit=(0.1, 2.0), sharpness_of_velocity=30.0, torque_unit=[1.0, 2.0])
+    move(net)
+    other, errors = uan(), torch.randn(4, 2, 40)
+    load_checkpoint(save_checkpoint(tmp_path / "net.pt", net=net), net=other)
+    torch.testing.assert_close(other(errors), net(errors))
 
 
 def test_the_policy_that_trains_it_explores_around_it():
