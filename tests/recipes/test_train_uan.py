@@ -51,7 +51,7 @@ def short(inputs, output, **changes):
     config = recipe.Config(
         recordings=inputs, robot=str(inputs / "arm.xml"), num_envs=4, minutes=1.0, device="cpu", output=output
     )
-    return replace(config, **{"evaluate_every": 2, "iterations": 3, "window": 0.5} | changes)
+    return replace(config, **{"evaluate_every": 2, "iterations": 3, "window": 0.3} | changes)
 
 
 @pytest.mark.parametrize("method", ["gradient", "ppo"])
