@@ -70,13 +70,15 @@ class Config:
     """Of training, each in every simulator."""
     jobs: int = 2
     """Trainings at a time, which share the cores."""
-    minutes: float = 4.0
-    """Of each [min]."""
+    iterations: int = 120
+    """Of each, so that all have learnt from as many samples."""
+    minutes: float = 20.0
+    """Of each at most [min]; what was stopped goes on from its checkpoint when it is trained again."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where to train."""
     num_envs: int = 512
     """Of each training."""
-    evaluate_every: int = 200
+    evaluate_every: int = 60
     """Iterations between measurements, each of which takes as long as some tens of iterations."""
     throws: int = 10
     """With each policy."""
@@ -152,6 +154,7 @@ def start(folder: Path, seed: int, output: Path, cfg: Config) -> tuple[subproces
         "simulator": folder,
         "seed": seed,
         "output": output,
+        "iterations": cfg.iterations,
         "minutes": cfg.minutes,
         "device": cfg.device,
         "ppo.num-envs": cfg.num_envs,

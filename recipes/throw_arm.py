@@ -1,6 +1,6 @@
 """Teach a Z1 arm, bolted to the floor, to throw a ball from a bucket as far as it can, in an identified simulator.
 
-python recipes/throw_arm.py                                                # the nominal model, on two cores
+python recipes/throw_arm.py                     # the nominal model: 1.70 m after 0.5 M samples; by hand 1.26 m
 python recipes/throw_arm.py --device cuda --ppo.num-envs 4096 --minutes 3  # on a GPU
 python recipes/throw_arm.py --simulator outputs/identification/uan_seed0 --output outputs/throw/uan_seed0-0
 """
