@@ -22,8 +22,8 @@ from scipy.optimize import minimize
 sys.path.append(str(Path(__file__).parents[2]))
 
 from benchmarks.concealed.cases import prepare
+from benchmarks.concealed.score import Row
 from torchrl_athletic.diagnosis.calibration import Grounds
-from torchrl_athletic.effects import CATALOGUE
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class Config:
     output: Path = Path("torchrl_athletic/diagnosis/calibration.json")
     ridge: float = 0.5
     """Strength of the pull of the weights to zero."""
-    relative: float = 0.02
+    relative: float = 0.05
     """Of a parameter's value: the least that its interval reaches to either side."""
 
 
@@ -72,20 +72,16 @@ def main(cfg: Config) -> None:
 
 def findings(answers: Path) -> tuple[list[dict[str, float]], Array]:
     """Features of every finding of the tuning cases, and whether it is right."""
-    containing = {e.name: {other.name for other in CATALOGUE if e.name in other.excludes} for e in CATALOGUE}
     features, right = [], []
     for path in sorted(answers.glob("tuning-*.json")):
         content = json.loads(path.read_text(encoding="utf-8"))
         if "answer" not in content:
             continue
         split, block, seed, index = content["case"].split("-")
-        case = prepare(split, block, int(index), int(seed)).case
-        true = {(t.effect, t.joint) for t in case.truths} | {k for alike in case.equivalents for k in alike}
-        if case.removed:  # what contains the removed effect states it
-            true |= {(name, t.joint) for t in case.truths for name in containing.get(t.effect, ())}
-        for finding in content["answer"]["findings"]:
+        row = Row(prepare(split, block, int(index), int(seed)).case, content)
+        for finding in row.findings:
             features.append(Grounds(**finding["grounds"]).features())
-            right.append((finding["effect"], finding["joint"]) in true or finding["effect"] in case.tolerated)
+            right.append(row.grade(finding) != "wrong")
     return features, np.array(right, dtype=np.float64)
 
 

@@ -28,7 +28,7 @@ class Grounds:
     energy: float
     """Share of its joint's missing torque that it accounts for, 0..1."""
     terms: int
-    """Findings beside it, itself included."""
+    """Findings on its joint, itself included: a real robot has some on every joint, a wrong answer many on one."""
     strain: float
     """Sum of squares of the trims, each in standard deviations of what it may be."""
 

@@ -148,7 +148,7 @@ def _finding(part: Evidence, term: Atom, values: Array, band: Array, still_open:
         scatter=scatter(bank, part.best.fit, term),
         open=still_open,
         energy=_energy_share(part, term),
-        terms=part.best.fit.size,
+        terms=sum(a.candidate.joint_name == candidate.joint_name for a in part.best.fit.terms),
         strain=part.best.fit.strain,
     )
     likely = min(probability(grounds), own)  # with equals it shares what there is
