@@ -14,6 +14,7 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,8 @@ ONE_JOINT = {"tuning": ("lift", "flap"), "sealed": ("slider", "pendulum")}
 SCORED = ("single", "heldout", "nothing", "nuisance", "outside", "leave_one_out")
 """Blocks whose rates have a limit."""
 SEVERE = 2
+FASTEST = 200.0
+"""[Hz] of the logs; faster ones take three times as long."""
 TORQUES = "torque_command"
 CHANCE = 0.01
 """That a limit is broken although nothing has become worse."""
@@ -78,8 +81,9 @@ def chosen(every: int) -> list[tuple[str, int]]:
         drawn = [_choose("tuning", block, k, generator("tuning", block, k, 0)) for k in range(count)]
         quick = [k for k, (_, robot, mode, _) in enumerate(drawn) if (robot in ONE_JOINT["tuning"] and mode == TORQUES)]
         severe = [k for k in quick if block != "single" or drawn[k][3] >= SEVERE]
-        kept = np.random.default_rng(0).permutation(severe)[: round(len(quick) / every)]
-        out += [(block, int(k)) for k in sorted(kept)]
+        shuffled = (int(k) for k in np.random.default_rng(0).permutation(severe))
+        slow = (k for k in shuffled if prepare("tuning", block, k).case.rate <= FASTEST)
+        out += [(block, k) for k in sorted(islice(slow, round(len(quick) / every)))]
     return out
 
 

@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 import torch
 from diagnosis.plants import pendulum, record, smooth_torque
 from torch import nn
 
-from torchrl_athletic.diagnosis import Diagnosis, diagnose
+from torchrl_athletic.diagnosis import Diagnosis, Score, diagnose
+from torchrl_athletic.diagnosis.corrected import Simulation
+from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.report.shares import energy_shares
-from torchrl_athletic.effects import CATALOGUE
+from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.effects import CATALOGUE, JointAddress
 from torchrl_athletic.identification.simulator import load_net
-from torchrl_athletic.training.remainder import driven_robot, learn_remainder, scored
+from torchrl_athletic.training.remainder import _remark, acted_out, driven_robot, learn_remainder, scored
 
 ONLY_VISCOUS = tuple(e for e in CATALOGUE if e.name == "viscous_friction")
 
@@ -45,7 +49,7 @@ def damped() -> Diagnosis:
 
 def test_a_net_that_does_nothing_scores_as_the_named_physics(damped):
     robot = driven_robot(damped.xml, damped.recordings)
-    score = scored(damped, Brake(0.0), robot, "heldout", damped.heldout)
+    score = scored(damped, damped.corrected, Brake(0.0), robot, "heldout")
     given = damped.answer.fit["heldout"].before
     assert score.before == pytest.approx(given, rel=1e-6)
     assert score.after == pytest.approx(given, rel=1e-6)
@@ -53,7 +57,7 @@ def test_a_net_that_does_nothing_scores_as_the_named_physics(damped):
 
 def test_a_net_that_knows_the_missing_damping_closes_the_gap_and_one_of_the_other_sign_opens_it(damped):
     robot = driven_robot(damped.xml, damped.recordings)
-    right, wrong = (scored(damped, Brake(b), robot, "heldout", damped.heldout) for b in (0.15, -0.15))
+    right, wrong = (scored(damped, damped.corrected, Brake(b), robot, "heldout") for b in (0.15, -0.15))
     assert right.after < 0.1 * right.before
     assert wrong.after > 1.5 * wrong.before
 
@@ -64,20 +68,21 @@ def test_it_looks_back_through_what_was_measured_before_the_window(damped):
             return 0.15 * errors[..., 20:21]  # twenty steps ago
 
     robot = driven_robot(damped.xml, damped.recordings)
-    late = scored(damped, Oldest(), robot, "heldout", damped.heldout)
+    late = scored(damped, damped.corrected, Oldest(), robot, "heldout")
     assert late.after < 0.3 * late.before  # 40 ms late, and still a brake, from the window's first step on
 
 
 def test_a_net_is_taught_written_and_its_share_is_told(damped, tmp_path):
-    found = learn_remainder(damped, tmp_path, minutes=1.0, iterations=25, rows=8, progress=False)
+    hour = 60.0  # so that the pace of a machine changes neither window nor rate
+    found = learn_remainder(damped, tmp_path, minutes=hour, rate=5e-4, iterations=40, rows=8, progress=False)
     fit = found.answer.fit
     assert fit["heldout_uan"].after < 0.6 * fit["heldout"].after
     content = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
     assert {"train_uan", "heldout_uan"} <= content["fit"].keys()
     assert energy_shares(found.answer, "heldout")["uan"] > 0.3
     assert "A UAN on the remainder takes another" in found.answer.remarks[-1]
-    again = scored(damped, load_net(tmp_path / "uan.pt"), driven_robot(damped.xml, damped.recordings), "heldout",
-                   damped.heldout)  # fmt: skip
+    net, robot = load_net(tmp_path / "uan.pt"), driven_robot(damped.xml, damped.recordings)
+    again = scored(damped, damped.corrected, net, robot, "heldout")
     assert again.after == pytest.approx(fit["heldout_uan"].after, rel=1e-6)
 
 
@@ -93,3 +98,26 @@ def test_takes_of_several_gains_are_refused(damped):
         driven_robot(damped.xml, servo)
     robot = driven_robot(damped.xml, servo[:1])
     assert (robot.kp, robot.kd) == ((10.0,), (1.0,))
+
+
+def test_what_no_policys_simulation_acts_out_is_left_to_the_net():
+    by_name = {e.name: e for e in CATALOGUE}
+    model, names = mujoco.MjModel.from_xml_string(pendulum()), ("pendulum",)
+    address = JointAddress.of(model, names)
+    kinds = [by_name["viscous_friction"], by_name["load_dependent_friction"]]
+    terms = tuple(Candidate(e, 0, "pendulum", e.parameters(model, address, 0)) for e in kinds)
+    whole = Simulation(model, names, Hypothesis(terms), np.array([0.2, 0.3, 0.1]))
+    kept = acted_out(whole)
+    assert [c.effect.name for c in kept.hypothesis.terms] == ["viscous_friction"]
+    np.testing.assert_array_equal(kept.values, [0.2])
+
+
+def test_a_remark_names_what_the_net_stands_in_for_and_says_when_it_does_not_help():
+    def fit(after: float) -> Score:
+        return Score(1.0, after, 0.0, 0.0, {})
+
+    helped = _remark({"train": fit(0.5)}, {"train_uan": fit(0.4)}, ["backlash of knee"])
+    assert helped == (
+        "A UAN in place of backlash of knee takes another 20 % off the error on recordings that it was fitted on."
+    )
+    assert "does not help on recordings kept aside" in _remark({"heldout": fit(0.5)}, {"heldout_uan": fit(0.6)}, [])

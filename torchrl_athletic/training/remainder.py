@@ -11,21 +11,25 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import nn
+from torchrl.envs import Transform
 
 from torchrl_athletic.diagnosis import Diagnosis, Score
 from torchrl_athletic.diagnosis.compare import score
+from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.effects import JointAddress, Law, Now, Parameter, Plant, Start
 from torchrl_athletic.effects.effect import torque_bound
 from torchrl_athletic.envs import replay_env
-from torchrl_athletic.identification import Simulator
+from torchrl_athletic.envs.replay import Driven
 from torchrl_athletic.networks import save_checkpoint, uan
 from torchrl_athletic.recordings import Recording
 from torchrl_athletic.robots import Robot, from_mjcf
 from torchrl_athletic.training.ppo import train
 from torchrl_athletic.training.uan import takes_of, torque_unit, units_of
 from torchrl_athletic.training.uan_gradient import DifferentiableTorqueEnv, GradientLearner, descend
+from torchrl_athletic.transforms import CorrectedActuation, EquivalentTarget
+from torchrl_athletic.transforms.corrected_actuation import NOT_ACTED_OUT
 
 Array = NDArray[np.float64]
 
@@ -42,19 +46,23 @@ def learn_remainder(
     *,
     minutes: float = 2.0,
     rows: int = 16,
+    rate: float = 2e-3,
     iterations: int | None = None,
     progress: bool = True,
 ) -> Diagnosis:
     """Teach a net the torques that the corrected simulation still lacks, and score it on the same windows.
 
     The net is trained down the gradient of the position error on the fitted takes; those kept aside only score. Its
-    score is ``train_uan`` and ``heldout_uan`` of the answer's ``fit``, beside those of the named physics.
+    score is ``train_uan`` and ``heldout_uan`` of the answer's ``fit``, beside those of the named physics. Findings that
+    have no place in a policy's simulation (:data:`~torchrl_athletic.transforms.corrected_actuation.NOT_ACTED_OUT`) are
+    left to the net as well, and a remark says so.
 
     Args:
         diagnosis: Complete, as :func:`~torchrl_athletic.diagnosis.diagnose` returns it.
         output: Folder of the diagnosis, which is written again, with ``uan.pt`` beside it.
         minutes: Of training [min].
         rows: Replayed at once.
+        rate: First learning rate; it falls to zero in ``minutes``.
         iterations: When to stop in any case.
         progress: Whether to show a bar.
 
@@ -62,38 +70,41 @@ def learn_remainder(
         The diagnosis with the two scores.
 
     Raises:
-        ValueError: If the diagnosis holds no recordings, takes are of several kinds, or a finding has no place in a
-            simulation that a policy can be trained in.
+        ValueError: If the diagnosis holds no recordings, or takes of several kinds or gains.
     """
     if not diagnosis.recordings:
         raise ValueError(
             "the diagnosis holds no recordings (it was loaded, or stopped early), so there is nothing to learn from. "
             "Diagnose to the end, and hand over what diagnose() returns."
         )
-    robot = driven_robot(diagnosis.xml, diagnosis.recordings)
-    simulator = Simulator("diagnosed_uan", robot, diagnosis.corrected.to_json())
+    named = acted_out(diagnosis.corrected)
+    robot = driven_robot(corrected_xml(diagnosis.xml, named), diagnosis.recordings)
     torch.manual_seed(diagnosis.answer.seed)
     takes = takes_of([_named(r, robot) for r in diagnosis.recordings], robot)
     net = uan(HISTORY, HIDDEN, **units_of(takes, robot))
-    base = DifferentiableTorqueEnv(simulator.robot, num_envs=rows)
+    base = DifferentiableTorqueEnv(robot, num_envs=rows)
     env = replay_env(
-        simulator.robot,
+        robot,
         takes,
-        chain=simulator.chain(command=takes.driven, limits=False, decimation=1),
+        chain=chain_of(named, robot, takes.driven),
         unit=torque_unit(net),
         base=base,
         max_steps=round(0.5 / float(robot.model().opt.timestep)),
         seed=diagnosis.answer.seed,
     )
-    learner = GradientLearner(env, net, minutes=minutes)
+    learner = GradientLearner(env, net, minutes=minutes, rate=rate)
     train(learner, minutes=minutes, iterations=iterations, progress=progress, show=["train_mse"], step=descend)
     scores = {
-        f"{split}_uan": scored(diagnosis, net, robot, split, group)
+        f"{split}_uan": scored(diagnosis, named, net, robot, split)
         for split, group in (("train", diagnosis.recordings), ("heldout", diagnosis.heldout))
         if group
     }
-    answer = diagnosis.answer
-    answer = replace(answer, fit={**answer.fit, **scores}, remarks=(*answer.remarks, *_remark(answer.fit, scores)))
+    answer, left = (
+        diagnosis.answer,
+        [c for c in diagnosis.corrected.hypothesis.terms if c not in named.hypothesis.terms],
+    )
+    remark = _remark(answer.fit, scores, [f"{c.effect.name.replace('_', ' ')} of {c.where}" for c in left])
+    answer = replace(answer, fit={**answer.fit, **scores}, remarks=(*answer.remarks, remark))
     found = replace(diagnosis, answer=answer)
     if output is not None:
         save_checkpoint(Path(output) / FILE, {"hidden": list(HIDDEN), "history": HISTORY}, net=net)
@@ -129,15 +140,38 @@ def _named(recording: Recording, robot: Robot) -> Recording:
     return replace(recording.ordered(robot.joint_names), torque_measured=None, torque_semantics=None)
 
 
-def _remark(before: Mapping[str, Score], after: Mapping[str, Score]) -> tuple[str, ...]:
+def acted_out(corrected: Simulation) -> Simulation:
+    """The correction without what no simulation of a policy acts out."""
+    whole = corrected.hypothesis
+    kept = tuple(c for c in whole.terms if c.effect.name not in NOT_ACTED_OUT)
+    values = [whole.values_of(c, corrected.values) for c in (*kept, *whole.trims)]
+    numbers = np.concatenate(values) if values else np.zeros(0)
+    return replace(corrected, hypothesis=Hypothesis(kept, whole.trims), values=numbers)
+
+
+def chain_of(corrected: Simulation, robot: Robot, driven: Driven) -> list[Transform]:
+    """What stands between a command and the corrected model's joints, with the limits of its motors."""
+    gains = (robot.kp, robot.kd) if driven == "position" else (None, None)
+    law = CorrectedActuation(
+        corrected.to_json(),
+        timestep=float(robot.model().opt.timestep),
+        joint_names=robot.joint_names,
+        kp=gains[0],
+        kd=gains[1],
+        torque_limit=robot.torque_limit,
+    )
+    return [law] if driven == "position" else [law, EquivalentTarget(robot.kp, robot.kd)]
+
+
+def _remark(before: Mapping[str, Score], after: Mapping[str, Score], stood_in_for: Sequence[str]) -> str:
     """What the net did on the takes that decide."""
     split = "heldout" if "heldout" in before else "train"
     named, learnt = before[split].after, after[f"{split}_uan"].after
     where = "kept aside" if split == "heldout" else "that it was fitted on"
+    net = f"A UAN in place of {' and '.join(stood_in_for)}" if stood_in_for else "A UAN on the remainder"
     if learnt >= named:
-        return (f"A UAN on the remainder does not help on recordings {where}: leave it out of the simulation.",)
-    share = 100 * (1 - learnt / max(named, 1e-12))
-    return (f"A UAN on the remainder takes another {share:.0f} % off the error on recordings {where}.",)
+        return f"{net} does not help on recordings {where}: leave it out of the simulation."
+    return f"{net} takes another {100 * (1 - learnt / max(named, 1e-12)):.0f} % off the error on recordings {where}."
 
 
 # --- the net in the diagnosis's own replay ----------------------------------------------------------------------------
@@ -215,10 +249,9 @@ class LearnedTorque(Law):
         return np.stack([(torque + self.kd * velocity) / self.kp, -velocity], -1)
 
 
-def scored(diagnosis: Diagnosis, net: nn.Module, robot: Robot, split: str, recordings: Sequence[Recording]) -> Score:
+def scored(diagnosis: Diagnosis, corrected: Simulation, net: nn.Module, robot: Robot, split: str) -> Score:
     """The given model against the corrected one with the net, over the windows that the diagnosis was scored on."""
-    corrected = diagnosis.corrected
-    prepared = prepare(recordings, corrected.model)
+    prepared = prepare(diagnosis.heldout if split == "heldout" else diagnosis.recordings, corrected.model)
     hypothesis = WithNet(corrected.hypothesis.terms, corrected.hypothesis.trims, net, robot)
     values = np.append(corrected.values, 1.0)
     rng = np.random.default_rng([diagnosis.answer.seed, *split.encode()])
