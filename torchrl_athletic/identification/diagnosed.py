@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
+from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.effects import CATALOGUE, Effect
 from torchrl_athletic.identification.open_loop import start_velocity
 from torchrl_athletic.identification.simulator import Simulator
@@ -55,9 +56,17 @@ def identify_diagnosed(
     started = time.perf_counter()
     taken = [_first(recording, seconds_per_take) for recording in recordings]
     fit, aside = ([within_limits(robot, recording) for recording in group] for group in (taken, heldout))
-    diagnosis = diagnose(
-        robot.spec(), fit, aside, catalogue=actable_effects(), seed=seed, time_budget=time_budget, output=output
-    )
+    with Progress() as progress:
+        diagnosis = diagnose(
+            robot.spec(),
+            fit,
+            aside,
+            catalogue=actable_effects(),
+            seed=seed,
+            time_budget=time_budget,
+            output=output,
+            progress=progress,
+        )
     return simulator_of(diagnosis, robot, taken, time.perf_counter() - started, seed)
 
 
