@@ -121,3 +121,26 @@ def test_a_remark_names_what_the_net_stands_in_for_and_says_when_it_does_not_hel
         "A UAN in place of backlash of knee takes another 20 % off the error on recordings that it was fitted on."
     )
     assert "does not help on recordings kept aside" in _remark({"heldout": fit(0.5)}, {"heldout_uan": fit(0.6)}, [])
+
+
+def test_behind_a_servo_it_sees_the_errors_of_the_target():
+    gains = {"kp": np.array([8.0]), "kd": np.array([0.5])}
+    swing = [record(pendulum(joint='damping="0.4"'), smooth_torque(3.0, 1.2, seed=k), noise=1e-4, seed=k, **gains)
+             for k in (0, 1)]  # fmt: skip
+    found = diagnose(pendulum(), swing[:1], swing[1:], catalogue=())
+    robot = driven_robot(found.xml, found.recordings)
+
+    class Softer(nn.Module):  # a softer servo, and the damping that is missing
+        def forward(self, errors: torch.Tensor) -> torch.Tensor:
+            return -2.0 * errors[..., 19:20] + 0.35 * errors[..., -1:]
+
+    class Damped(nn.Module):
+        def forward(self, errors: torch.Tensor) -> torch.Tensor:
+            return 0.35 * errors[..., -1:]
+
+    right = scored(found, found.nominal, Damped(), robot, "heldout")
+    assert right.after < 0.1 * right.before
+    softer = replace(swing[1], kp=np.array([6.0]))
+    soft = scored(replace(found, heldout=(softer,)), found.nominal, Damped(), robot, "heldout")
+    same = scored(found, found.nominal, Softer(), robot, "heldout")
+    assert same.after == pytest.approx(soft.after, rel=0.02)  # the newest position error is that of the target
