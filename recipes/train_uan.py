@@ -85,11 +85,13 @@ def main(cfg: Config) -> Simulator:
         show=["reward", "mse"],
         step=training.iterate if cfg.method == "ppo" else training.descend,
     )
+    best, state = validate.best
+    net.load_state_dict(state)
     notes = {name: getattr(cfg, name) for name in ("method", "credit", "seed", "device")}
     notes |= {"training_seconds": learner.seconds, "data_seconds": sum(r.duration for r in recordings)}
-    notes |= {"validation_mse": numbers["mse"], "validation_mse_before": before}
+    notes |= {"validation_mse": best, "validation_mse_last": numbers["mse"], "validation_mse_before": before}
     found = replace(given, net=net.cpu(), kind="correction", notes=notes)
-    print(f"mean square error of replays not trained on: {before:.3g} rad² before, {numbers['mse']:.3g} rad² after")
+    print(f"mean square error of replays not trained on: {before:.3g} rad² before, {best:.3g} rad² after")
     print("simulator:", found.save(cfg.output))
     return found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import replace
 from itertools import pairwise
 from statistics import median
@@ -221,19 +222,23 @@ class Validation:
 
     Args:
         env: :func:`~torchrl_athletic.envs.replay.replay_env` with a row for each window and ``by_row``.
-        net: What corrects, as it is at each call.
+        net: What corrects, as it is at each call; ``best`` keeps the lowest error and the net's state then.
         steps: Of each window.
     """
 
     def __init__(self, env: TransformedEnv, net: nn.Sequential, steps: int) -> None:
+        self.net, self.best = net, (float("inf"), deepcopy(net.state_dict()))
         self.rollout = CapturedRollout(env, MeanPolicy(net), steps, keys=["privileged"], fuse=False)
 
     @torch.no_grad()
     def __call__(self) -> dict[str, float]:
         """``mse`` [rad²], the mean over windows, time and joints, and ``lost``, the share of rows that had to end."""
         batch = self.rollout()
+        mse = float(batch["next", "privileged"][..., 0].square().mean())
+        if mse < self.best[0]:
+            self.best = mse, deepcopy(self.net.state_dict())
         return {
-            "mse": float(batch["next", "privileged"][..., 0].square().mean()),
+            "mse": mse,
             "lost": float(batch["next", "terminated"].any(1).float().mean()),
         }
 

@@ -24,11 +24,13 @@ from torchrl_athletic.training.checkpoint import env_state, restore_env
 from torchrl_athletic.training.rollout import control_step
 from torchrl_athletic.training.uan import MeanPolicy
 
-WINDOWS = (16, 32, 64)
-"""Steps that the gradient goes back, in the first, second and last third of the time."""
+WINDOWS = (16, 24, 32)
+"""Steps that the gradient goes back, in the first, second and last third of the time. Over more it can explode."""
 NUDGE = 1e-3
 """Of a position [rad] and a velocity [rad/s]; a torque is nudged as many N·m as its limit times this."""
 
+EXPLODED = 30.0
+"""Length of a gradient, of the error in squared hundredths of a radian, from which on it is left out."""
 EVERY = 8
 """Samples of a recording from one known Jacobian to the next: 40 ms."""
 
@@ -186,9 +188,9 @@ class GradientLearner:
         net: nn.Sequential,
         *,
         minutes: float,
-        rate: float = 2e-3,
+        rate: float = 1e-3,
         windows: tuple[int, ...] = WINDOWS,
-        max_grad_norm: float = 10.0,
+        max_grad_norm: float = 1.0,
     ) -> None:
         if not minutes > 0:
             raise ValueError(
@@ -253,6 +255,9 @@ def descend(learner: GradientLearner) -> TensorDict:
     learner.optimizer.zero_grad()
     (1e4 * error).backward()
     norm = nn.utils.clip_grad_norm_(learner.net.parameters(), learner.max_grad_norm)
+    for parameter in learner.net.parameters():
+        if parameter.grad is not None:  # one that exploded has no direction worth going
+            parameter.grad = torch.where(norm < EXPLODED, parameter.grad, 0.0)
     for group in learner.optimizer.param_groups:
         group["lr"] = rate
     learner.optimizer.step()
