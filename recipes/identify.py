@@ -48,7 +48,7 @@ class Config:
     """How long and how closely CEM looks."""
     actuator_net: ActuatorNetTraining = field(default_factory=ActuatorNetTraining)
     """How the supervised net is trained."""
-    seconds_per_take: float = 15.0
+    seconds_per_take: float = 6.0
     """What the diagnosis looks at of each take [s]."""
     time_budget: float = 600.0
     """Of the diagnosis [s]."""
@@ -77,6 +77,7 @@ def identify(robot: Robot, takes: list[Recording], cfg: Config) -> Simulator:
             takes,
             seed=cfg.seed,
             seconds_per_take=cfg.seconds_per_take,
+            refine=cfg.cem,
             time_budget=cfg.time_budget,
             output=folder_of(cfg) / "diagnosis",
         )

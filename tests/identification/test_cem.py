@@ -7,7 +7,14 @@ import pytest
 from identification.arms import commands, recorded, robot
 
 from torchrl_athletic.identification import Simulator
-from torchrl_athletic.identification.cem import CEM, WindowError, correction_of, identify_cem
+from torchrl_athletic.identification.cem import (
+    CEM,
+    WindowError,
+    correction_of,
+    correction_with,
+    free_parameters,
+    identify_cem,
+)
 from torchrl_athletic.identification.open_loop import open_loop, score
 
 ROBOT = robot()
@@ -19,7 +26,7 @@ TRUTH = Simulator("cem", ROBOT, correction_of(ROBOT.joint_names, TRUE))
 def test_the_error_of_a_population_is_that_of_its_members_rollouts(torques: bool) -> None:
     takes = [recorded(TRUTH, commands(201, seed, 2.0 if torques else 0.5), torques) for seed in (1, 2)]
     population = np.stack([TRUE, 0.5 * TRUE, 2.0 * TRUE])
-    errors = WindowError(ROBOT, takes, CEM(population=4, windows=100, window=0.5))(population)
+    errors = WindowError(Simulator("default", ROBOT), takes, CEM(population=4, windows=100, window=0.5))(population)
     for values, error in zip(population, errors, strict=True):
         simulator = Simulator("cem", ROBOT, correction_of(ROBOT.joint_names, values))
         assert error == pytest.approx(score(open_loop(simulator, takes, window=0.5)).mse, rel=1e-3, abs=1e-9)
@@ -49,4 +56,27 @@ def test_takes_of_other_gains_are_refused() -> None:
     take = recorded(TRUTH, commands(101, 1))
     other = recorded(TRUTH, commands(101, 1, 2.0), torques=True)
     with pytest.raises(ValueError, match="Fit those of one kind"):
-        WindowError(ROBOT, [take, other], CEM(windows=2, window=0.1))
+        WindowError(Simulator("default", ROBOT), [take, other], CEM(windows=2, window=0.1))
+
+
+def test_a_given_simulator_keeps_its_other_physics_and_gets_better_numbers() -> None:
+    late = {"effect": "actuation_delay", "joint": "hip", "parameters": {"delay": {"value": 0.02}}}
+    falling = {"coulomb": {"value": 0.6}, "stribeck": {"value": 0.5}, "stribeck_speed": {"value": 0.3}}
+    other = [late, {"effect": "stribeck_friction", "joint": "knee", "parameters": falling}]
+    free = [f for f in free_parameters(ROBOT.joint_names, {"effects": other, "trims": []}) if f.joint == "hip"]
+    start = {**correction_with(None, free, [0.5, 0.5, 0.03]), "joint_names": list(ROBOT.joint_names)}
+    start["effects"] += other
+    truth = Simulator("diagnosed", ROBOT, correction_with(start, free, [1.5, 1.0, 0.08]))
+    takes = [recorded(truth, commands(401, seed)) for seed in (1, 2)]
+    given = Simulator("diagnosed", ROBOT, start, notes={"verdict": "explained", "training_seconds": 5.0})
+    quick = CEM(generations=30, population=8, windows=8, window=0.5)
+    found = identify_cem(ROBOT, takes, quick, given=given)
+    assert (found.name, found.notes["verdict"]) == ("diagnosed", "explained")
+    assert found.notes["training_seconds"] > 5.0
+    before, after = (score(open_loop(s, [recorded(truth, commands(401, 3))])).mse for s in (given, found))
+    assert after < before / 20
+    kept = {(e["effect"], e["joint"]): e["parameters"] for e in found.correction["effects"]}
+    assert kept["actuation_delay", "hip"] == late["parameters"]
+    assert kept["stribeck_friction", "knee"] == falling
+    assert ("coulomb_friction", "knee") not in kept
+    assert start["effects"][0]["parameters"]["torque"]["value"] == 0.5  # what was given stays

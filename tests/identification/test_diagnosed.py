@@ -21,7 +21,7 @@ TRUTH = Simulator("truth", ROBOT, correction_of(ROBOT.joint_names, [2.0, 0.3, 0.
 @pytest.mark.slow
 def test_it_finds_the_friction_that_was_added_and_follows_takes_that_it_never_saw(tmp_path) -> None:
     takes = [recorded(TRUTH, commands(1201, seed)) for seed in (1, 2)]
-    found = identify_diagnosed(ROBOT, takes, output=tmp_path / "diagnosis")
+    found = identify_diagnosed(ROBOT, takes, refine=None, output=tmp_path / "diagnosis")
     unseen = recorded(TRUTH, commands(801, 3))
     before, after = (score(open_loop(s, [unseen])).mse for s in (Simulator("default", ROBOT), found))
     assert after < before / 30
@@ -35,7 +35,9 @@ def test_it_finds_the_friction_that_was_added_and_follows_takes_that_it_never_sa
 def test_only_effects_that_a_chain_or_a_model_of_any_robot_can_hold_are_looked_for() -> None:
     names = {effect.name for effect in actable_effects()}
     assert names <= IN_THE_CHAIN.keys() | IN_THE_MODEL.keys()
-    assert not names & (NOT_ACTED_OUT.keys() | {"payload", "gravity_tilt", "joint_spring", "disturbance"})
+    assert not names & (
+        NOT_ACTED_OUT.keys() | {"payload", "gravity_tilt", "joint_spring", "disturbance", "speed_torque_limit"}
+    )
     assert {"coulomb_friction", "stribeck_friction", "actuation_lag", "reflected_inertia"} <= names
 
 

@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
-from torch import Tensor
 
-from torchrl_athletic.functional.actuation import clip_torque_speed, pd_torque
 from torchrl_athletic.identification.open_loop import (
     MOST,
     gains_of,
     identified_joints,
     on_all_joints,
-    stacked,
+    replay_env,
+    simulate,
     windows_of,
 )
 from torchrl_athletic.identification.simulator import Simulator
-from torchrl_athletic.physics import BatchPhysics
 from torchrl_athletic.recordings import Recording
-from torchrl_athletic.robots import Robot, with_correction
+from torchrl_athletic.robots import Robot
 from torchrl_athletic.robots.corrected import SCHEMA
 
 Array = NDArray[np.float64]
@@ -35,6 +34,23 @@ PARAMETERS = (
     ("reflected_inertia", "armature", "kg·m²", "dof_armature", (1e-5, 1.0)),
 )
 """Effect, its parameter, unit, the model's field, and the bounds of the search."""
+HELD = {
+    "asymmetric_friction": ("coulomb_friction", "viscous_friction"),
+    "stribeck_friction": ("coulomb_friction",),
+}
+"""Effects of a given correction that hold a joint's friction in numbers of their own, which then stay as they are."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A number that is searched for."""
+
+    effect: str
+    parameter: str
+    unit: str
+    field: str
+    bounds: tuple[float, float]
+    joint: str
 
 
 @dataclass(frozen=True)
@@ -56,6 +72,7 @@ def identify_cem(
     recordings: Sequence[Recording],
     settings: CEM | None = None,
     *,
+    given: Simulator | None = None,
     seed: int = 0,
     progress: Callable[[int, float], None] | None = None,
 ) -> Simulator:
@@ -68,8 +85,12 @@ def identify_cem(
         robot: Whose joints are identified: the group ``"arm"``, or all.
         recordings: Takes to fit, of the same gains, all of them of targets or all of torques.
         settings: None takes the defaults.
+        given: Where to start from instead of the robot as it is, a diagnosed simulator say, whose other physics stays.
         seed: Of the windows and the search.
         progress: Called with the generation and the best error so far [rad²].
+
+    Returns:
+        A simulator of the name ``"cem"``, or of the given one's.
 
     Raises:
         ImportError: If ``cmaes`` is not installed.
@@ -82,10 +103,10 @@ def identify_cem(
         from cmaes import CMA  # type: ignore[import-untyped]
     except ImportError as error:
         raise ImportError("identify_cem searches with cmaes, which is not installed: pip install cmaes.") from error
-    settings = settings or CEM()
-    started = time.perf_counter()
-    objective = WindowError(robot, recordings, settings, seed)
-    bounds = np.log(np.repeat([bound for *_, bound in PARAMETERS], len(objective.joints), axis=0))
+    settings, started = settings or CEM(), time.perf_counter()
+    base = Simulator("cem", robot) if given is None else given
+    objective = WindowError(base, recordings, settings, seed)
+    bounds = np.log([free.bounds for free in objective.free])
     mean = np.clip(np.log(objective.nominal), bounds[:, 0] + 1.0, bounds[:, 1] - 1.0)
     search = CMA(mean, settings.spread, bounds, seed=seed, population_size=settings.population)
     best, least = mean, np.inf
@@ -99,14 +120,16 @@ def identify_cem(
             progress(generation, least)
         if search.should_stop():
             break
+    seconds = float(base.notes.get("training_seconds", 0.0)) + time.perf_counter() - started
     notes = {
+        **base.notes,
         "seed": seed,
-        "training_seconds": time.perf_counter() - started,
+        "training_seconds": seconds,
         "data_seconds": float(sum(r.duration for r in recordings)),
         "fit_mse": least,
         "generations": generation + 1,
     }
-    return Simulator("cem", robot, correction_of(objective.joints, np.exp(best)), notes=notes)
+    return replace(base, correction=correction_with(base.correction, objective.free, np.exp(best)), notes=notes)
 
 
 def correction_of(joints: Sequence[str], values: ArrayLike) -> dict[str, Any]:
@@ -116,107 +139,112 @@ def correction_of(joints: Sequence[str], values: ArrayLike) -> dict[str, Any]:
         joints: Names. Length J.
         values: All frictions, then all dampings, then all armatures. Shape (3 J,).
     """
-    found = np.split(np.asarray(values, dtype=np.float64), len(PARAMETERS))
-    effects = [
-        {"effect": effect, "joint": joint, "parameters": {name: {"value": float(value), "unit": unit}}}
-        for (effect, name, unit, *_), of_joints in zip(PARAMETERS, found, strict=True)
-        for joint, value in zip(joints, of_joints, strict=True)
+    return correction_with(None, free_parameters(joints, None), values)
+
+
+def correction_with(given: Mapping[str, Any] | None, free: Sequence[Free], values: ArrayLike) -> dict[str, Any]:
+    """A correction with numbers changed, or added where it has none of that effect and joint."""
+    content: dict[str, Any] = {"schema": SCHEMA, "effects": [], "trims": []}
+    content["joint_names"] = list(dict.fromkeys(f.joint for f in free))
+    if given is not None:
+        content = deepcopy(dict(given))
+    entries = {(e["effect"], e["joint"]): e for e in (*content["effects"], *content["trims"])}
+    for f, value in zip(free, np.asarray(values, dtype=np.float64), strict=True):
+        if (f.effect, f.joint) in entries:
+            entries[f.effect, f.joint]["parameters"][f.parameter]["value"] = float(value)
+        else:
+            parameter = {f.parameter: {"value": float(value), "unit": f.unit}}
+            content["effects"].append({"effect": f.effect, "joint": f.joint, "parameters": parameter})
+    return content
+
+
+def free_parameters(joints: Sequence[str], given: Mapping[str, Any] | None) -> list[Free]:
+    """Three numbers a joint, but for those that a given correction holds in another form."""
+    entries = [] if given is None else [*given["effects"], *given["trims"]]
+    held = {(effect, e["joint"]) for e in entries for effect in HELD.get(e["effect"], ())}
+    return [
+        Free(effect, parameter, unit, field, bounds, joint)
+        for effect, parameter, unit, field, bounds in PARAMETERS
+        for joint in joints
+        if (effect, joint) not in held
     ]
-    return {"schema": SCHEMA, "joint_names": list(joints), "effects": effects, "trims": []}
 
 
 class WindowError:
     """Error of a population of parameter sets over open-loop windows, all simulated at once.
 
     Args:
-        robot: As given.
+        simulator: Without a net; what it holds beside the searched numbers stays.
         recordings: To draw windows from.
         settings: How many, and how long; the population.
         seed: Of the draw.
     """
 
-    def __init__(self, robot: Robot, recordings: Sequence[Recording], settings: CEM, seed: int = 0) -> None:
-        given = Simulator("default", robot)
-        takes = [on_all_joints(given, recording) for recording in recordings]
+    def __init__(
+        self, simulator: Simulator, recordings: Sequence[Recording], settings: CEM | None = None, seed: int = 0
+    ) -> None:
         if len({gains_of(recording) for recording in recordings}) > 1:
             raise ValueError(
                 "the recordings were made with several sets of gains, or some with torques: they cannot be simulated "
                 "in one batch. Fit those of one kind."
             )
-        self.joints = [n for n in identified_joints(given) if n in recordings[0].joint_names]
-        self.columns = [robot.joint_names.index(name) for name in self.joints]
-        start = _draw([windows_of(r, settings.window) for r in recordings], settings.windows, seed)
-        steps = max(1, round(settings.window * recordings[0].rate))
-        self.command = stacked([t.command for t in takes], start, range(steps)).double()
-        self.position = stacked([t.position for t in takes], start, range(steps + 1)).double()
-        self.velocity = stacked([t.velocity for t in takes], start, range(1)).double()[:, 0]
-        gains = (takes[0].kp, takes[0].kd)
-        self.gains = None if gains[0] is None else tuple(torch.from_numpy(g) for g in gains if g is not None)
-        self.limits = torch.tensor(robot.torque_limit), torch.tensor(robot.velocity_limit)
-        model = robot.model()
-        self.dof = [int(model.joint(name).dofadr[0]) for name in self.joints]
-        self.qpos = [int(model.joint(name).qposadr[0]) for name in robot.joint_names]
-        self.qvel = [int(model.joint(name).dofadr[0]) for name in robot.joint_names]
-        self.nominal = self._nominal(robot, model)
-        # the softness of friction with which the found values will be simulated
-        model = with_correction(robot, correction_of(self.joints, self.nominal)).model()
-        self.rest = torch.tensor(model.key(robot.keyframe).qpos)
-        fields = [field for *_, field, _ in PARAMETERS]
-        rows = settings.population * len(self.command)
-        self.physics = BatchPhysics(model, rows, fields=fields, joint_names=robot.joint_names)
-
-    def _nominal(self, robot: Robot, model: Any) -> Array:
-        """What the model has; where that is nothing, a small part of what the motor can do. Shape (3 J,)."""
-        limit = np.asarray(robot.torque_limit)[self.columns]
-        little = (0.02 * limit, 0.01 * limit, np.full(len(limit), 1e-3))
-        given = (np.ravel(getattr(model, field))[self.dof] for *_, field, _ in PARAMETERS)
-        return np.concatenate([np.where(g > 0, g, small) for g, small in zip(given, little, strict=True)])
+        settings, robot = settings or CEM(), simulator.robot
+        joints = [n for n in identified_joints(simulator) if n in recordings[0].joint_names]
+        self.columns = [robot.joint_names.index(name) for name in joints]
+        self.free = free_parameters(joints, simulator.correction)
+        self.nominal = _nominal(robot, self.free)
+        # with the softness of friction that the found values will be simulated with
+        simulator = replace(simulator, correction=correction_with(simulator.correction, self.free, self.nominal))
+        takes = [on_all_joints(simulator, recording) for recording in recordings]
+        index = _draw([windows_of(r, settings.window) for r in recordings], settings.windows, seed)
+        self.takes, self.index = zip(*[(t, i) for t, i in zip(takes, index, strict=True) if len(i)], strict=True)
+        self.steps = max(i.shape[1] for i in self.index)
+        self.measured = np.concatenate([t.position[i] for t, i in zip(self.takes, self.index, strict=True)])
+        self.population = settings.population
+        fields = tuple(dict.fromkeys(f.field for f in self.free))
+        self.env = replay_env(simulator, takes[0], self.population * len(self.measured), fields)
+        self.dof = [int(robot.model().joint(f.joint).dofadr[0]) for f in self.free]
 
     def __call__(self, values: Array) -> Array:
         """Mean squared error of each parameter set [rad²].
 
         Args:
-            values: All frictions, then all dampings, then all armatures, of K sets. Shape (K, 3 J).
+            values: Of the numbers in :attr:`free`, of K sets, no more than the population. Shape (K, P).
 
         Returns:
             Shape (K,). An error counts for no more than :data:`~.open_loop.MOST`.
         """
-        sets, windows = len(values), len(self.command)
-        full = np.concatenate([values, np.repeat(values[:1], self.physics.num_envs // windows - sets, axis=0)])
-        of_rows = np.repeat(full, windows, axis=0)
-        for (*_, field, _), part in zip(PARAMETERS, np.split(of_rows, len(PARAMETERS), axis=1), strict=True):
-            held = self.physics.field(field)
-            held.reshape(len(held), held.shape[1], -1)[:, self.dof, 0] = torch.from_numpy(part)
-        times = self.physics.num_envs // windows
-        qpos = self.rest.expand(self.physics.num_envs, -1).clone()
-        qvel = torch.zeros(self.physics.num_envs, self.physics.model.nv, dtype=torch.float64)
-        qpos[:, self.qpos] = self.position[:, 0].repeat(times, 1)
-        qvel[:, self.qvel] = self.velocity.repeat(times, 1)
-        self.physics.reset(qpos=qpos, qvel=qvel)
-        squared = torch.zeros(self.physics.num_envs, dtype=torch.float64)
-        for k in range(self.command.shape[1]):
-            self.physics.apply_torque(self._torque(self.command[:, k].repeat(times, 1)))
-            self.physics.step()
-            error = self.physics.joint_position[:, self.columns] - self.position[:, k + 1, self.columns].repeat(
-                times, 1
-            )
-            squared += error.nan_to_num(MOST).clamp(-MOST, MOST).square().mean(-1)
-        mean = squared.reshape(times, windows).mean(-1) / self.command.shape[1]
-        return mean[:sets].numpy()
+        sets, windows, physics = len(values), len(self.measured), self.env.base_env.physics
+        full = np.concatenate([values, np.repeat(values[:1], self.population - sets, axis=0)])
+        of_rows = torch.from_numpy(np.repeat(full, windows, axis=0))
+        for k, (free, dof) in enumerate(zip(self.free, self.dof, strict=True)):
+            field = physics.field(free.field)
+            field.reshape(len(field), field.shape[1], -1)[:, dof, 0] = of_rows[:, k]
+        times = self.population
+        position, _ = simulate(self.env, self.takes * times, self.index * times, self.steps)
+        error = position.reshape(times, *self.measured.shape)[..., self.columns] - self.measured[..., self.columns]
+        squared = np.clip(np.nan_to_num(error, nan=MOST), -MOST, MOST) ** 2
+        return np.asarray(squared.mean((1, 2, 3))[:sets])
 
-    def _torque(self, command: Tensor) -> Tensor:
-        """As :meth:`Simulator.chain` without a net makes it of a command."""
-        position, velocity = self.physics.joint_position, self.physics.joint_velocity
-        torque = command if self.gains is None else pd_torque(command, position, velocity, *self.gains)
-        return clip_torque_speed(torque, velocity, *self.limits)
+
+def _nominal(robot: Robot, free: Sequence[Free]) -> Array:
+    """What the model has; where that is nothing, a small part of what the motor can do. Shape (P,)."""
+    model = robot.model()
+    limit = dict(zip(robot.joint_names, robot.torque_limit, strict=True))
+    little = {"dof_frictionloss": 0.02, "dof_damping": 0.01, "dof_armature": 1e-3}
+    out = []
+    for f in free:
+        has = float(np.ravel(getattr(model, f.field)[model.joint(f.joint).dofadr[0]])[0])
+        small = little[f.field] * (1.0 if f.field == "dof_armature" else limit[f.joint])
+        out.append(has if has > 0 else small)
+    return np.array(out)
 
 
 def _draw(windows: Sequence[NDArray[np.intp]], count: int, seed: int) -> list[NDArray[np.intp]]:
-    """Starts of ``count`` of all windows, without repeats, by take."""
+    """``count`` of all windows, without repeats, by take."""
     sizes = [len(w) for w in windows]
     chosen = np.random.default_rng(seed).permutation(sum(sizes))[:count]
     first = np.concatenate([[0], np.cumsum(sizes)])
     return [
-        w[np.sort(chosen[(chosen >= first[k]) & (chosen < first[k + 1])]) - first[k], 0] - 1
-        for k, w in enumerate(windows)
+        w[np.sort(chosen[(chosen >= first[k]) & (chosen < first[k + 1])]) - first[k]] for k, w in enumerate(windows)
     ]

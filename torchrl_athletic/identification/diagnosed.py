@@ -12,6 +12,7 @@ import numpy as np
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.effects import CATALOGUE, Effect
+from torchrl_athletic.identification.cem import CEM, identify_cem
 from torchrl_athletic.identification.open_loop import start_velocity
 from torchrl_athletic.identification.simulator import Simulator
 from torchrl_athletic.recordings import Recording
@@ -20,11 +21,13 @@ from torchrl_athletic.transforms.corrected_actuation import NOT_ACTED_OUT, OF_TH
 
 NOT_IN_A_ROBOT = frozenset({"payload", "gravity_tilt", "joint_spring"})
 """Effects that change the model in a way that :func:`~torchrl_athletic.robots.with_correction` does not carry over."""
+KNOWN = frozenset({"speed_torque_limit", "torque_saturation", "gain_mismatch"})
+"""What the data sheet and the recording say of the drives."""
 
 
 def actable_effects() -> tuple[Effect, ...]:
     """Those of the catalogue with which policies can be trained, on any robot that has the diagnosed joints."""
-    left_out = NOT_ACTED_OUT.keys() | NOT_IN_A_ROBOT | OF_THE_RECORDING
+    left_out = NOT_ACTED_OUT.keys() | NOT_IN_A_ROBOT | OF_THE_RECORDING | KNOWN
     return tuple(effect for effect in CATALOGUE if effect.name not in left_out)
 
 
@@ -35,12 +38,17 @@ def identify_diagnosed(
     heldout: Sequence[Recording] = (),
     seed: int = 0,
     seconds_per_take: float | None = None,
+    refine: CEM | None = CEM(),  # noqa: B008  frozen
     time_budget: float | None = None,
     output: str | Path | None = None,
 ) -> Simulator:
     """Diagnose what the robot's model leaves out, among the effects that a policy's simulation can act out.
 
-    What has no place there (a gear's flexibility and play, friction by load, slow drift) is left to a net on the
+    The diagnosis says which physics there is. Then friction, damping and armature of all joints are adjusted once more
+    by CMA-ES, in the very simulation that policies are trained in, while the rest of the findings stays.
+
+    Measured torques are not shown to the diagnosis: a policy's simulation is driven by commands, and what a drive logs
+    of its current may be late by a filter of the log that no joint feels. What has no place there (a gear's flexibility and play, friction by load, slow drift) is left to a net on the
     remainder: train a UAN on this simulator. The drives' limits by speed are known, so that takes are diagnosed as
     driven :func:`within_limits`.
 
@@ -49,13 +57,17 @@ def identify_diagnosed(
         recordings: Takes to fit.
         heldout: Takes of another kind, that the diagnosis checks its findings on; none of those that score.
         seed: Of the diagnosis.
-        seconds_per_take: How much of each take is looked at, from its start [s]; None takes all.
+        seconds_per_take: How much of each take the diagnosis looks at, from its start [s]; None takes all.
+        refine: How the numbers are adjusted, on whole takes; None leaves them as diagnosed.
         time_budget: After which no further combination is fitted [s].
         output: Folder for the diagnosis' own report.
     """
     started = time.perf_counter()
     taken = [_first(recording, seconds_per_take) for recording in recordings]
-    fit, aside = ([within_limits(robot, recording) for recording in group] for group in (taken, heldout))
+    fit, aside = (
+        [within_limits(robot, replace(r, torque_measured=None, torque_semantics=None)) for r in group]
+        for group in (taken, heldout)
+    )
     with Progress() as progress:
         diagnosis = diagnose(
             robot.spec(),
@@ -67,7 +79,8 @@ def identify_diagnosed(
             output=output,
             progress=progress,
         )
-    return simulator_of(diagnosis, robot, taken, time.perf_counter() - started, seed)
+    found = simulator_of(diagnosis, robot, recordings, time.perf_counter() - started, seed)
+    return found if refine is None else identify_cem(robot, recordings, refine, given=found, seed=seed)
 
 
 def within_limits(robot: Robot, recording: Recording) -> Recording:

@@ -141,9 +141,9 @@ def _rolled(simulator: Simulator, recordings: Sequence[Recording], window: float
     takes = [on_all_joints(simulator, recording) for recording in recordings]
     index = [windows_of(recording, window) for recording in recordings]
     rows = sum(len(i) for i in index)
-    env = _env(simulator, takes[0], rows)
+    env = replay_env(simulator, takes[0], rows)
     steps = max(i.shape[1] for i in index)
-    position, failed = _simulate(env, takes, index, steps)
+    position, failed = simulate(env, takes, index, steps)
     joints = [n for n in identified_joints(simulator) if n in recordings[0].joint_names]
     columns = [simulator.robot.joint_names.index(name) for name in joints]
     first = 0
@@ -212,7 +212,8 @@ def windows_of(recording: Recording, window: float | None) -> NDArray[np.intp]:
     return np.arange(0, last - length + 1, length)[:, None] + np.arange(1, length + 1)
 
 
-def _env(simulator: Simulator, take: Take, rows: int) -> TransformedEnv:
+def replay_env(simulator: Simulator, take: Take, rows: int, fields: Sequence[str] = ()) -> TransformedEnv:
+    """Rows that follow a simulator's chain under commands as the take's, with fields of the model of their own."""
     robot = simulator.robot
     positions = take.kp is not None
     if take.kp is not None and take.kd is not None:
@@ -220,11 +221,11 @@ def _env(simulator: Simulator, take: Take, rows: int) -> TransformedEnv:
         simulator = replace(simulator, nominal=driven)
     chain = simulator.chain(command="position" if positions else "torque", decimation=1, randomize=False)
     threads = 1 if rows < 64 else None  # fewer rows are through before threads have met
-    physics = BatchPhysics(robot.model(), rows, threads, joint_names=robot.joint_names)
+    physics = BatchPhysics(robot.model(), rows, threads, fields, robot.joint_names)
     return TransformedEnv(TorqueEnv(robot, physics), Compose(*chain))
 
 
-def _simulate(
+def simulate(
     env: TransformedEnv, takes: Sequence[Take], index: Sequence[NDArray[np.intp]], steps: int
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Positions as the encoders read them, shape (rows, steps, J), and which rows became unstable."""
