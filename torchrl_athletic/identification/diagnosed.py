@@ -48,9 +48,9 @@ def identify_diagnosed(
     by CMA-ES, in the very simulation that policies are trained in, while the rest of the findings stays.
 
     Measured torques are not shown to the diagnosis: a policy's simulation is driven by commands, and what a drive logs
-    of its current may be late by a filter of the log that no joint feels. What has no place there (a gear's flexibility and play, friction by load, slow drift) is left to a net on the
-    remainder: train a UAN on this simulator. The drives' limits by speed are known, so that takes are diagnosed as
-    driven :func:`within_limits`.
+    of its current may be late by a filter of the log that no joint feels. The drives' limits by speed are known, so
+    that takes are diagnosed as driven :func:`within_limits`. What has no place in a policy's simulation (a gear's
+    flexibility and play, friction by load, slow drift) is left to a net on the remainder: train a UAN on this one.
 
     Args:
         robot: Its model is diagnosed.
