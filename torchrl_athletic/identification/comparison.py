@@ -62,20 +62,18 @@ def compare(
 
     A window is left out for a group whose takes are all shorter.
     """
-    notes, out = simulator.notes, []
-    for group, recordings in groups.items():
-        for window in windows:
-            if not recordings or (window is not None and max(r.duration for r in recordings) < window):
-                continue
-            found = score(open_loop(simulator, recordings, window))
-            out.append(
-                Result(
-                    simulator.name, int(notes.get("seed", 0)), group, "whole" if window is None else f"{window:g} s",
-                    found.mse, found.per_joint, found.diverged,
-                    float(notes.get("training_seconds", 0.0)), float(notes.get("data_seconds", 0.0)),
-                )
+    notes, out = simulator.notes, {}
+    for window in windows:
+        kept = {g: of for g, of in groups.items() if of and max(r.duration for r in of) >= (window or 0.0)}
+        rollouts = iter(open_loop(simulator, [r for of in kept.values() for r in of], window))  # all at once
+        for group, recordings in kept.items():
+            found = score([next(rollouts) for _ in recordings])
+            out[group, window] = Result(
+                simulator.name, int(notes.get("seed", 0)), group, "whole" if window is None else f"{window:g} s",
+                found.mse, found.per_joint, found.diverged,
+                float(notes.get("training_seconds", 0.0)), float(notes.get("data_seconds", 0.0)),
             )  # fmt: skip
-    return out
+    return [out[group, window] for group in groups for window in windows if (group, window) in out]
 
 
 def table(results: Sequence[Result], baseline: str = "default") -> str:
