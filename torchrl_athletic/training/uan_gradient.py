@@ -8,6 +8,7 @@ which way it was wrong.
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -29,8 +30,10 @@ WINDOWS = (16, 24, 32)
 NUDGE = 1e-3
 """Of a position [rad] and a velocity [rad/s]; a torque is nudged as many N·m as its limit times this."""
 
-EXPLODED = 30.0
-"""Length of a gradient, of the error in squared hundredths of a radian, from which on it is left out."""
+EXPLODED = 20.0
+"""How many times as long as usual a gradient may be before the net is taken back."""
+STEADY = 25
+"""Windows between the states that it is taken back to."""
 EVERY = 8
 """Samples of a recording from one known Jacobian to the next: 40 ms."""
 
@@ -204,6 +207,22 @@ class GradientLearner:
         left = self.current["steps_left"]
         left.copy_((left * torch.rand(left.shape, device=left.device)).ceil().clamp(min=1))
         self.iteration, self.samples, self.seconds = 0, 0, 0.0
+        self.usual = 0.0
+        """Length of gradients of late, before clipping."""
+        self.caution = 1.0
+        """What the learning rate is multiplied with; halved whenever a gradient explodes."""
+        self.kept = (deepcopy(net.state_dict()),) * 2
+        """States of the net some windows ago, the older one first."""
+
+    def step_back(self) -> None:
+        """Go on from the older of the states that were kept, with new episodes and at half the rate.
+
+        A net with too high a gain makes the simulation chatter, where gradients explode and show no way back.
+        """
+        self.net.load_state_dict(self.kept[0])
+        self.kept = (self.kept[0],) * 2
+        self.optimizer = torch.optim.Adam(self.net.parameters(), lr=self.rate)
+        self.current, self.caution = self.env.reset(), self.caution / 2
 
     @property
     def share(self) -> float:
@@ -222,12 +241,13 @@ class GradientLearner:
             "optimizer": self.optimizer.state_dict(),
             "current": self.current.clone().to_dict(),
             "env": env_state(self.env),
-            "counters": {"iteration": self.iteration, "samples": self.samples, "seconds": self.seconds},
+            "counters": {name: getattr(self, name) for name in ("iteration", "samples", "seconds", "caution", "usual")},
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Go on where :meth:`state_dict` was taken."""
         self.net.load_state_dict(state_dict["net"])
+        self.kept = (deepcopy(self.net.state_dict()),) * 2
         self.optimizer.load_state_dict(state_dict["optimizer"])
         current = TensorDict(state_dict["current"], device=self.env.device).auto_batch_size_(self.env.ndim)
         self.current = restore_env(self.env, current, state_dict["env"])
@@ -245,7 +265,8 @@ def descend(learner: GradientLearner) -> TensorDict:
         ``train_mse`` [rad²], ``grad_norm`` before clipping, ``rate``, ``window`` [steps], and the mean
         ``reward``. Shape ().
     """
-    window, rate = learner.window, learner.rate * 0.5 * (1 + math.cos(math.pi * learner.share))
+    window = learner.window
+    rate = learner.caution * learner.rate * 0.5 * (1 + math.cos(math.pi * learner.share))
     following, errors, rewards = learner.current, [], []
     for _ in range(window):
         step, following = control_step(learner.env, learner.policy, following)
@@ -255,12 +276,16 @@ def descend(learner: GradientLearner) -> TensorDict:
     learner.optimizer.zero_grad()
     (1e4 * error).backward()
     norm = nn.utils.clip_grad_norm_(learner.net.parameters(), learner.max_grad_norm)
-    for parameter in learner.net.parameters():
-        if parameter.grad is not None:  # one that exploded has no direction worth going
-            parameter.grad = torch.where(norm < EXPLODED, parameter.grad, 0.0)
-    for group in learner.optimizer.param_groups:
-        group["lr"] = rate
-    learner.optimizer.step()
+    length = float(norm)
+    if length < EXPLODED * (learner.usual or length):
+        learner.usual = 0.95 * (learner.usual or length) + 0.05 * length
+        for group in learner.optimizer.param_groups:
+            group["lr"] = rate
+        learner.optimizer.step()
+        if learner.iteration % STEADY == 0:
+            learner.kept = learner.kept[1], deepcopy(learner.net.state_dict())
+    else:
+        learner.step_back()
     learner.iteration += 1
     learner.samples += window * learner.env.numel()
     numbers = {"rate": rate, "window": float(window)}
