@@ -31,9 +31,9 @@ def carry(
     .. math:: s = (p + v\,dt + \tfrac{1}{2} g\,dt^2 - p_b) \cdot n,
 
     decides: at s ≤ 0 the bottom pushes, which is to say that the bucket's acceleration less gravity points out of the
-    opening, and the ball moves with the bucket, or faster out of it if it already did. At 0 < s the ball slides out along the axis, the walls pushing it
-    sideways alone; should the bottom catch up with it, it is carried again. At s ≥ depth it has left, with the velocity
-    that it then has.
+    opening, and the ball moves with the bucket, or faster out of it if it already did. At 0 < s the ball slides out
+    along the axis, the walls pushing it sideways alone; should the bottom catch up with it, it is carried again. At
+    s ≥ depth it has left, with the velocity that it then has.
 
     Args:
         position: Of the ball [m]. Shape (*B, 3).
