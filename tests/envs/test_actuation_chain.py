@@ -15,17 +15,17 @@ def column(values):
     return torch.tensor(values, dtype=torch.float32)
 
 
-def test_the_chain_is_a_pd_law_a_net_and_two_clips_at_every_physics_step():
+def test_the_chain_is_a_pd_law_two_clips_and_a_net_at_every_physics_step():
     torch.manual_seed(0)
     net = uan()
     with torch.no_grad():
         for parameter in net.parameters():
-            parameter.mul_(3.0)  # so that its torque matters
+            parameter.normal_(std=0.3)  # a new one corrects nothing
     env = TransformedEnv(TorqueEnv(ARM, num_envs=2), Compose(*actuation_chain(ARM, net=net, arm_power=2.0)))
     plain = TorqueEnv(ARM, num_envs=2)
     shown, seen = env.reset(), plain.reset()
     errors = torch.zeros(2, 6, 2, 20)
-    power_met = False
+    power_met = net_matters = False
     for k in range(5):
         target = column(ARM.default_pose) + 0.4 * torch.sin(torch.tensor(float(k))) * torch.ones(2, 7)
         shown = env.step(shown.set("action", target))["next"]
@@ -34,16 +34,19 @@ def test_the_chain_is_a_pd_law_a_net_and_two_clips_at_every_physics_step():
             torque = actuation.pd_torque(target, position, velocity, column(ARM.kp), column(ARM.kd))
             new = torch.stack((target - position, -velocity), -1)[:, :6]
             errors = torch.cat((errors[..., 1:], new.unsqueeze(-1)), -1)
-            with torch.no_grad():
-                torque[:, :6] += net(errors.flatten(-2)).squeeze(-1)
             torque = actuation.clip_torque_speed(torque, velocity, column(ARM.torque_limit), column(ARM.velocity_limit))
             power = (torque[:, :6] * velocity[:, :6]).abs().sum(-1, keepdim=True)
             power_met |= bool((power > 2.0).any())
             torque[:, :6] *= torch.clamp(2.0 / power.clamp(min=1e-9), max=1.0)
+            with torch.no_grad():
+                correction = net(errors.flatten(-2)).squeeze(-1)
+            net_matters |= bool((correction.abs() > 0.1).any())
+            torque[:, :6] += correction  # at the joint, past the motor's limits
             seen = plain.step(seen.set("torque", torque))["next"]
     torch.testing.assert_close(shown["joint_position"], seen["joint_position"], atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(shown["applied_torque"], seen["applied_torque"], atol=1e-3, rtol=1e-4)
     assert power_met
+    assert net_matters
 
 
 def test_what_is_not_asked_for_is_not_there():

@@ -18,10 +18,11 @@ def actuation_chain(
     decimation: int = 4,
     seed: int = 0,
 ) -> list[Transform]:
-    """The chain that runs at the physics rate, from the motor outwards, ready to be followed by other transforms.
+    """The chain that runs at the physics rate, from the joint outwards, ready to be followed by other transforms.
 
     Power is limited after torque and speed are, as in the paper: that of torques which no motor gives would throttle
-    the whole arm. Scaled torques stay within the first limits.
+    the whole arm. Scaled torques stay within the first limits. What a net corrects, friction above all, acts on the
+    joint, past the motor, so no limit of the motor cuts it off; nor does any in the replays that it learns from.
 
     Args:
         robot: Gives gains, limits and the joints of its arm.
@@ -44,10 +45,10 @@ def actuation_chain(
         >>> env.rollout(3)["action"].shape
         torch.Size([2, 3, 7])
     """
-    chain: list[Transform] = [] if arm_power is None else [PowerClip(arm_power, joints="arm")]
+    chain: list[Transform] = [] if net is None else [UANCorrection(net, joints="arm")]
+    if arm_power is not None:
+        chain.append(PowerClip(arm_power, joints="arm"))
     chain.append(TorqueSpeedClip(robot.torque_limit, robot.velocity_limit))
-    if net is not None:
-        chain.append(UANCorrection(net, joints="arm"))
     chain.append(PDControl(robot.kp, robot.kd))
     if max_delay:
         chain.append(ActionDelay(max_delay, before=robot.default_pose, seed=seed))
