@@ -68,6 +68,8 @@ class Config:
     """Of training a UAN, by gradient descent on two cores [min]."""
     jobs: int = 1
     """Cases at a time."""
+    score_only: bool = False
+    """Whether to score what is there and identify nothing."""
 
 
 @dataclass(frozen=True)
@@ -84,14 +86,14 @@ class Case:
 def main(cfg: Config) -> None:
     cases = list(cases_of(cfg))
     for wave in (("default", "cem", "actuator_net", "uan", "diagnosed"), ("diagnosed_uan",)):  # the last needs a model
-        todo = [c for c in cases if c.method in wave and not (cfg.output / c.name / "simulator.json").exists()]
+        todo = [c for c in cases if c.method in wave and not is_there(c, cfg) and not cfg.score_only]
         with ProcessPoolExecutor(cfg.jobs) as pool:
             running = [pool.submit(identify, case, cfg) for case in todo]
             for done in tqdm(as_completed(running), total=len(todo), desc=", ".join(wave)):
                 done.result()
     robot, (_, heldout) = arm(), takes()
     groups = {name: [t for t in heldout if kind in t.metadata["excitation"]] for kind, name in GROUPS.items()}
-    found = {c: Simulator.load(cfg.output / c.name, robot) for c in cases}
+    found = {c: Simulator.load(cfg.output / c.name, robot) for c in cases if is_there(c, cfg)}
     results = {c: compare(s, groups, (None, 2.0, 0.5)) for c, s in tqdm(found.items(), desc="scores")}
     most = max(cfg.seconds)
     whole = [r for c, of in results.items() if c.seconds == most or c.method == "default" for r in of]
@@ -103,6 +105,10 @@ def main(cfg: Config) -> None:
     figure(whole, overlays(first, groups), cfg.output / "two_link.svg", window="0.5 s", seconds=4.0)
     draw_efficiency(results, cfg.output / "two_link_efficiency.svg")
     print(text)
+
+
+def is_there(case: Case, cfg: Config) -> bool:
+    return (cfg.output / case.name / "simulator.json").exists()
 
 
 def cases_of(cfg: Config) -> Iterator[Case]:
