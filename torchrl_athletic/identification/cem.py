@@ -102,7 +102,10 @@ def identify_cem(
     try:
         from cmaes import CMA  # type: ignore[import-untyped]
     except ImportError as error:
-        raise ImportError("identify_cem searches with cmaes, which is not installed: pip install "torchrl-athletic[identification]".") from error
+        raise ImportError(
+            "identify_cem searches with cmaes, which is not installed. Install the extra: "
+            "pip install 'torchrl-athletic[identification]'."
+        ) from error
     settings, started = settings or CEM(), time.perf_counter()
     base = Simulator("cem", robot) if given is None else given
     objective = WindowError(base, recordings, settings, seed)
