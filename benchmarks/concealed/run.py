@@ -189,11 +189,20 @@ def answer(cfg: Config, case: Case, folder: Path) -> dict[str, Any]:
 
 
 def seal(cfg: Seal) -> None:
-    """Draw all sealed cases of the seed, and write the digest of the key; the truths are not shown."""
+    """Draw all sealed cases of the seed, and add the digest of the key; the truths are not shown."""
+    if digest_of(cfg.seed, cfg.output) is not None:
+        raise SystemExit(f"{cfg.output} has a digest of seed {cfg.seed}, which stays as it is. Take another seed.")
     digest = hashlib.sha256(key_json("sealed", cfg.seed, COUNTS).encode()).hexdigest()
     cfg.output.parent.mkdir(parents=True, exist_ok=True)
-    cfg.output.write_text(f"{digest}  sealed seed {cfg.seed}, {sum(COUNTS.values())} cases\n", encoding="utf-8")
-    print(f"{digest} written to {cfg.output}. Commit it before the run.")
+    with cfg.output.open("a", encoding="utf-8") as file:
+        file.write(f"{digest}  sealed seed {cfg.seed}, {sum(COUNTS.values())} cases\n")
+    print(f"{digest} added to {cfg.output}. Commit it before the run.")
+
+
+def digest_of(seed: int, path: Path = KEY) -> str | None:
+    """The committed digest of a seed's key, None if there is none."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return next((line.split()[0] for line in lines if f"seed {seed}," in line), None)
 
 
 if __name__ == "__main__":

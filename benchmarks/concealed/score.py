@@ -25,7 +25,7 @@ sys.path.append(str(Path(__file__).parents[2]))
 
 from benchmarks.concealed.cases import CLASS_OF, DETECTABLE, Case, Split, key_json, prepare, source_digest
 from benchmarks.concealed.hidden import Truth
-from benchmarks.concealed.run import COUNTS, KEY
+from benchmarks.concealed.run import COUNTS, digest_of
 
 SUPERSETS: dict[str, tuple[str, ...]] = {
     "coulomb_friction": ("stribeck_friction", "load_dependent_friction", "asymmetric_friction"),
@@ -356,7 +356,7 @@ def _checked_key(cfg: Config) -> str:
     digest = hashlib.sha256(key.encode()).hexdigest()
     cfg.output.mkdir(parents=True, exist_ok=True)
     (cfg.output / "concealed_key.json").write_text(key + "\n", encoding="utf-8")
-    committed = KEY.read_text(encoding="utf-8").split()[0] if KEY.exists() else None
+    committed = digest_of(cfg.seed)
     if committed is None:
         return f"**No digest was committed before the run**; the key's is `{digest}`."
     if committed != digest:

@@ -13,10 +13,10 @@ import pytest
 
 from benchmarks.concealed import cases
 from benchmarks.concealed.baselines import signals
-from benchmarks.concealed.cases import BLOCKS, beyond_nuisance, prepare, record, visibility
+from benchmarks.concealed.cases import BLOCKS, DRY, beyond_nuisance, prepare, record, visibility
 from benchmarks.concealed.hidden import EFFECTS, OUTSIDE, draw
 from benchmarks.concealed.robots import SEALED, TUNING
-from benchmarks.concealed.run import COUNTS, Seal, export, seal
+from benchmarks.concealed.run import COUNTS, Seal, digest_of, export, seal
 from torchrl_athletic.recordings import read_recordings
 
 FOLDER = Path(cases.__file__).parent
@@ -75,8 +75,16 @@ def test_a_stretch_of_singles_holds_every_effect_and_every_severity():
 @pytest.mark.parametrize("split", ["sealed", "tuning"])
 def test_a_block_hides_as_much_as_its_name_says(split, block):
     case = prepare(split, block, 1).case
-    count = {"nothing": 0, "nuisance": 0, "pairs": 2, "triples": 3}.get(block, 1)
-    assert len(case.truths) == count
+    if block == "bare":
+        joints = {truth.joint for truth in case.truths}
+        assert len(case.truths) >= 2 * len(joints)
+        assert (
+            {"viscous_friction"}
+            <= {truth.effect for truth in case.truths}
+            <= {"reflected_inertia", "viscous_friction", *DRY}
+        )
+    else:
+        assert len(case.truths) == {"nothing": 0, "nuisance": 0, "pairs": 2, "triples": 3}.get(block, 1)
     if block == "leave_one_out":
         assert case.truths[0].effect in case.removed
     if block == "outside":
@@ -127,12 +135,14 @@ def test_an_encoder_reads_in_whole_steps(session):
 def test_the_seal_shows_a_digest_and_changes_with_what_is_hidden(tmp_path, monkeypatch, capsys):
     for block in COUNTS:
         monkeypatch.setitem(COUNTS, block, int(block in ("single", "pairs")))
-    digests = []
-    for seed in (1, 1, 2):
-        seal(Seal(seed, tmp_path / "key.sha256"))
-        digests.append((tmp_path / "key.sha256").read_text(encoding="utf-8").split()[0])
-    assert digests[0] == digests[1] != digests[2]
-    assert len(digests[0]) == 64
+    one, other = tmp_path / "one.sha256", tmp_path / "other.sha256"
+    for seed, path in ((1, one), (2, one), (1, other)):
+        seal(Seal(seed, path))
+    assert digest_of(1, one) == digest_of(1, other) != digest_of(2, one)
+    assert digest_of(2, other) is None
+    assert len(digest_of(1, one)) == 64
+    with pytest.raises(SystemExit, match="another seed"):
+        seal(Seal(1, one))
     assert not [name for name in EFFECTS if name in capsys.readouterr().out]
 
 
