@@ -7,6 +7,8 @@ from types import ModuleType
 
 import pytest
 
+from torchrl_athletic.training import learn_remainder
+
 
 @dataclass(frozen=True)
 class Config:
@@ -14,14 +16,16 @@ class Config:
 
     model: str = "demo"
     """Path of the MJCF."""
+    uan: bool = False
+    """Hand what is left to a net."""
 
 
 @pytest.fixture
 def received(monkeypatch):
-    """Configs that reached a stand-in for the diagnosis."""
+    """Configs that reached a stand-in for the diagnosis, and what was to learn the remainder."""
     configs = []
     command = ModuleType("torchrl_athletic.diagnosis.command")
-    command.Config, command.main = Config, configs.append
+    command.Config, command.main = Config, lambda config, *learn: configs.append((config, *learn))
     monkeypatch.setitem(sys.modules, command.__name__, command)
     monkeypatch.setattr("torchrl_athletic.diagnosis.command", command, raising=False)
     return configs
@@ -34,7 +38,12 @@ def run(*args):
 
 def test_flags_reach_the_diagnosis(received):
     run("diagnose", "--model", "arm.xml")
-    assert received == [Config(model="arm.xml")]
+    assert received == [(Config(model="arm.xml"),)]
+
+
+def test_what_is_left_goes_to_a_net_where_that_is_asked(received):
+    run("diagnose", "--uan")
+    assert received == [(Config(uan=True), learn_remainder)]
 
 
 def test_help_lists_the_subcommand_with_what_it_does(received, capsys):
