@@ -1,12 +1,12 @@
 """Teach a net the torques that a simulation of your robot lacks, from what its encoders said: no torque sensor needed.
 
 python recipes/train_uan.py --recordings outputs/recordings/z1                              # down the gradient
-python recipes/train_uan.py --recordings outputs/recordings/z1 --method ppo --device cuda   # as the paper does
-python recipes/train_uan.py --recordings outputs/recordings/z1 --model outputs/diagnosis    # what the diagnosis left
+python recipes/train_uan.py --method ppo --device cuda --output outputs/identification/uan_ppo   # as the paper does
+python recipes/train_uan.py --model outputs/diagnosis --output outputs/identification/left       # what that left
 
-Takes that say ``split: heldout``, and throws, are not looked at. Windows, a tenth of the rest, are validated on:
-``mse`` of their open-loop replays against time stands in ``progress.csv``. The same command goes on after a kill. The
-result is a folder that ``Simulator.load`` reads. How the methods compare: docs/uan.md.
+Takes that say ``split: heldout``, and throws, are not looked at. A window of each other take is validated on: ``mse``
+of the open-loop replays against time stands in ``progress.csv``. The same command goes on after a kill, and with whatever
+lies in its folder: give each run its own. ``Simulator.load`` reads the result. How the methods compare: docs/uan.md.
 """
 
 import json

@@ -354,13 +354,16 @@ def _checked_key(cfg: Config) -> str:
     """Write the key out, and check that its digest is the committed one."""
     key = key_json("sealed", cfg.seed, COUNTS)
     digest = hashlib.sha256(key.encode()).hexdigest()
+    committed = digest_of(cfg.seed)
+    if committed not in (None, digest):
+        raise SystemExit(
+            f"The key of seed {cfg.seed} has the digest {digest} now, {committed} was committed: cases or generator "
+            "have changed since. Score it at the commit that ran it, or seal another seed."
+        )
     cfg.output.mkdir(parents=True, exist_ok=True)
     (cfg.output / "concealed_key.json").write_text(key + "\n", encoding="utf-8")
-    committed = digest_of(cfg.seed)
     if committed is None:
         return f"**No digest was committed before the run**; the key's is `{digest}`."
-    if committed != digest:
-        return f"**The key does not match**: `{digest}` now, `{committed}` committed. Cases or generator have changed."
     return f"The key (`concealed_key.json`) has the digest that was committed before the run, `{digest}`."
 
 

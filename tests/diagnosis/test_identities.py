@@ -29,7 +29,8 @@ def asymmetric(positive: tuple[float, float], negative: tuple[float, float]) -> 
 
 def test_friction_by_direction_is_dry_friction_and_an_offset_unless_it_grows_differently_with_speed():
     both = (Name("coulomb_friction", "knee"), Name("torque_offset", "knee"))
-    assert names(asymmetric((1.0, 2.0), (1.5, 2.5))) == [{both}]
+    assert names(asymmetric((0.0, 2.0), (0.0, 2.5))) == [{both}]
+    assert names(asymmetric((1.0, 2.0), (1.5, 2.5))) == [{(*both, Name("viscous_friction", "knee"))}]
     assert names(asymmetric((1.0, 2.0), (2.1, 2.5))) == [set()]
 
 

@@ -45,7 +45,11 @@ def _declared(f: Finding, joints: Sequence[str], known: Mapping[str, Effect]) ->
     if f.effect not in known or not _HOLDS.get(f.effect, lambda values: True)(f.parameters):
         return []
     where = joints if f.joint is None else [f.joint]
-    return [tuple(Name(n, joint) for joint in where for n in sorted(names)) for names in known[f.effect].identical_to]
+    beside = {"viscous_friction"} if f.effect == "asymmetric_friction" and _damps(f.parameters) else set()
+    return [
+        tuple(Name(n, joint) for joint in where for n in sorted(set(names) | beside))
+        for names in known[f.effect].identical_to
+    ]
 
 
 def _is_part(f: Finding, whole: Effect, findings: Sequence[Finding], joints: Sequence[str]) -> bool:
@@ -70,6 +74,11 @@ def _agree(estimates: Sequence[Estimate]) -> bool:
 def _same_both_ways(values: Values) -> bool:
     sides = [values[name] for name in ("viscous_positive", "viscous_negative") if name in values]
     return len(sides) == 2 and _agree(sides)
+
+
+def _damps(values: Values) -> bool:
+    """Whether friction grows with the speed, which dry friction and an offset alone do not."""
+    return any(values[name].ci95[0] > 0 for name in ("viscous_positive", "viscous_negative") if name in values)
 
 
 _HOLDS: Mapping[str, Callable[[Values], bool]] = {

@@ -323,7 +323,9 @@ def _exchange(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
                 trial = judge.score([*rest, atom])
                 if trial.evidence < better.evidence - 1.0:
                     better = trial
-            better = min(better, _split(judge, kept, term), key=lambda s: s.evidence)
+            parts = _split(judge, kept, term)
+            if parts.evidence < better.evidence - 1.0:
+                better = parts
         if better is scored:
             break
         scored = better
@@ -335,7 +337,9 @@ def _split(judge: Judge, kept: Scored, term: Atom) -> Scored:
     parts = [
         atom
         for atom in judge.bank.atoms
-        if atom.candidate.joint == term.candidate.joint and atom.candidate.effect.name in term.candidate.effect.excludes
+        if atom.candidate.joint == term.candidate.joint
+        and atom.candidate.effect.name in term.candidate.effect.excludes
+        and atom.freedom < term.freedom
     ]
     best = kept
     for _ in range(2):
