@@ -5,7 +5,7 @@ python recipes/train_uan.py --method ppo --device cuda --output outputs/identifi
 python recipes/train_uan.py --model outputs/diagnosis --output outputs/identification/left       # what that left
 
 Takes that say ``split: heldout``, and throws, are not looked at. A window of each other take is validated on: ``mse``
-of the open-loop replays against time stands in ``progress.csv``. The same command goes on after a kill, and with whatever
+of the open-loop replays against time stands in ``progress.csv``. The same command goes on after a kill, and with what
 lies in its folder: give each run its own. ``Simulator.load`` reads the result. How the methods compare: docs/uan.md.
 """
 
