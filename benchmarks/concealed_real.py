@@ -27,7 +27,6 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from functools import cache, partial
 from multiprocessing import get_context
-from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any, Literal
 
@@ -39,6 +38,7 @@ from tqdm import tqdm
 
 sys.path.append(str(Path(__file__).parents[1]))
 
+from benchmarks.concealed.run import _pin
 from torchrl_athletic.diagnosis import diagnose
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.fit import Hypothesis
@@ -137,15 +137,6 @@ def main(cfg: Config) -> None:
 
 def _is_done(path: Path) -> bool:
     return path.exists() and "error" not in json.loads(path.read_text(encoding="utf-8"))
-
-
-def _pin(counter: Synchronized[int]) -> None:
-    """Give each process a core of its own."""
-    if hasattr(os, "sched_setaffinity"):
-        with counter.get_lock():
-            mine, counter.value = counter.value, counter.value + 1
-        cores = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {cores[mine % len(cores)]})
 
 
 def run(name: str, folder: Path) -> str:

@@ -253,6 +253,7 @@ def test_a_step_waits_for_no_device():
             inner = transform._inv_call(inner)
         for transform in (chain[1], *list(chain)[after:]):
             transform._step(inner, shown)
+    assert shown["reward"].isfinite().all()
 
 
 def test_it_collects_for_training():
