@@ -3,16 +3,20 @@
     python benchmarks/concealed/run.py --split tuning --jobs 2
     python benchmarks/concealed/calibrate.py
 
-A logistic regression on the grounds of every finding that was stated; right is what the score calls right. Writes
-``torchrl_athletic/diagnosis/calibration.json``. Sealed cases are refused: what scores does not tune.
+A logistic regression on the grounds of every finding that was stated, capped by its share of the evidence as the
+statement is; right is what the score calls right. Writes ``torchrl_athletic/diagnosis/calibration.json``, and prints
+what cross-validation over cases makes of several ridges, by which features and ridge are chosen. Sealed cases are not
+read, since what scores does not tune; answers of another generator or another diagnosis are left out.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
@@ -21,18 +25,20 @@ from scipy.optimize import minimize
 
 sys.path.append(str(Path(__file__).parents[2]))
 
-from benchmarks.concealed.cases import prepare
-from benchmarks.concealed.score import Row
+from benchmarks.concealed.run import program_digest
+from benchmarks.concealed.score import RIGHT, Row, load, reliability
 from torchrl_athletic.diagnosis.calibration import Grounds
 
 Array = NDArray[np.float64]
 
 SIGNS = {"share": 1, "left": -1, "excess": -1, "scatter": -1, "open": -1, "energy": 1, "terms": -1, "strain": -1}
 """Which way each feature may speak: more doubt never makes a finding more probable."""
-
-
 UNSIGNED = ("gravity_tilt", "disturbance")
 """Effects whose parameters have another convention in the key."""
+FOLDS, REPEATS = 5, 8
+"""Parts of the cases for cross-validation, and how often they are drawn."""
+RIDGES = (0.1, 0.5, 2.0, 8.0)
+"""That are compared."""
 
 
 @dataclass(frozen=True)
@@ -41,63 +47,174 @@ class Config:
 
     answers: Path = Path("outputs/concealed/diagnosis")
     output: Path = Path("torchrl_athletic/diagnosis/calibration.json")
-    ridge: float = 0.5
+    seeds: tuple[int, ...] = (0, 1)
+    """Of the tuning cases."""
+    ridge: float = 2.0
     """Strength of the pull of the weights to zero."""
     relative: float = 0.05
     """Of a parameter's value: the least that its interval reaches to either side."""
+    any_program: bool = False
+    """Take answers of another state of the diagnosis, too; to look, not to commit."""
+    dry: bool = False
+    """Print, and write nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stated:
+    """Every finding of the answers. F findings, K features."""
+
+    features: Array
+    """Shape (F, K)."""
+    share: Array
+    """Of the evidence: no finding is stated above it. Shape (F,)."""
+    grade: NDArray[np.str_]
+    """As the score's. Shape (F,)."""
+    case: NDArray[np.int64]
+    """Shape (F,)."""
+    cases: int
+    """All of them, those without any finding included."""
+
+    @property
+    def right(self) -> Array:
+        """One where the score says right, else zero. Shape (F,)."""
+        return np.isin(self.grade, RIGHT).astype(np.float64)
 
 
 def main(cfg: Config) -> None:
-    features, right = findings(cfg.answers)
-    names = list(features[0])
-    x = np.array([[row[name] for name in names] for row in features])
-    weights = fit(x, right, np.array([SIGNS[name] for name in names]), cfg.ridge)
-    chance = _logistic(weights[0] + x @ weights[1:])
+    drawn = [row for seed in cfg.seeds for row in load(cfg.answers, "tuning", seed)]
+    rows = current(drawn, None if cfg.any_program else program_digest("diagnosis"))
+    stated = findings(rows)
+    if not 0 < stated.right.sum() < len(stated.right):
+        raise SystemExit(f"{cfg.answers} holds no current answers to learn from. Run run.py --split tuning first.")
+    weights = fit(stated.features, stated.share, stated.right, cfg.ridge)
+    factor = widening(intervals(rows), cfg.relative)
     content = {
-        "made_by": f"benchmarks/concealed/calibrate.py from {len(right)} findings of tuning cases, "
-        f"{int(right.sum())} of them right",
+        "made_by": f"benchmarks/concealed/calibrate.py from {len(stated.right)} findings of {len(rows)} tuning cases, "
+        f"{int(stated.right.sum())} of them right",
         "weights": {"intercept": round(float(weights[0]), 3)}
-        | {name: round(float(w), 3) for name, w in zip(names, weights[1:], strict=True)},
+        | {name: round(float(w), 3) for name, w in zip(SIGNS, weights[1:], strict=True)},
+        "interval": {"widen": factor, "relative": cfg.relative},
     }
-    in_force = json.loads(cfg.output.read_text(encoding="utf-8")).get("interval", {"widen": 1.0})["widen"]
-    factor = in_force * widening(intervals(cfg.answers), cfg.relative)  # the answers' intervals are wider by it already
-    content["interval"] = {"widen": factor, "relative": cfg.relative}
-    cfg.output.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    if not cfg.dry:
+        cfg.output.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(content, indent=1))
-    for low, high in ((0, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 1.01)):
-        inside = (chance >= low) & (chance < high)
-        if inside.any():
-            print(f"stated {chance[inside].mean():.2f}: {right[inside].mean():.2f} of {inside.sum()} are right")
+    print("\n".join(words(stated, chance(weights, stated.features, stated.share), cfg.ridge)))
 
 
-def findings(answers: Path) -> tuple[list[dict[str, float]], Array]:
-    """Features of every finding of the tuning cases, and whether it is right."""
-    features, right = [], []
-    for path in sorted(answers.glob("tuning-*.json")):
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if "answer" not in content:
-            continue
-        split, block, seed, index = content["case"].split("-")
-        row = Row(prepare(split, block, int(index), int(seed)).case, content)
-        for finding in row.findings:
-            features.append(Grounds(**finding["grounds"]).features())
-            right.append(row.grade(finding) != "wrong")
-    return features, np.array(right, dtype=np.float64)
+def current(rows: Sequence[Row], program: str | None) -> list[Row]:
+    """Answers of this program; those of another one, and cases that failed, are counted on the terminal."""
+    same = [r for r in rows if program in (None, r.result.get("program"))]
+    answered = [r for r in same if "answer" in r.result]
+    print(
+        f"{len(answered)} answers; left out: {len(rows) - len(same)} of another state of the diagnosis, "
+        f"{len(same) - len(answered)} that failed"
+    )
+    return answered
 
 
-def intervals(answers: Path) -> Array:
-    """Value, ends of the interval and truth of every parameter of a right finding. Shape (parameters, 4)."""
-    rows = []
-    for path in sorted(answers.glob("tuning-*.json")):
-        content = json.loads(path.read_text(encoding="utf-8"))
-        split, block, seed, index = content["case"].split("-")
-        for truth in prepare(split, block, int(index), int(seed)).case.truths:
-            for f in content["answer"]["findings"] if "answer" in content else ():
+def findings(rows: Sequence[Row]) -> Stated:
+    """Features and grade of every finding."""
+    of = [(number, row.grade(f), f["grounds"]) for number, row in enumerate(rows) for f in row.findings]
+    features = [Grounds(**grounds).features() for _, _, grounds in of]
+    return Stated(
+        np.array([[row[name] for name in SIGNS] for row in features]).reshape(-1, len(SIGNS)),
+        np.array([grounds["share"] for *_, grounds in of], dtype=np.float64),
+        np.array([grade for _, grade, _ in of], dtype=np.str_),
+        np.array([number for number, *_ in of], dtype=np.int64),
+        len(rows),
+    )
+
+
+# --- probabilities ----------------------------------------------------------------------------------------------------
+
+
+def chance(weights: Array, features: Array, share: Array) -> Array:
+    """What is stated: the regression's answer, and no more than the share of the evidence. Shape (F,)."""
+    odds = np.clip(weights[0] + features @ weights[1:], -20, 20)
+    return np.minimum(1.0 / (1.0 + np.exp(-odds)), share)
+
+
+def fit(features: Array, share: Array, right: Array, ridge: float) -> Array:
+    """Likeliest weights of what is stated, the intercept first. Shape (1 + K,).
+
+    The cap makes the likelihood flat where it binds, so that the fit starts from the one without it.
+    """
+
+    def loss(w: Array, cap: Array) -> float:
+        p = np.clip(chance(w, features, cap), 1e-6, 1 - 1e-6)
+        return float(-np.log(np.where(right > 0, p, 1 - p)).sum() + ridge * (w[1:] ** 2).sum())
+
+    bounds = [(None, None)] + [(0, None) if sign > 0 else (None, 0) for sign in SIGNS.values()]
+    weights = np.zeros(1 + features.shape[1])
+    for cap in (np.ones_like(share), share):
+        weights = minimize(loss, weights, args=(cap,), bounds=bounds, method="L-BFGS-B").x
+    return np.asarray(weights)
+
+
+def crossed(stated: Stated, ridge: float, seed: int) -> Array:
+    """What would be stated of each finding by weights that were learnt on other cases. Shape (F,)."""
+    fold = np.random.default_rng(seed).permutation(stated.cases)[stated.case] % FOLDS
+    out = np.empty(len(stated.right))
+    for k in range(FOLDS):
+        kept = fold != k
+        weights = fit(stated.features[kept], stated.share[kept], stated.right[kept], ridge)
+        out[~kept] = chance(weights, stated.features[~kept], stated.share[~kept])
+    return out
+
+
+def figures(stated: Stated, stating: Array) -> dict[str, float]:
+    """How good probabilities are: calibration error, Brier score, wrong names and right ones above one half."""
+    over = stating > 0.5
+    wrong = np.unique(stated.case[over & (stated.grade == "wrong")])
+    return {
+        "calibration error": float(reliability(stating, stated.right > 0)["ece"]),
+        "Brier": float(((stating - stated.right) ** 2).mean()),
+        "cases with a wrong name over 0.5": len(wrong) / stated.cases,
+        "right findings over 0.5": float(over[stated.right > 0].mean()),
+    }
+
+
+def words(stated: Stated, stating: Array, ridge: float) -> list[str]:
+    """The reliability of the fit, and what cross-validation says of the ridges."""
+    bins = reliability(stating, stated.right > 0)["bins"]
+    out = [f"stated {b['stated']:.2f}: {b['true']:.2f} of {b['n']} are right" for b in bins]
+    out += ["", _line("fitted", [figures(stated, stating)])]
+    for r in RIDGES:
+        ways = [figures(stated, crossed(stated, r, seed)) for seed in range(REPEATS)]
+        out.append(_line(f"cross-validated, ridge {r:g}", ways))
+    rng = np.random.default_rng(0)
+    least = np.mean([reliability(stating, rng.random(len(stating)) < stating)["ece"] for _ in range(200)])
+    out.append(f"Faultless probabilities of {len(stating)} findings would show a calibration error of {least:.3f}.")
+    return [*out, f"Ridge {ridge:g} is taken."]
+
+
+def _line(name: str, ways: Sequence[Mapping[str, float]]) -> str:
+    means = {key: np.mean([w[key] for w in ways]) for key in ways[0]}
+    return f"{name:28}" + ", ".join(f"{key} {value:.3f}" for key, value in means.items())
+
+
+# --- intervals --------------------------------------------------------------------------------------------------------
+
+
+def intervals(rows: Sequence[Row]) -> Array:
+    """Value, ends of the bootstrap's interval and truth of every parameter of a right finding. Shape (P, 4)."""
+    out = []
+    for row in rows:
+        widened_by = row.result["calibration"]["interval"]
+        for truth in row.case.truths:
+            for f in row.findings:
                 if (f["effect"], f["joint"]) == (truth.effect, truth.joint) and truth.effect not in UNSIGNED:
-                    known = truth.parameters.keys() & f["parameters"].keys()
-                    estimates = {name: f["parameters"][name] for name in known}
-                    rows += [[p["value"], *p["ci95"], truth.parameters[name]] for name, p in estimates.items()]
-    return np.array(rows)
+                    known = sorted(truth.parameters.keys() & f["parameters"].keys())
+                    out += [[*bootstrap(f["parameters"][name], widened_by), truth.parameters[name]] for name in known]
+    return np.array(out).reshape(-1, 4)
+
+
+def bootstrap(estimate: Mapping[str, Any], widened_by: Mapping[str, float]) -> tuple[float, float, float]:
+    """Value and ends of the interval before it was widened, by what was in force when the answer was made."""
+    value, (low, high) = estimate["value"], estimate["ci95"]
+    least = widened_by["relative"] * abs(value)
+    below, above = (np.sqrt(max(gap**2 - least**2, 0.0)) / widened_by["widen"] for gap in (value - low, high - value))
+    return value, value - float(below), value + float(above)
 
 
 def widening(rows: Array, relative: float) -> float:
@@ -109,21 +226,6 @@ def widening(rows: Array, relative: float) -> float:
         if ((truth >= value - below) & (truth <= value + above)).mean() >= 0.945:
             break
     return float(factor)
-
-
-def fit(x: Array, right: Array, signs: Array, ridge: float) -> Array:
-    """Weights of a logistic regression whose signs are given, the intercept first. Shape (1 + features,)."""
-
-    def loss(w: Array) -> float:
-        odds = w[0] + x @ w[1:]
-        return float(np.logaddexp(0, -np.where(right > 0, odds, -odds)).sum() + ridge * (w[1:] ** 2).sum())
-
-    bounds = [(None, None)] + [(0, None) if sign > 0 else (None, 0) for sign in signs]
-    return np.asarray(minimize(loss, np.zeros(1 + x.shape[1]), bounds=bounds, method="L-BFGS-B").x)
-
-
-def _logistic(odds: Array) -> Array:
-    return np.asarray(1.0 / (1.0 + np.exp(-odds)))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from pathlib import Path
 import tyro
 
 from torchrl_athletic.diagnosis import diagnose
+from torchrl_athletic.diagnosis.calibration import learnt
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import read_recordings
 
@@ -48,6 +49,7 @@ def main(cfg: Config) -> None:
         "megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "recorded_seconds": sum(r.duration for r in (*fit, *aside)),
         "joints": fit[0].num_joints,
+        "calibration": {part: dict(learnt(part)) for part in ("weights", "interval")},
         "names": sorted({effect.name for effect in catalogue}),
     }
     (cfg.folder / "answer.json").write_text(json.dumps(content), encoding="utf-8")

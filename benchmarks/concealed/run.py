@@ -31,6 +31,7 @@ from tqdm import tqdm
 
 sys.path.append(str(Path(__file__).parents[2]))
 
+import torchrl_athletic
 from benchmarks.concealed.cases import (
     BLOCKS,
     Case,
@@ -98,7 +99,8 @@ def main(cfg: Config) -> None:
     folder = cfg.output / cfg.method
     folder.mkdir(parents=True, exist_ok=True)
     wanted = [(block, k) for block in blocks for k in range(cfg.first, cfg.first + _count(block, cfg))]
-    todo = [w for w in wanted if cfg.fresh or not is_done(folder / f"{name_of(cfg.split, *w, cfg.seed)}.json")]
+    names = {w: f"{name_of(cfg.split, *w, cfg.seed)}.json" for w in wanted}
+    todo = [w for w in wanted if cfg.fresh or not is_done(folder / names[w], cfg.method)]
     print(f"{len(wanted)} cases, {len(wanted) - len(todo)} of them done")
     todo.sort(key=lambda w: (w[1] / max(_count(w[0], cfg), 1), w[0]))  # a run cut short has a share of every block
     with ProcessPoolExecutor(cfg.jobs, initializer=_pin, initargs=(Value("i", 0),)) as pool:
@@ -116,9 +118,25 @@ def _pin(counter: Synchronized[int]) -> None:
         os.sched_setaffinity(0, {cores[mine % len(cores)]})
 
 
-def is_done(path: Path) -> bool:
-    """Whether a case was answered, and drawn by the generator as it is now."""
-    return path.exists() and json.loads(path.read_text(encoding="utf-8")).get("source") == source_digest()
+def is_done(path: Path, method: Method = "diagnosis") -> bool:
+    """Whether a case was drawn by the generator and answered by the program as they are now."""
+    if not path.exists():
+        return False
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    return bool(kept.get("source") == source_digest() and kept.get("program") == program_digest(method))
+
+
+def program_digest(method: Method) -> str:
+    """Digest of the files that make an answer; probabilities are learnt from answers, and left out."""
+    package = Path(torchrl_athletic.__file__).parent
+    files = [Path(__file__).parent / "baselines.py"]
+    if method in ("diagnosis", "oracle"):
+        files = sorted(p for room in ("diagnosis", "effects") for p in (package / room).glob("*.py"))
+    digest = hashlib.sha256()
+    for path in files:
+        if path.name != "calibration.py":
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def _count(block: str, cfg: Config) -> int:
@@ -134,7 +152,7 @@ def run_case(cfg: Config, block: str, index: int) -> str:
     """Record one case, have it answered, and keep the answer. Returns a line for the terminal."""
     name = name_of(cfg.split, block, index, cfg.seed)
     begin = time.monotonic()
-    result: dict[str, Any] = {"case": name, "source": source_digest()}
+    result: dict[str, Any] = {"case": name, "source": source_digest(), "program": program_digest(cfg.method)}
     try:
         session = prepare(cfg.split, block, index, cfg.seed)
         with tempfile.TemporaryDirectory(prefix="concealed_") as temporary:

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import tyro
+from numpy.typing import NDArray
 
 sys.path.append(str(Path(__file__).parents[2]))
 
@@ -36,6 +37,8 @@ SUPERSETS: dict[str, tuple[str, ...]] = {
     "compliance": ("backlash",),
 }
 """Names whose law holds another one's as a special case: right, but listed apart."""
+RIGHT = ("right", "superset")
+"""Grades of a finding that count as true where probabilities are scored."""
 RATIOS = (0.0, 1.0, 2.0, 3.0, 6.0, 12.0, 30.0, np.inf)
 """Edges of the bins of the detection-limit curve."""
 UNSIGNED = {"gravity_tilt", "thermal_drift"}
@@ -117,6 +120,7 @@ def main(cfg: Config) -> None:
         rows = load(cfg.folder / method, cfg.split, cfg.seed)
         if rows:
             content[method] = numbers(rows)
+            lines += [f"`{method}`: {_answered_by(rows)}", ""]
             if cfg.rows:
                 print("\n".join(line(row) for row in rows))
             if method == "diagnosis":
@@ -330,17 +334,25 @@ def _coverage_by_effect(rows: Sequence[Row]) -> dict[str, list[float | int | Non
 
 
 def _calibration(rows: Sequence[Row]) -> dict[str, Any]:
-    """Expected calibration error over ten bins, of every finding of every block."""
-    stated = [(float(f["probability"]), r.grade(f) in ("right", "superset")) for r in rows for f in r.findings]
+    """Of every finding of every block."""
+    stated = [(float(f["probability"]), r.grade(f) in RIGHT) for r in rows for f in r.findings]
+    return reliability(np.array([p for p, _ in stated]), np.array([right for _, right in stated], dtype=bool))
+
+
+def reliability(stated: NDArray[np.float64], right: NDArray[np.bool_]) -> dict[str, Any]:
+    """Expected calibration error over ten bins, and the bins.
+
+    Args:
+        stated: Probability of each finding, 0..1. Shape (F,).
+        right: Whether it is true. Shape (F,).
+    """
     bins, error = [], 0.0
-    for k in range(10):
-        inside = [right for p, right in stated if k / 10 <= p < (k + 1) / 10 or (k == 9 and p == 1.0)]
-        mean = [p for p, _ in stated if k / 10 <= p < (k + 1) / 10 or (k == 9 and p == 1.0)]
-        if inside:
-            error += len(inside) / len(stated) * abs(float(np.mean(inside)) - float(np.mean(mean)))
-            bins.append({"stated": round(float(np.mean(mean)), 4), "true": round(float(np.mean(inside)), 4),
-                         "n": len(inside)})  # fmt: skip
-    return {"ece": round(error, 4) if stated else None, "n": len(stated), "bins": bins}
+    of = np.minimum((10 * stated).astype(np.int64), 9)
+    for inside in (of == k for k in np.unique(of)):
+        mean, true = float(stated[inside].mean()), float(right[inside].mean())
+        error += float(inside.mean()) * abs(mean - true)
+        bins.append({"stated": round(mean, 4), "true": round(true, 4), "n": int(inside.sum())})
+    return {"ece": round(error, 4) if len(stated) else None, "n": len(stated), "bins": bins}
 
 
 def _provenance(cfg: Config) -> str:
@@ -348,6 +360,14 @@ def _provenance(cfg: Config) -> str:
         ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False, cwd=Path(__file__).parent
     ).stdout.strip()
     return f"Made by `benchmarks/concealed/score.py` at commit `{commit or 'unknown'}`."
+
+
+def _answered_by(rows: Sequence[Row]) -> str:
+    """Which program answered, and whether it was one."""
+    programs = Counter(str(r.result.get("program", "unknown"))[:12] for r in rows)
+    learnt = {json.dumps(r.result["calibration"], sort_keys=True) for r in rows if "calibration" in r.result}
+    text = ", ".join(f"{n} answers of the program `{name}`" for name, n in programs.most_common())
+    return text + (f", **with {len(learnt)} calibrations**." if len(learnt) > 1 else ".")
 
 
 def _checked_key(cfg: Config) -> str:

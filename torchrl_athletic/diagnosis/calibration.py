@@ -52,7 +52,8 @@ class Grounds:
 
 
 @cache
-def _learnt(part: str) -> Mapping[str, float]:
+def learnt(part: str) -> Mapping[str, float]:
+    """What is in force: ``"weights"`` of the features, or how an ``"interval"`` is widened."""
     content = json.loads(files(__package__).joinpath("calibration.json").read_text(encoding="utf-8"))
     return {name: float(value) for name, value in content[part].items()}
 
@@ -66,7 +67,7 @@ def probability(grounds: Grounds) -> float:
         >>> probability(clear) > 0.8 > probability(vague)
         True
     """
-    weights = _learnt("weights")
+    weights = learnt("weights")
     odds = weights["intercept"] + sum(weights[name] * x for name, x in grounds.features().items())
     return float(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))))
 
@@ -82,7 +83,7 @@ def widened(value: float, low: float, high: float) -> tuple[float, float]:
     Returns:
         Lower and upper end, wider by what was learnt on concealed robots.
     """
-    by = _learnt("interval")
+    by = learnt("interval")
     least = by["relative"] * abs(value)
     below, above = (float(np.hypot(by["widen"] * max(gap, 0.0), least)) for gap in (value - low, high - value))
     return value - below, value + above

@@ -1,0 +1,147 @@
+"""What a probability is learnt from: right is what scores as right, and nothing is learnt from what scores."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks.concealed import run
+from benchmarks.concealed.calibrate import (
+    SIGNS,
+    Stated,
+    bootstrap,
+    chance,
+    crossed,
+    current,
+    figures,
+    findings,
+    fit,
+    intervals,
+    widening,
+)
+from benchmarks.concealed.cases import Case, source_digest
+from benchmarks.concealed.hidden import Truth
+from benchmarks.concealed.score import Row, reliability
+from torchrl_athletic.diagnosis.calibration import Grounds, learnt, probability, widened
+
+GROUNDS = Grounds(share=0.9, left=0.1, excess=1.0, scatter=0.1, open=0.1, energy=0.8, terms=1, strain=2.0)
+
+
+FRICTION = Truth("coulomb_friction", "elbow", {"torque": 1.0})
+
+
+def row(truth: Truth, *names: str, interval=(0.9, 1.1), tolerated: tuple[str, ...] = ()) -> Row:
+    case = Case("tuning", "single", 0, 0, "arm2", "torque_command", 200.0, 2, (truth,), tolerated=tolerated)
+    stated = [
+        {"effect": name, "joint": "elbow", "probability": 0.9 - 0.1 * k, "grounds": GROUNDS.to_json(),
+         "parameters": {"torque": {"value": 1.0, "ci95": list(interval)}}}
+        for k, name in enumerate(names)
+    ]  # fmt: skip
+    return Row(case, {"answer": {"findings": stated}})
+
+
+def drawn(count: int = 400, seed: int = 0) -> Stated:
+    """Findings that are right as often as their first feature says, three to a case."""
+    rng = np.random.default_rng(seed)
+    features = rng.normal(size=(count, len(SIGNS)))
+    right = rng.random(count) < 1 / (1 + np.exp(-2 * features[:, 0]))
+    grade = np.where(right, "right", "wrong")
+    return Stated(features, np.full(count, 0.999), grade, np.arange(count) // 3, count // 3 + 1)
+
+
+def test_a_name_that_is_true_of_a_part_only_does_not_count_as_right():
+    part = row(Truth("drag", "elbow", {}), "viscous_friction", tolerated=("viscous_friction",))
+    stated = findings([part, row(FRICTION, "coulomb_friction", "stribeck_friction")])
+    assert stated.grade.tolist() == ["tolerated", "right", "superset"]
+    assert stated.right.tolist() == [0.0, 1.0, 1.0]
+    assert stated.case.tolist() == [0, 1, 1]
+
+
+def test_what_is_fitted_is_what_the_diagnosis_states():
+    weights = np.array([learnt("weights")[name] for name in ("intercept", *SIGNS)])
+    features = np.array([[GROUNDS.features()[name] for name in SIGNS]])
+    assert chance(weights, features, np.array([0.95]))[0] == pytest.approx(min(probability(GROUNDS), 0.95))
+    assert chance(weights, features, np.array([0.2]))[0] == 0.2
+
+
+def test_findings_that_the_share_caps_teach_nothing_about_the_others():
+    # half of them are capped at 0.3 and right so often; of the others nine in ten are right
+    share = np.repeat([0.3, 0.999], 100)
+    right = np.concatenate([np.arange(100) < 30, np.arange(100) < 90]).astype(float)
+    features = np.zeros((200, len(SIGNS)))
+    stated = chance(fit(features, share, right, 1.0), features, share)
+    np.testing.assert_allclose(stated[:100], 0.3)
+    np.testing.assert_allclose(stated[100:], 0.9, atol=0.005)
+
+
+def test_weights_have_their_signs_and_the_ridge_pulls_them_to_zero():
+    stated = drawn()
+    loose, tight = (fit(stated.features, stated.share, stated.right, ridge) for ridge in (0.01, 100.0))
+    assert loose[1] == pytest.approx(2.0, abs=0.5)
+    assert 0 < tight[1] < loose[1]
+    against = fit(-stated.features, stated.share, stated.right, 0.01)
+    assert against[1] == 0.0
+
+
+def test_no_case_is_judged_by_weights_that_have_seen_it():
+    stated = drawn(120)
+    of_first = stated.case == 0
+    turned = np.where(of_first, np.where(stated.grade == "right", "wrong", "right"), stated.grade)
+    other = Stated(stated.features, stated.share, turned, stated.case, stated.cases)
+    before, after = crossed(stated, 0.5, 3), crossed(other, 0.5, 3)
+    np.testing.assert_array_equal(before[of_first], after[of_first])
+    assert np.abs(before - after).max() > 1e-3
+
+
+def test_wrong_names_are_counted_by_cases_those_without_findings_included():
+    grade = np.array(["wrong", "wrong", "tolerated", "right"])
+    stated = Stated(np.zeros((4, len(SIGNS))), np.ones(4), grade, np.array([0, 0, 1, 2]), 10)
+    told = figures(stated, np.array([0.9, 0.8, 0.7, 0.6]))
+    assert told["cases with a wrong name over 0.5"] == pytest.approx(0.1)
+    assert told["right findings over 0.5"] == 1.0
+
+
+def test_a_calibration_error_is_the_mean_distance_of_stated_and_true():
+    assert reliability(np.array([1.0, 0.0]), np.array([True, False]))["ece"] == 0.0
+    three_to_one = reliability(np.full(4, 0.95), np.array([True, True, True, False]))
+    assert three_to_one["ece"] == pytest.approx(0.2)
+    assert reliability(np.zeros(0), np.zeros(0, dtype=bool))["ece"] is None
+
+
+def test_an_interval_that_was_widened_is_taken_back_to_the_bootstraps():
+    low, high = widened(2.0, 1.5, 2.2)
+    estimate = {"value": 2.0, "ci95": [low, high]}
+    assert bootstrap(estimate, learnt("interval")) == pytest.approx((2.0, 1.5, 2.2))
+
+
+def test_learning_twice_widens_no_further():
+    r = row(FRICTION, "coulomb_friction")
+    r.result["calibration"] = {"interval": {"widen": 2.0, "relative": 0.0}}  # type: ignore[index]
+    np.testing.assert_allclose(intervals([r]), [[1.0, 0.95, 1.05, 1.0]])
+
+
+def test_the_factor_is_the_least_with_which_intervals_hold_nearly_all_truths():
+    off = np.linspace(-3, 3, 101)
+    rows = np.column_stack([np.zeros(101), -np.ones(101), np.ones(101), off])
+    assert widening(rows, 0.0) == 3.0  # within 2.85 lie 95 of 101
+
+
+def test_answers_of_another_program_and_failed_ones_are_left_out_and_counted(capsys):
+    mine, other = (row(FRICTION, "coulomb_friction") for _ in range(2))
+    mine.result["program"], other.result["program"] = "now", "before"  # type: ignore[index]
+    failed = Row(mine.case, {"program": "now", "error": "broke"})
+    assert current([mine, other, failed], "now") == [mine]
+    assert "1 of another state of the diagnosis, 1 that failed" in capsys.readouterr().out
+
+
+def test_an_answer_is_done_if_generator_and_program_are_those_of_now(tmp_path):
+    path = tmp_path / "case.json"
+    assert not run.is_done(path)
+    kept = {"source": source_digest(), "program": run.program_digest("diagnosis")}
+    path.write_text(json.dumps(kept), encoding="utf-8")
+    assert run.is_done(path)
+    assert not run.is_done(path, "naive_bic")  # whose program is another
+    path.write_text(json.dumps(kept | {"source": "older"}), encoding="utf-8")
+    assert not run.is_done(path)
