@@ -8,8 +8,8 @@ A bench's *complete* model is the published one, with its friction, rotors, mass
 taken away (``removed``), or one is put into the recordings (``injected``); the ``complete`` model itself is the
 control. ``left_out`` keeps one kind of motion aside and fits the others. Nothing tells the diagnosis which case it has.
 
-A case takes ten seconds to two minutes of one core. What is done is kept, one JSON a case under ``--answers``, and
-skipped the next time; tables go to ``--output``.
+A case takes ten seconds to two minutes of one core, in a process of its own. What is done is kept, one JSON a case
+under ``--answers``, and skipped the next time, unless the diagnosis has changed since; tables go to ``--output``.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from functools import cache, partial
-from multiprocessing import get_context
+from multiprocessing import Value
 from pathlib import Path
 from typing import Any, Literal
 
@@ -38,7 +38,7 @@ from tqdm import tqdm
 
 sys.path.append(str(Path(__file__).parents[1]))
 
-from benchmarks.concealed.run import _pin
+from benchmarks.concealed.run import _pin, program_digest
 from torchrl_athletic.diagnosis import diagnose
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.fit import Hypothesis
@@ -50,6 +50,8 @@ Kind = Literal["complete", "removed", "injected", "left_out"]
 Name = tuple[str, str | None]
 """An effect and its joint; None for the whole robot."""
 
+LEAST = 0.05
+"""Probability from which a name counts as stated, or as a rival."""
 VISIBLE = 3.0
 """What concealing moves the simulated fitted takes by, over their noise floor, from which the noise allows a name."""
 CLOSED = 0.5
@@ -60,7 +62,7 @@ CONTAINS: Mapping[str, frozenset[str]] = {
     "torque_offset": frozenset({"asymmetric_friction"}),
 }
 """Laws that hold another one as a special case, and what real friction may well be: listed apart."""
-GRADES = ("named", "contained", "rival", "joint", "missed", "failed")
+GRADES = ("named", "contained", "rival", "control", "joint", "missed", "failed")
 """Best first, see :func:`graded`."""
 
 
@@ -72,10 +74,14 @@ class Config:
     """Patterns, such as 'emps-*' and '*-removed-*'; cases whose name fits one are run. All of them if left out."""
     jobs: int = 2
     """Processes at a time, each on one core."""
-    fresh: bool = False
-    """Run again what is done."""
+    timeout: float = 900.0
+    """Of a case [s]; one that takes longer counts as failed."""
+    fresh: tuple[str, ...] = ()
+    """Benches whose cases are run again although they are done, such as 'emps'; '*' for all."""
     table: bool = False
     """Run nothing."""
+    case: str | None = None
+    """Run this case alone and keep its answer: what the benchmark starts for each."""
     answers: Path = Path("outputs/concealed_real")
     output: Path = Path("benchmarks/results/concealed_real.md")
 
@@ -113,19 +119,19 @@ class Case:
 
 
 def main(cfg: Config) -> None:
+    if cfg.case is not None:
+        run(cfg.case, cfg.answers)
+        return
     wanted = [c for c in cases() if not cfg.only or any(fnmatch(c.name, pattern) for pattern in cfg.only)]
-    todo = [] if cfg.table else [c for c in wanted if cfg.fresh or not _is_done(cfg.answers / f"{c.name}.json")]
+    todo = [] if cfg.table else [c for c in wanted if _again(c, cfg) or not _is_done(cfg.answers / f"{c.name}.json")]
     print(f"{len(wanted)} cases, {len(wanted) - len(todo)} of them not to be run")
     todo.sort(key=lambda c: DEAREST.index(c.bench))
     for bench in {c.bench for c in todo}:  # said now, and once
         dataset(bench)
-    if todo:
-        os.environ["OMP_NUM_THREADS"] = "1"  # of the processes to come
-        context = get_context("spawn")
-        with ProcessPoolExecutor(cfg.jobs, context, _pin, (context.Value("i", 0),)) as pool:
-            pending = [pool.submit(run, c.name, cfg.answers) for c in todo]
-            for done in tqdm(as_completed(pending), total=len(pending), unit="case"):
-                tqdm.write(done.result())
+    with ThreadPoolExecutor(cfg.jobs, initializer=_pin, initargs=(Value("i", 0),)) as pool:
+        pending = [pool.submit(in_own_process, c.name, cfg) for c in todo]
+        for done in tqdm(as_completed(pending), total=len(pending), unit="case", disable=not todo):
+            tqdm.write(done.result())
     rows = load(cfg.answers)
     if not rows:
         raise SystemExit(f"{cfg.answers} holds no answer of any case.")
@@ -135,26 +141,57 @@ def main(cfg: Config) -> None:
     print(f"Tables: {cfg.output}")
 
 
+def _again(case: Case, cfg: Config) -> bool:
+    return any(fnmatch(case.bench, pattern) for pattern in cfg.fresh)
+
+
 def _is_done(path: Path) -> bool:
-    return path.exists() and "error" not in json.loads(path.read_text(encoding="utf-8"))
+    kept = _read(path) or {}
+    return "answer" in kept and kept.get("program") == program_digest("diagnosis")
 
 
-def run(name: str, folder: Path) -> str:
-    """Diagnose one case and keep what was said. Returns a line for the terminal."""
+def in_own_process(name: str, cfg: Config) -> str:
+    """Diagnose one case on the core that this thread is pinned to. Returns a line for the terminal.
+
+    A case that fails is a result, and must not stop the others: what is known of it by then is kept with the error.
+    """
+    path, begin = cfg.answers / f"{name}.json", time.monotonic()
+    path.unlink(missing_ok=True)
+    command = [sys.executable, __file__, "--case", name, "--answers", str(cfg.answers)]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    error = ""
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=False, timeout=cfg.timeout, env=environment
+        )
+        if done.returncode:
+            error = f"exit {done.returncode}: {' '.join(done.stderr[-1500:].split())}"
+    except subprocess.TimeoutExpired:
+        error = f"not finished after {cfg.timeout:g} s"
+    seconds = round(time.monotonic() - begin, 1)
+    content = _read(path) or _begun(name)
+    if error:
+        content |= {"error": error, "seconds": seconds}
+        write_json(path, content)
+    said = ", ".join(_said(f) for f in content.get("answer", {}).get("findings", ()))
+    return f"{name}  {seconds:.0f} s  {said or error[-200:] or 'nothing named'}"
+
+
+def _begun(name: str) -> dict[str, Any]:
+    return {"case": name, "commit": _commit(), "program": program_digest("diagnosis"), "machine": platform.machine()}
+
+
+def run(name: str, folder: Path) -> None:
+    """Diagnose one case and keep what was said; what concealing moves is kept before, as no failure changes it."""
     begin = time.monotonic()
     case = next(c for c in cases() if c.name == name)
-    content: dict[str, Any] = {"case": name, "commit": _commit(), "machine": platform.machine()}
-    try:
-        takes = case.takes()
-        content["answer"] = diagnose(takes.model, takes.fit, takes.aside, seed=0).answer.to_json()
-        if case.kind in ("removed", "injected"):
-            content["moved"] = moved(complete(case.bench), takes)
-    except Exception as error:  # a case that fails is a result, and must not stop the others
-        content["error"] = f"{type(error).__name__}: {error}"[-2000:]
+    content, takes = _begun(name), case.takes()
+    if case.kind in ("removed", "injected"):
+        content["moved"] = moved(complete(case.bench), takes)
+        write_json(folder / f"{name}.json", content)
+    content["answer"] = diagnose(takes.model, takes.fit, takes.aside, seed=0).answer.to_json()
     content["seconds"] = round(time.monotonic() - begin, 1)
     write_json(folder / f"{name}.json", content)
-    said = ", ".join(_said(f) for f in content.get("answer", {}).get("findings", ()))
-    return f"{name}  {content['seconds']:.0f} s  {said or content.get('error', 'nothing named')[-200:]}"
 
 
 def moved(whole: Takes, concealed: Takes) -> dict[str, float]:
@@ -495,19 +532,24 @@ def graded(case: Case, answered: Mapping[str, Any], control: Mapping[str, Any] |
     """What a table says of a case.
 
     ``grade`` is ``named``, ``contained`` (a law that holds the truth as a special case), ``rival`` (in the answer set
-    only), ``joint`` (another name, stated nowhere by the control, on the right joint), ``missed`` or ``failed``; where
-    nothing may be named ``quiet`` or ``false``; of a kind left out ``closed`` or ``open``. ``over_noise`` and
-    ``over_misfit`` compare what concealing changes, at the joint where it shows most, with the noise floor and with the
-    error that the complete model leaves.
+    only), ``control`` (any of these, but the complete model's diagnosis says the same), ``joint`` (another name, which
+    the control does not state, on the right one of several joints), ``missed`` or ``failed``; where nothing may be
+    named ``quiet`` or ``false``; of a kind left out ``closed`` or ``open``. What is less probable than ``LEAST`` is not
+    stated, and of a finding and its rivals the most probable one is the name. ``over_noise`` and ``over_misfit``
+    compare what concealing changes, at the joint where it shows most, with the noise floor and with the error that the
+    complete model leaves.
     """
-    answer = answered.get("answer")
+    answer, before = answered.get("answer"), (control or {}).get("answer")
     row: dict[str, Any] = {
         "bench": case.bench, "kind": case.kind, "what": case.what, "size": case.size, "truths": case.truths,
-        "commit": answered["commit"], "seconds": answered["seconds"],
+        "commit": answered["commit"], "seconds": answered.get("seconds"),
     }  # fmt: skip
+    if before is not None and "moved" in answered:
+        own = before["fit"]["train"]["per_joint"]
+        row["over_noise"] = max(m / own[joint]["floor"] for joint, m in answered["moved"].items())
+        row["over_misfit"] = max(m / own[joint]["before"] for joint, m in answered["moved"].items())
     if answer is None:
-        return row | {"grade": "failed", "error": answered.get("error", "")}
-    before = (control or {}).get("answer")
+        return row | {"grade": "failed", "error": answered.get("error", "not finished")}
     row |= {
         "verdict": answer["verdict"],
         "findings": [
@@ -519,32 +561,47 @@ def graded(case: Case, answered: Mapping[str, Any], control: Mapping[str, Any] |
         "heldout": {k: answer["fit"]["heldout"][k] for k in ("before", "after", "floor", "share_closed")},
         "quality": _quality(answer),
     }  # fmt: skip
-    if before is not None and "moved" in answered:
-        own = before["fit"]["train"]["per_joint"]
-        row["over_noise"] = max(m / own[joint]["floor"] for joint, m in answered["moved"].items())
-        row["over_misfit"] = max(m / own[joint]["before"] for joint, m in answered["moved"].items())
-    stated = {(f["effect"], f["joint"]): f for f in row["findings"]}
-    known = {(f["effect"], f["joint"]) for f in (before or {"findings": ()})["findings"]}
-    row["also_in_control"] = bool(stated.keys() & known & (set(case.truths) | _wider(case)))
-    return row | {"grade": _grade(case, stated, known, row["heldout"]["share_closed"])}
+    names, rivals = stated(answer)
+    row["probability"] = max((p for name, p in names.items() if name in set(case.truths)), default=0.0)
+    known = stated(before) if before is not None else ({}, set())
+    joints = len(answer["fit"]["train"]["per_joint"])
+    return row | {"grade": _grade(case, names, rivals, known, joints, row["heldout"]["share_closed"])}
 
 
-def _grade(case: Case, stated: Mapping[Name, Mapping[str, Any]], known: set[Name], closed: float) -> str:
+def stated(answer: Mapping[str, Any]) -> tuple[dict[Name, float], set[Name]]:
+    """Names with their probabilities, the likeliest of each finding and its rivals; and the others of these."""
+    names: dict[Name, float] = {}
+    rivals: set[Name] = set()
+    for f in answer["findings"]:
+        likely = {(a["effect"], a["joint"]): a["probability"] for a in (*f["rivals"], f) if a["probability"] >= LEAST}
+        if likely:
+            first = max(likely, key=lambda name: likely[name])
+            names[first] = max(names.get(first, 0.0), likely[first])
+            rivals |= likely.keys() - {first}
+    return names, rivals - names.keys()
+
+
+def _grade(
+    case: Case, names: Mapping[Name, float], rivals: set[Name], known: tuple[Mapping[Name, float], set[Name]],
+    joints: int, closed: float,
+) -> str:  # fmt: skip
+    of_control, rivals_of_control = known
     if case.kind == "complete":
-        return "control"
+        return "complete"
     if case.kind == "left_out":
         return "closed" if closed >= CLOSED else "open"
     if not case.truths:
-        return "false" if any(f["probability"] > 0.5 for n, f in stated.items() if n not in known) else "quiet"
+        return "false" if any(p > 0.5 for n, p in names.items() if n not in of_control) else "quiet"
     truths = set(case.truths)
-    if truths & stated.keys():
-        return "named"
-    if _wider(case) & stated.keys():
-        return "contained"
-    rivals = {(r[0], r[1]) for f in stated.values() for r in f["rivals"]}
-    if truths & rivals:
-        return "rival"
-    return "joint" if {j for _, j in stated.keys() - known} & {j for _, j in truths} else "missed"
+    for grade, right, among, already in (
+        ("named", truths, names.keys(), of_control.keys()),
+        ("contained", _wider(case), names.keys(), of_control.keys()),
+        ("rival", truths, rivals, rivals_of_control | of_control.keys()),
+    ):
+        if right & among:
+            return "control" if right & among & already else grade
+    elsewhere = {j for _, j in names.keys() - of_control.keys()} & {j for _, j in truths}
+    return "joint" if elsewhere and joints > 1 else "missed"
 
 
 def _wider(case: Case) -> set[Name]:
@@ -578,30 +635,22 @@ def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     graded = {grade: sum(r["grade"] == grade for r in rows) for grade in GRADES}
-    too = sum(r.get("also_in_control", False) for r in rows if r["grade"] in ("named", "contained"))
-    over = sum(_probability(r) > 0.5 for r in rows)
-    return {"cases": len(rows), **graded, "control_says_so_too": too, "stated_over_half": over}
-
-
-def _probability(row: Mapping[str, Any]) -> float:
-    """Of the truth, as stated."""
-    truths = {tuple(t) for t in row["truths"]}
-    return max((f["probability"] for f in row.get("findings", ()) if (f["effect"], f["joint"]) in truths), default=0.0)
+    over = sum(r["grade"] == "named" and r["probability"] > 0.5 for r in rows)
+    return {"cases": len(rows), **graded, "named_over_half": over}
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """The counts as a table."""
     f = figures(rows)
-    head = ("concealed", "cases", "named", "a law that holds it", "among rivals", "joint only", "missed or failed",
-            "control says so too", "over one half")  # fmt: skip
+    head = ("concealed", "cases", "named", "with over one half", "a law that holds it", "among rivals",
+            "named, but the control says so too", "joint only, of several", "missed", "failed")  # fmt: skip
     lines = _head(head)
     for kind, words in (("removed", "taken from the model"), ("injected", "put into the recordings")):
         for of, which in (
             ("all", ""), ("noise_allows", "; noise allows it"), ("larger_than_other_misfit", "; and other misfit"),
         ):  # fmt: skip
             n = f[kind][of]
-            cells = [n["cases"], *(n[g] for g in GRADES[:4]), n["missed"] + n["failed"], n["control_says_so_too"],
-                     n["stated_over_half"]]  # fmt: skip
+            cells = [n["cases"], n["named"], n["named_over_half"], *(n[grade] for grade in GRADES[1:])]
             lines.append(f"| {words}{which} | {' | '.join(map(str, cells))} |")
     left, quiet = f["left_out"], f["quantisation"]
     median = left["median_share_closed"]
@@ -621,7 +670,8 @@ def report(rows: Sequence[Mapping[str, Any]]) -> str:
         f"Made by `python benchmarks/concealed_real.py` at commit {commits}. Errors are RMSE of 0.5 s windows on "
         "recordings kept aside [mrad; mm on emps]: of the model that was given, and corrected. *Over noise* and *over "
         "misfit* compare what concealing moves the simulated fitted takes by with their noise floor and with the error "
-        f"that the complete model leaves. Noise allows a name from {VISIBLE:g} on; other misfit from 1 on.",
+        f"that the complete model leaves. Noise allows a name from {VISIBLE:g} on; other misfit from 1 on. A name "
+        f"counts from a probability of {LEAST:.0%} on.",
         "",
         *summary(rows), "",
     ]  # fmt: skip
@@ -639,16 +689,16 @@ def report(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     lines = _head(("data set", "concealed", "size", "named (probability)", "verdict", "before", "after", "over noise",
-                   "over misfit", "reached"))  # fmt: skip
+                   "over misfit", "reached", "commit"))  # fmt: skip
     for r in rows:
+        seen = " | ".join(f"{r[k]:.2g}" if k in r else "" for k in ("over_noise", "over_misfit"))
+        lead, end = f"| {r['bench']} | {r['what'] or '-'} | {r['size']} |", f"{_reached(r)} | `{r['commit']}` |"
         if "heldout" not in r:
-            lines.append(f"| {r['bench']} | {r['what']} | {r['size']} | {r['error'][:80]} |{' - |' * 5} failed |")
+            lines.append(f"{lead} {r['error'][-80:].replace('|', '/')} | - | - | - | {seen} | {end}")
             continue
         before, after = (f"{1000 * r['heldout'][k]:.3g}" for k in ("before", "after"))
         said = "<br>".join(_said(f) for f in r["findings"]) or "nothing"
-        seen = " | ".join(f"{r[k]:.2g}" if k in r else "" for k in ("over_noise", "over_misfit"))
-        lines.append(f"| {r['bench']} | {r['what'] or '-'} | {r['size']} | {said} | {r['verdict']} | {before} | "
-                     f"{after} | {seen} | {_reached(r)} |")  # fmt: skip
+        lines.append(f"{lead} {said} | {r['verdict']} | {before} | {after} | {seen} | {end}")
     return lines
 
 
@@ -657,13 +707,13 @@ def _head(names: Sequence[str]) -> list[str]:
 
 
 def _reached(row: Mapping[str, Any]) -> str:
-    words = {
-        "control": "", "named": "named", "contained": "as a law that holds it", "rival": "among the rivals",
-        "joint": "joint only", "missed": "missed", "quiet": "nothing named", "false": "false name",
-        "closed": f"{100 * row['heldout']['share_closed']:.0f} % closed",
-        "open": f"{100 * row['heldout']['share_closed']:.0f} % closed",
+    if row["grade"] in ("closed", "open"):
+        return f"{100 * row['heldout']['share_closed']:.0f} % closed"
+    return {
+        "complete": "", "named": "named", "contained": "as a law that holds it", "rival": "among the rivals",
+        "control": "named, but the control says so too", "joint": "joint only", "missed": "missed",
+        "failed": "failed", "quiet": "nothing named", "false": "false name",
     }[row["grade"]]  # fmt: skip
-    return f"{words}; the control names it too" if row["also_in_control"] else words
 
 
 def _said(finding: Mapping[str, Any]) -> str:

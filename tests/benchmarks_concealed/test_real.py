@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import concealed_real
+from benchmarks.concealed.run import program_digest
 from benchmarks.concealed_real import Case, Takes, cases, coarse, complete, graded, late, misread, moved, weak
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import Recording
@@ -143,6 +144,10 @@ FRICTION = Case("bench", "removed", "coulomb_friction elbow", "1 N·m", lambda: 
         ([finding("backlash", "elbow", 0.6, ("coulomb_friction", "elbow", 0.2))], "rival"),
         ([finding("backlash", "elbow")], "joint"),
         ([finding("payload", "elbow")], "missed"),  # the complete model's own answer says so too
+        ([finding("coulomb_friction", "elbow", 0.04)], "missed"),
+        ([finding("backlash", "elbow", 0.1, ("coulomb_friction", "elbow", 0.6))], "named"),  # the likelier one
+        ([finding("coulomb_friction", "elbow", 0.1, ("backlash", "elbow", 0.6))], "rival"),
+        ([finding("backlash", "elbow", 0.6, ("coulomb_friction", "elbow", 0.04))], "joint"),
         ([finding("coulomb_friction", "hip")], "missed"),
         ([], "missed"),
     ],
@@ -152,11 +157,45 @@ def test_a_name_counts_with_its_joint_and_less_the_further_it_is_from_the_truth(
     assert graded(FRICTION, answered(*said), control)["grade"] == grade
 
 
-def test_a_case_that_fails_is_counted_and_not_dropped():
-    row = graded(FRICTION, {"commit": "c", "seconds": 1.0, "error": "ValueError: x"}, answered())
+@pytest.mark.parametrize(
+    ("said", "of_control", "grade"),
+    [
+        ([finding("coulomb_friction", "elbow")], [finding("coulomb_friction", "elbow", 0.1)], "control"),
+        ([finding("coulomb_friction", "elbow")], [finding("coulomb_friction", "elbow", 0.04)], "named"),
+        ([finding("coulomb_friction", "elbow")], [finding("coulomb_friction", "hip")], "named"),
+        ([finding("stribeck_friction", "elbow")], [finding("stribeck_friction", "elbow")], "control"),
+        (
+            [finding("backlash", "elbow", 0.6, ("coulomb_friction", "elbow", 0.2))],
+            [finding("payload", "elbow", 0.6, ("coulomb_friction", "elbow", 0.2))],
+            "control",
+        ),
+    ],
+)
+def test_a_name_that_the_complete_model_gives_too_is_no_discovery(said, of_control, grade):
+    assert graded(FRICTION, answered(*said), answered(*of_control))["grade"] == grade
+
+
+def test_where_there_is_one_joint_naming_it_is_no_merit():
+    alone = answered(finding("backlash", "elbow"))
+    del alone["answer"]["fit"]["train"]["per_joint"]["hip"]
+    assert graded(FRICTION, alone, answered())["grade"] == "missed"
+
+
+def test_a_case_that_fails_is_counted_among_those_that_the_noise_allows():
+    failed = {"commit": "c0ffee", "error": "ValueError: x", "moved": {"elbow": 0.5, "hip": 0.01}}
+    row = graded(FRICTION, failed, answered())
     assert row["grade"] == "failed"
-    assert concealed_real.figures([row])["removed"]["all"]["failed"] == 1
-    assert "failed" in concealed_real.report([row])
+    counts = concealed_real.figures([row])["removed"]
+    assert counts["all"]["failed"] == counts["noise_allows"]["failed"] == 1
+    assert "| failed | `c0ffee` |" in concealed_real.report([row])
+
+
+def test_a_name_stated_above_one_half_is_counted_where_it_is_the_truths():
+    likely, unlikely, wrong = (
+        graded(FRICTION, answered(finding(name, "elbow", p)), answered())
+        for name, p in (("coulomb_friction", 0.6), ("coulomb_friction", 0.4), ("backlash", 0.9))
+    )
+    assert concealed_real.figures([likely, unlikely, wrong])["removed"]["all"]["named_over_half"] == 1
 
 
 def test_only_a_new_name_that_is_likely_is_a_false_one():
@@ -184,11 +223,28 @@ def test_what_is_moved_is_held_against_the_noise_and_the_misfit_of_the_complete_
 @pytest.mark.slow
 def test_a_removed_friction_is_found_and_kept_for_the_next_time(real_recordings, tmp_path, monkeypatch):
     case = next(c for c in cases() if c.name.startswith("pendulum-removed-coulomb"))
-    line = concealed_real.run(case.name, tmp_path)
+    concealed_real.main(concealed_real.Config(only=(case.name,), answers=tmp_path, output=tmp_path / "table.md"))
     content = json.loads((tmp_path / f"{case.name}.json").read_text(encoding="utf-8"))
     assert content["answer"]["findings"][0]["joint"] == "pendulum"
     assert content["moved"]["pendulum"] > 0.01  # rad
-    assert case.name in line
-    monkeypatch.setattr(concealed_real, "run", partial(pytest.fail, "it was run again"))
+    monkeypatch.setattr(concealed_real, "in_own_process", partial(pytest.fail, "it was run again"))
     concealed_real.main(concealed_real.Config(only=(case.name,), answers=tmp_path, output=tmp_path / "table.md"))
     assert "coulomb_friction pendulum" in (tmp_path / "table.md").read_text(encoding="utf-8")
+
+
+def test_a_case_that_does_not_finish_is_kept_as_failed_and_run_again_when_asked_for(tmp_path):
+    name = "pendulum-complete"
+    said = concealed_real.in_own_process(name, concealed_real.Config(answers=tmp_path, timeout=0.01))
+    assert "not finished after 0.01 s" in said
+    kept = json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))
+    assert kept["case"] == name
+    assert "not finished" in kept["error"]
+    assert not concealed_real._is_done(tmp_path / f"{name}.json")
+
+
+def test_an_answer_of_another_diagnosis_is_not_done(tmp_path):
+    path = tmp_path / "case.json"
+    path.write_text(json.dumps({"answer": {}, "program": program_digest("diagnosis")}), encoding="utf-8")
+    assert concealed_real._is_done(path)
+    path.write_text(json.dumps({"answer": {}, "program": "older"}), encoding="utf-8")
+    assert not concealed_real._is_done(path)
