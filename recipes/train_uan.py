@@ -36,6 +36,8 @@ class Config:
     """Down the position error's own gradient, or the paper's reinforcement learning."""
     credit: Literal["arm", "joint"] = "joint"
     """Of PPO: one reward for all joints, as the paper has it, or each joint its own."""
+    knows: training.Knows = "errors"
+    """What the net is told of a joint: its errors, as in the paper; which one it is; how the arm stands and moves."""
     robot: str = "z1"
     """``z1``, or the path of an MJCF."""
     model: Path | None = None
@@ -65,10 +67,11 @@ def main(cfg: Config) -> Simulator:
     torch.set_float32_matmul_precision("high")
     recordings = training.for_training(read_recordings(cfg.recordings))
     robot = training.with_gains_of(z1() if cfg.robot == "z1" else from_mjcf(cfg.robot), recordings)
-    given = Simulator("uan" if cfg.model is None else "diagnosed_uan", robot, correction_of(cfg.model))
+    name = ("uan" if cfg.model is None else "diagnosed_uan") + {"errors": ""}.get(cfg.knows, f"_{cfg.knows}")
+    given = Simulator(name, robot, correction_of(cfg.model))
     pieces, windows = training.set_aside(recordings, seconds=cfg.window)
     takes = training.takes_of(pieces, robot)
-    net = uan(**training.units_of(takes, robot)).to(cfg.device)
+    net = uan(**training.units_of(takes, robot, cfg.knows)).to(cfg.device)
     validate = training.validation_of(given, windows, net, device=cfg.device)
     before = validate()["mse"]  # of a net that corrects nothing yet
 
@@ -82,12 +85,12 @@ def main(cfg: Config) -> Simulator:
         logger=training.make_logger(cfg.logger, cfg.output, "train_uan"),
         checkpoints=training.Checkpoints(cfg.output / "checkpoints"),
         checkpoint_every=cfg.evaluate_every,
-        show=["reward", "mse"],
+        show=["reward", "mse", "lost"],
         step=training.iterate if cfg.method == "ppo" else training.descend,
     )
     best, state = validate.best
     net.load_state_dict(state)
-    notes = {name: getattr(cfg, name) for name in ("method", "credit", "seed", "device")}
+    notes = {name: getattr(cfg, name) for name in ("method", "credit", "knows", "seed", "device")}
     notes |= {"training_seconds": learner.seconds, "data_seconds": sum(r.duration for r in recordings)}
     notes |= {"validation_mse": best, "validation_mse_last": numbers["mse"], "validation_mse_before": before}
     found = replace(given, net=net.cpu(), kind="correction", notes=notes)

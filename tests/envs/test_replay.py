@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from identification.arms import commands, recorded, robot
+from identification.arms import commands, last_layer, recorded, robot
 from tensordict import TensorDict
 from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import check_env_specs
@@ -13,7 +13,7 @@ from torchrl.envs.utils import check_env_specs
 from torchrl_athletic.envs import ReplayTakes, Takes, TorqueEnv, replay_env
 from torchrl_athletic.envs.replay import HISTORY, AddedTorque
 from torchrl_athletic.functional import rewards
-from torchrl_athletic.identification import Simulator
+from torchrl_athletic.identification import Simulator, open_loop
 from torchrl_athletic.networks import uan
 from torchrl_athletic.testing import no_host_sync
 from torchrl_athletic.training import control_step, takes_of, torque_unit
@@ -46,10 +46,11 @@ def played(env, policy, steps):
     return torch.stack(out, 1)
 
 
-def moved_net(joints=2, seed=3):
+def moved_net(state=False, seed=3):
     torch.manual_seed(seed)
-    net = uan(unit=(0.2, 2.0), torque_unit=[1.0, 1.5])
-    torch.nn.init.normal_(net[1][-1].weight, std=0.3)
+    told = {"joints": 2, "state_unit": [1.0, 1.0, 5.0, 5.0, 10.0, 10.0]} if state else {}
+    net = uan(unit=(0.2, 2.0), torque_unit=[1.0, 1.5], **told)
+    torch.nn.init.normal_(last_layer(net).weight, std=0.3)
     return net
 
 
@@ -163,20 +164,106 @@ def test_the_net_does_in_a_policys_chain_what_it_did_in_the_replay(torques, inne
     assert replayed["torque_correction"].abs().max() > 0.1
 
 
-def test_errors_stay_those_of_the_late_command_where_a_diagnosis_found_a_delay():
-    """After the command's way through the queue, the net sees in the replay what it sees in a policy's chain."""
-    late = {"effect": "actuation_delay", "joint": "hip", "parameters": {"delay": {"value": 0.012}}}
+def corrected(*, net=None, kind="none"):
+    """An arm whose commands come late, whose torques lag, and whose hip winds up."""
+    entries = (
+        ("actuation_delay", "hip", {"delay": 0.012}),
+        ("actuation_lag", "knee", {"time_constant": 0.02}),
+        ("hysteresis", "hip", {"torque": 0.4, "width": 0.02}),
+        ("encoder_offset", "knee", {"offset": 0.05}),
+    )
+    effects = [
+        {"effect": effect, "joint": joint, "parameters": {name: {"value": value} for name, value in values.items()}}
+        for effect, joint, values in entries
+    ]
     found = {"schema": "torchrl_athletic/corrected/1", "joint_names": list(ROBOT.joint_names)}
-    net = moved_net()
-    simulator = Simulator("late", ROBOT, found | {"effects": [late], "trims": []}, net=net, kind="correction")
-    bare = replace(simulator, net=None, kind="none").chain(decimation=1)
-    env = replay_env(ROBOT, TAKES, chain=bare, num_envs=1, by_row=True, starts=torch.tensor([30]))
+    return Simulator("diagnosed", ROBOT, found | {"effects": effects, "trims": []}, net, kind)
+
+
+def test_errors_stay_those_of_the_late_command_where_a_diagnosis_found_a_delay():
+    env = replay_env(
+        ROBOT,
+        TAKES,
+        chain=corrected().chain(decimation=1, limits=False),
+        num_envs=1,
+        by_row=True,
+        starts=torch.tensor([30]),
+    )
     steps = played(env, nothing, 40)
-    seen = steps["observation"][0, 5:].unflatten(-1, (2, HISTORY))[:, 0, 0, -1]
-    command, position = TAKES.command[35:70, 0], steps["joint_position"][0, 5:, 0]
-    earlier = 0.6 * TAKES.command[33:68, 0] + 0.4 * TAKES.command[32:67, 0]  # by 2.4 steps
+    seen = steps["observation"][0].unflatten(-1, (2, HISTORY))[:, 0, 0, -1]
+    command, position = TAKES.command[30:70, 0], steps["joint_position"][0, :, 0]
+    earlier = 0.6 * TAKES.command[28:68, 0] + 0.4 * TAKES.command[27:67, 0]  # by 2.4 steps
     torch.testing.assert_close(seen, earlier - position)
     assert (seen - (command - position)).abs().max() > 0.1
+
+
+def test_before_an_episode_the_net_sees_the_targets_that_the_motors_could_follow():
+    far = replace(TAKES, command=TAKES.command + 3.0)
+    env = replay_env(ROBOT, far, chain=corrected().chain(decimation=1), num_envs=1, by_row=True)
+    env.transform[-1].starts = torch.tensor([40])
+    knee = env.reset()["observation"][0, 1].unflatten(-1, (2, HISTORY))
+    speed = -knee[1]
+    most = 20.0 * (1 - (speed / 12.0).clamp(0, 1))  # of the motor, at its speed
+    torch.testing.assert_close(30.0 * knee[0] - 0.8 * speed, most)
+    torch.testing.assert_close(speed, TAKES.velocity[21:41, 1])
+
+
+@pytest.mark.parametrize("torques", [False, True])
+@pytest.mark.parametrize("state", [False, True])
+def test_behind_a_diagnosed_drive_with_limits_the_net_sees_what_it_was_trained_on(torques, state):
+    """Commands that motors cannot follow, delay, lag, hysteresis and an encoder that is off: equal to the bit."""
+    net = moved_net(state=state)
+    simulator = corrected(net=net, kind="correction")
+    data = takes(torques=torques)
+    data = replace(data, command=3.0 * data.command)
+    chain = simulator.chain(command=data.driven, decimation=1)
+    env = replay_env(ROBOT, data, chain=chain, unit=torque_unit(net), by_row=True, starts=torch.tensor([45]))
+    with torch.no_grad():
+        replayed = played(env, lambda td: td.set("action", net[:-1](td["observation"]).squeeze(-1)), 40)
+
+    policy = TransformedEnv(TorqueEnv(ROBOT, num_envs=1), Compose(*simulator.chain(command=data.driven, decimation=1)))
+    start = replayed[:, 0]
+    position = start["joint_position"].clone()
+    position[:, 1] -= 0.05  # behind the encoder
+    shown = policy.reset()
+    policy.base_env.physics.reset(qpos=position, qvel=start["joint_velocity"])
+    shown.update(start.select(*(key for key in shown.keys() if key in start.keys() and key != "action")))
+    past = start["observation"][..., : 2 * HISTORY].unflatten(-1, (2, HISTORY))
+    shown["error_history"] = torch.cat((torch.zeros_like(past[..., :1]), past[..., :-1]), -1)  # the newest is to come
+    limited = 0
+    for k in range(40):
+        with torch.no_grad():
+            shown = policy._step(shown.set("action", data.command[None, 45 + k]))
+        errors = shown["error_history"].flatten(-2)
+        torch.testing.assert_close(errors, replayed["observation"][:, k, :, : 2 * HISTORY], rtol=0, atol=0)
+        torch.testing.assert_close(shown["applied_torque"], replayed["next", "applied_torque"][:, k], rtol=0, atol=0)
+        torch.testing.assert_close(shown["joint_position"], replayed["next", "joint_position"][:, k], rtol=0, atol=0)
+        limited += int(
+            (errors[0, 1, HISTORY - 1] - (data.command[45 + k] - replayed["joint_position"][0, k])[1]).abs() > 0.1
+        )
+    assert replayed["torque_correction"].abs().max() > 0.1
+    assert torques or limited > 20
+
+
+def test_replays_of_training_and_of_scoring_are_one():
+    """A window of a take, by the environment that nets are trained in and by the one that recordings are scored in."""
+    net = moved_net()
+    simulator = corrected(net=net, kind="correction")
+    take = recorded(Simulator("itself", ROBOT), commands(200, seed=7, scale=2.0, hold=15))
+    [scored] = open_loop(simulator, [take], window=0.25)
+    env = replay_env(
+        ROBOT,
+        takes_of([take], ROBOT),
+        chain=simulator.chain(decimation=1),
+        unit=torque_unit(net),
+        num_envs=2,
+        by_row=True,
+        starts=torch.tensor([50, 100]),
+    )
+    with torch.no_grad():
+        steps = played(env, lambda td: td.set("action", net[:-1](td["observation"]).squeeze(-1)), 50)
+    np.testing.assert_allclose(steps["next", "joint_position"].numpy(), scored.position[1:3], atol=1e-5)
+    assert np.abs(scored.error[1:3]).max() > 1e-2
 
 
 def test_the_reward_is_the_tables():

@@ -13,7 +13,7 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Compose, Transform, TransformedEnv
 
 from torchrl_athletic.envs.torque_env import TorqueEnv
-from torchrl_athletic.functional import history, rewards, streams
+from torchrl_athletic.functional import actuation, history, rewards, streams
 from torchrl_athletic.physics.joints import joint_columns
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.transforms import CorrectedActuation, EquivalentTarget, PDControl, TorqueSpeedClip, UANCorrection
@@ -22,6 +22,8 @@ from torchrl_athletic.transforms.stateful import Joints, RandomTransform, joint_
 
 HISTORY = 20
 """Physics steps of 5 ms that a UAN looks back: 100 ms."""
+WARM_UP = 40
+"""Recorded steps before a start that delays and lags of the chain are filled with."""
 Driven = Literal["position", "torque"]
 """What the robot was told: targets of its PD controllers, or torques."""
 
@@ -122,7 +124,19 @@ class AddedTorque(Transform):
 
 
 @dataclass(frozen=True, eq=False)
-class _OfModel:
+class _Past:
+    """Of every sample of takes, S of them."""
+
+    error: Tensor
+    """Of position [rad] and velocity [rad/s], as the chain notes them on the recorded states. Shape (S, J, 2)."""
+    torque: Tensor
+    """That the motors gave [N·m]. Shape (S, J)."""
+    memory: Mapping[NestedKey, Tensor]
+    """What the chain remembers of the steps before. Shape (S, ...) each."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
     """The model's start state and where the joints are in it, on its device."""
 
     qpos: Tensor
@@ -142,8 +156,10 @@ class ReplayTakes(RandomTransform):
 
     - ``action`` (N, A): the corrective torques, in units of :class:`AddedTorque`;
     - ``observation`` (N, A, 2L): for each joint the position errors [rad] and then the velocity errors [rad/s] of the
-      last L steps, oldest first, as :class:`~torchrl_athletic.transforms.UANCorrection` sees them: of the simulated
-      state, before an episode's start of the recorded one;
+      last L steps, oldest first, of the simulated state, before an episode's start of the recorded one; with ``state``
+      (N, A, 2L + 3A), positions, velocities and torques of all joints behind them. They are what a
+      :class:`~torchrl_athletic.transforms.UANCorrection` in the same place sees, since the chain itself is asked for
+      the targets and the torques that it is about to note: limited, late, or whatever it makes of a command;
     - ``privileged`` (N, A, 2): simulated minus measured position and velocity, for a critic;
     - ``reward``: :func:`~torchrl_athletic.functional.rewards.uan_reward` of all joints of the group, times the time
       step as Isaac's reward manager does it, so that values stay near ten; and under ``joint_reward`` (N, A) that of
@@ -153,14 +169,13 @@ class ReplayTakes(RandomTransform):
     Args:
         takes: What to replay.
         joints: Which are corrected and compared.
+        chain: What stands between the command and the net, from the joints outwards; the very transforms that act.
         max_steps: Longest episode [steps].
         by_row: Start row i at entry i of ``starts``, modulo its length, in each episode.
         starts: Samples to start at. Shape (M,). None takes all that are possible.
         bound: Greatest difference of a joint's position from the recording [rad].
         penalty: Reward of a terminated step.
-        encoder: Scale and offset of readings in the corrected simulation, shape (J,) each.
-        late: How much each of the last commands contributes to the one that the controller has, where it gets them
-            late. Shape (L, J).
+        state: Whether each joint is shown the state of the group.
         seed: Of the draws.
         first_row: As of :class:`~torchrl_athletic.transforms.RandomTransform`.
 
@@ -171,14 +186,8 @@ class ReplayTakes(RandomTransform):
     position: Tensor
     velocity: Tensor
     command: Tensor
-    noted: Tensor
-    error: Tensor
-    encoder_scale: Tensor
-    encoder_offset: Tensor
     ends: Tensor
     starts: Tensor
-    kp: Tensor
-    kd: Tensor
     lookback: Tensor
 
     def __init__(
@@ -187,13 +196,13 @@ class ReplayTakes(RandomTransform):
         robot: Robot,
         joints: Joints = None,
         *,
+        chain: Sequence[Transform],
         max_steps: int = 4000,
         by_row: bool = False,
         starts: Tensor | None = None,
         bound: float = 1.5,
         penalty: float = -10.0,
-        encoder: tuple[Tensor, Tensor] | None = None,
-        late: Tensor | None = None,
+        state: bool = False,
         seed: int = 0,
         first_row: int = 0,
     ) -> None:
@@ -211,7 +220,7 @@ class ReplayTakes(RandomTransform):
                 "and fill their columns as robot.joint_names says (training.takes_of does)."
             )
         self.joints, self.max_steps, self.by_row = joints, max_steps, by_row
-        self.bound, self.penalty, self.driven = bound, penalty, takes.driven
+        self.bound, self.penalty, self.chain, self.state = bound, penalty, tuple(chain), state
         self.dt = float(robot.model().opt.timestep)
         starts = takes.starts() if starts is None else starts
         if not len(starts):
@@ -222,24 +231,47 @@ class ReplayTakes(RandomTransform):
             "command": takes.command.float(),
             "ends": takes.ends(),
             "starts": starts.to(torch.int64),
-            "kp": torch.tensor(robot.kp),
-            "kd": torch.tensor(robot.kd),
-            "encoder_scale": torch.ones(()) if encoder is None else encoder[0],
-            "encoder_offset": torch.zeros(()) if encoder is None else encoder[1],
-            "noted": takes.command.float() if late is None else _delayed(takes, late),
             "lookback": torch.arange(1 - HISTORY, 1),
         }
         for name, table in tables.items():
             self.register_buffer(name, table.clone())
-        self.register_buffer("error", self._errors(self.noted, self.position, self.velocity))
 
-    def _errors(self, command: Tensor, position: Tensor, velocity: Tensor) -> Tensor:
-        """Of position [rad] and velocity [rad/s], as the law in the chain notes them. Shape (*B, J, 2)."""
-        if self.driven == "position":
-            off = command - position
-        else:  # of the target whose PD law would command this torque
-            off = (command + self.kd * velocity) / self.kp
-        return torch.stack((off, -velocity), -1)
+    def _noted(self, seen: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Errors of position [rad] and velocity [rad/s] that the chain is about to note, and the torques [N·m].
+
+        Args:
+            seen: Joints as read, the command under ``action``, and what the chain remembers; left as it is.
+
+        Returns:
+            Shapes (*B, J, 2), (*B, J).
+        """
+        acted = _through(self.chain, seen.copy())
+        error = acted.get("position_target") - seen.get("joint_position")
+        return torch.stack((error, -seen.get("joint_velocity")), -1), acted.get("torque")
+
+    @torch.no_grad()
+    def _past(self) -> _Past:
+        """Of every sample, by playing the recorded steps before it through the chain."""
+        laws = [law for law in self.chain if isinstance(law, CorrectedActuation)]
+        memory = [key for law in laws for key in law.memory]
+        samples = torch.arange(len(self.position), device=self.position.device)
+        first = samples == torch.cat((-torch.ones_like(samples[:1]), self.ends[:-1])) + 1
+        begin = torch.where(first, samples, 0).cummax(0).values  # of each sample's take
+        seen = TensorDict({"joint_position": self.position}, [len(samples)], device=samples.device)
+        for law in laws:
+            seen.update(dict(law.initial(seen)))
+        for back in range(WARM_UP if memory else 0, -1, -1):
+            at = torch.maximum(samples - back, begin)
+            seen.set("joint_position", self.position[at]).set("joint_velocity", self.velocity[at])
+            seen.set("action", self.command[at])
+            if back:
+                seen = _through(self.chain, seen)
+        error, torque = self._noted(seen)
+        return _Past(error, torque, {key: seen.get(key).clone() for key in memory})
+
+    def _known(self, env: Any) -> tuple[_Start, _Past]:
+        """What stays the same from episode to episode."""
+        return _start_of(env), self._past()
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.parent is None:  # on its way into a buffer
@@ -249,15 +281,17 @@ class ReplayTakes(RandomTransform):
         return tensordict.set("action", self.command[tensordict.get("sample").squeeze(-1)])
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
-        env, model = simulated_env(self), once_per_model(self, _of_model)
+        env, (model, _) = simulated_env(self), once_per_model(self, self._known)
         if tensordict is None:
             tensordict = TensorDict(batch_size=env.batch_size, device=env.device)
         sample = self._draw_start(self.upcoming(tensordict))
         qpos = model.qpos.expand(*env.batch_size, -1).clone()
         qvel = model.qvel.expand(*env.batch_size, -1).clone()
         read, rate = self.position[sample], self.velocity[sample]
-        qpos[:, model.joint_qpos] = ((read - self.encoder_offset) / self.encoder_scale).to(qpos)
-        qvel[:, model.joint_dof] = (rate / self.encoder_scale).to(qvel)
+        for law in self.chain:
+            if isinstance(law, CorrectedActuation):  # whose encoders read that
+                read, rate = (read - law.encoder_offset) / law.encoder_scale, rate / law.encoder_scale
+        qpos[:, model.joint_qpos], qvel[:, model.joint_dof] = read.to(qpos), rate.to(qvel)
         return tensordict.set("reset_qpos", qpos).set("reset_qvel", qvel)
 
     def _draw_start(self, key: Tensor) -> Tensor:
@@ -268,18 +302,27 @@ class ReplayTakes(RandomTransform):
         return self.starts[streams.integers(key, 1, len(self.starts)).squeeze(-1)]
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
-        sample = self._draw_start(key)
+        sample, (_, past) = self._draw_start(key), once_per_model(self, self._known)
         columns = joint_index(self, self.joints)
-        errors = self.error[sample.unsqueeze(-1) + self.lookback][:, :, columns]  # (N, L, A, 2)
+        errors = past.error[sample.unsqueeze(-1) + self.lookback][:, :, columns]  # (N, L, A, 2)
+        shown = self._shown(
+            errors.permute(0, 2, 3, 1), self.position[sample], self.velocity[sample], past.torque[sample]
+        )
         left = (self.ends[sample] - sample).clamp(max=self.max_steps)
         return {
             "sample": sample.unsqueeze(-1),
             "steps_left": left.unsqueeze(-1),
-            "observation": errors.permute(0, 2, 3, 1).flatten(-2),
+            "observation": shown,
             "privileged": errors.new_zeros(*errors.shape[::2], 2),
             "torque_correction": errors.new_zeros(errors.shape[::2]),
             "joint_reward": errors.new_zeros(errors.shape[::2]),
+            **{name: value[sample] for name, value in past.memory.items()},
         }
+
+    def _shown(self, errors: Tensor, *group: Tensor) -> Tensor:
+        """Errors (N, A, 2, L), and values of all joints (N, J) each, as a net sees them."""
+        columns = joint_index(self, self.joints)
+        return actuation.uan_features(errors, *(value[:, columns] for value in group if self.state))
 
     def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
         columns = joint_index(self, self.joints)
@@ -291,8 +334,13 @@ class ReplayTakes(RandomTransform):
         failed = next_tensordict.get("terminated") | ~near | ~speed.isfinite().all(-1, keepdim=True)
         position, speed = torch.where(failed, real, position), torch.where(failed, real_speed, speed)
 
-        errors = self._errors(self.noted[at], position, speed)[:, columns]
-        observation = tensordict.get("observation").unflatten(-1, (2, HISTORY))
+        _, past = once_per_model(self, self._known)
+        seen = next_tensordict.copy().set("joint_position", position).set("joint_velocity", speed)
+        errors, torque = self._noted(seen.set("action", self.command[at]))
+        errors = torch.where(failed.unsqueeze(-1), past.error[at], errors)[:, columns]
+        torque = torch.where(failed, past.torque[at], torque)
+        observation = tensordict.get("observation")[..., : 2 * HISTORY].unflatten(-1, (2, HISTORY))
+        observation = self._shown(history.push(observation, errors, dim=-1), position, speed, torque)
         correction, previous = tensordict.get("torque_correction"), tensordict.get("previous_correction")
         position, real = position[:, columns], real[:, columns]
         reward = self.dt * rewards.uan_reward(position, real, correction, previous)
@@ -302,7 +350,7 @@ class ReplayTakes(RandomTransform):
         shown = {
             "sample": sample,
             "steps_left": left,
-            "observation": history.push(observation, errors, dim=-1).flatten(-2),
+            "observation": observation,
             "privileged": torch.stack((position - real, (speed - real_speed)[:, columns]), -1),
             "torque_correction": correction,
             "reward": torch.where(failed, self.penalty, reward),
@@ -318,7 +366,8 @@ class ReplayTakes(RandomTransform):
         position = observation_spec["joint_position"]
         rows, joints = position.zero()[..., joint_index(self, self.joints)].shape
         counter = Unbounded(shape=(rows, 1), dtype=torch.int64, device=position.device)
-        sizes: dict[NestedKey, tuple[int, ...]] = {"observation": (joints, 2 * HISTORY), "privileged": (joints, 2)}
+        features = 2 * HISTORY + 3 * joints * self.state
+        sizes: dict[NestedKey, tuple[int, ...]] = {"observation": (joints, features), "privileged": (joints, 2)}
         sizes |= {"torque_correction": (joints,), "joint_reward": (joints,)}
         return {"sample": counter, "steps_left": counter.clone()} | {
             key: Unbounded(shape=(rows, *size), device=position.device) for key, size in sizes.items()
@@ -331,7 +380,7 @@ class ReplayTakes(RandomTransform):
         return input_spec
 
 
-def _of_model(env: Any) -> _OfModel:
+def _start_of(env: Any) -> _Start:
     physics, robot = env.physics, env.robot
     model = physics.model
     place, dof = (
@@ -340,16 +389,14 @@ def _of_model(env: Any) -> _OfModel:
     )
     key = model.key(robot.keyframe)
     qpos, qvel = (torch.tensor(value, dtype=physics.dtype, device=physics.device) for value in (key.qpos, key.qvel))
-    return _OfModel(qpos, qvel, place, dof)
+    return _Start(qpos, qvel, place, dof)
 
 
-def _delayed(takes: Takes, weights: Tensor) -> Tensor:
-    """The commands as they arrive; before a take's first one it is taken to be that one. Shape (S, J)."""
-    arrived, length = [], len(weights)
-    for command in takes.command.double().split(takes.lengths):
-        queue = torch.cat((command[:1].expand(length - 1, -1), command)).unfold(0, length, 1)  # (T, J, L)
-        arrived.append((queue * weights.double().T).sum(-1))
-    return torch.cat(arrived).float()
+def _through(chain: Sequence[Transform], tensordict: TensorDictBase) -> TensorDictBase:
+    """A command on its way in: the outermost transform comes first."""
+    for transform in reversed(chain):
+        tensordict = transform._inv_call(tensordict)
+    return tensordict
 
 
 def replay_env(
@@ -406,16 +453,15 @@ def replay_env(
     base = base or TorqueEnv(replace(robot, sensors={}), num_envs=num_envs, device=device)
     place = next((k for k, item in enumerate(chain) if isinstance(item, UANCorrection)), None)
     inner, outer = ([], chain) if place is None else (chain[:place], chain[place + 1 :])
-    corrected = next((law for law in chain if isinstance(law, CorrectedActuation)), None)
     replayed = ReplayTakes(
         takes,
         robot,
         joints,
+        chain=outer,
         max_steps=max_steps,
         by_row=by_row,
         starts=starts,
-        encoder=None if corrected is None else (corrected.encoder_scale, corrected.encoder_offset),
-        late=None if corrected is None or takes.driven == "torque" else corrected.weights,
+        state=place is not None and chain[place].state,
         seed=seed,
     )
     return TransformedEnv(base, Compose(*inner, AddedTorque(joints, unit), *outer, replayed))

@@ -93,3 +93,28 @@ def power_scale(torque: Tensor, velocity: Tensor, max_power: Tensor | float) -> 
     """
     power = (torque.abs() * velocity.abs()).sum(-1, keepdim=True)
     return max_power / power.clamp(min=max_power)
+
+
+def uan_features(errors: Tensor, *group: Tensor) -> Tensor:
+    """What an Unsupervised Actuator Net sees of each joint.
+
+    Args:
+        errors: Of position [rad] and velocity [rad/s], oldest first. Shape (*B, J, 2, L).
+        group: Values of all joints that each of them shall see too: positions [rad], velocities [rad/s] and the torques
+            that come from the motors [N·m]. Shape (*B, J) each.
+
+    Returns:
+        Position errors, velocity errors, then the group's values in their order. Shape (*B, J, 2 L + G J), G of them
+        being given.
+
+    Source:
+        Fey et al. 2025, section II-A, has the errors alone. What a joint at rest holds against gravity, and what a
+        lighter rotor would do with a torque, depends on the pose and the torques too.
+
+    Example:
+        >>> uan_features(torch.zeros(4, 6, 2, 20), torch.zeros(4, 6)).shape
+        torch.Size([4, 6, 46])
+    """
+    joints = errors.shape[-3]
+    shown = [value.unsqueeze(-2).expand(*value.shape[:-1], joints, value.shape[-1]) for value in group]
+    return torch.cat((errors.flatten(-2), *shown), -1)

@@ -15,7 +15,7 @@ import torch
 from torch import nn
 from torchrl.envs import Transform
 
-from torchrl_athletic.networks import load_checkpoint, save_checkpoint, uan
+from torchrl_athletic.networks import Sizes, load_checkpoint, save_checkpoint, sizes_of
 from torchrl_athletic.robots import Robot, with_correction
 from torchrl_athletic.transforms import (
     ActionDelay,
@@ -64,7 +64,7 @@ class Simulator:
     correction: Mapping[str, Any] | None = None
     """Content of a ``corrected.json``: friction, damping, armature and what else has a name. None changes nothing."""
     net: nn.Module | None = None
-    """As :func:`~torchrl_athletic.networks.uan` makes it: (*B, J, 2 history) errors to (*B, J, 1) [N·m]."""
+    """As :func:`~torchrl_athletic.networks.uan` makes it: what it sees of each joint, (*B, J, F), to (*B, J, 1) [N·m]."""
     kind: Kind = "none"
     randomization: RandomizationRanges | None = None
     """What differs between episodes of a policy's training; replays take the robot as it is."""
@@ -91,7 +91,7 @@ class Simulator:
     @property
     def history(self) -> int:
         """Steps that the net looks back; 0 without one."""
-        return 0 if self.net is None else _inputs(self.net) // 2
+        return 0 if self.net is None else sizes_of(self.net).history
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -133,7 +133,8 @@ class Simulator:
         robot, group = self.robot, _group(self.robot)
         chain: list[Transform] = []
         if self.net is not None and self.kind == "correction":  # what it corrects happens behind the motor
-            chain.append(UANCorrection(self.net, joints=group, length=self.history))
+            sizes = sizes_of(self.net)
+            chain.append(UANCorrection(self.net, joints=group, length=sizes.history, state=sizes.state))
         if arm_power is not None:
             chain.append(PowerClip(arm_power, joints=group))
         chain += self._motor(group, limits) + self._law(command, limits)
@@ -186,7 +187,7 @@ class Simulator:
         if self.correction is not None:
             _write(folder / "corrected.json", dict(self.correction))
         if self.net is not None:
-            save_checkpoint(folder / "net.pt", {"hidden": _hidden(self.net), "history": self.history}, net=self.net)
+            save_checkpoint(folder / "net.pt", asdict(sizes_of(self.net)), net=self.net)
         content = {
             "schema": SCHEMA,
             "method": self.name,
@@ -232,7 +233,7 @@ class Simulator:
 def load_net(path: str | os.PathLike[str]) -> nn.Module:
     """The net of a ``net.pt``, of whatever sizes it was saved with."""
     sizes = torch.load(path, map_location="cpu", weights_only=True)["metadata"]
-    net = uan(sizes["history"], sizes["hidden"])
+    net = Sizes(sizes["history"], tuple(sizes["hidden"]), sizes.get("joints"), sizes.get("state", False)).net()
     load_checkpoint(Path(path), net=net)
     return net.eval().requires_grad_(False)
 
@@ -244,18 +245,6 @@ def _group(robot: Robot) -> str | None:
 
 def _finite(velocity_limit: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(v if math.isfinite(v) else 1e9 for v in velocity_limit)
-
-
-def _linears(net: nn.Module) -> list[nn.Linear]:
-    return [layer for layer in net.modules() if isinstance(layer, nn.Linear)]
-
-
-def _inputs(net: nn.Module) -> int:
-    return _linears(net)[0].in_features
-
-
-def _hidden(net: nn.Module) -> list[int]:
-    return [layer.out_features for layer in _linears(net)[:-1]]
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:

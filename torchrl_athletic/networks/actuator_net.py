@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from tensordict import NestedKey
@@ -26,11 +27,14 @@ def uan(
     unit: tuple[float, float] = (1.0, 1.0),
     sharpness_of_velocity: float = 0.0,
     torque_unit: float | Sequence[float] = 1.0,
+    joints: int | None = None,
+    state_unit: Sequence[float] | None = None,
 ) -> nn.Sequential:
     """Network from a joint's recent tracking errors to a corrective torque.
 
     It maps (*B, J, 2 history), position errors [rad] and then velocity errors [rad/s], to (*B, J, 1) [N·m]; the joints
-    are samples to it. Its last layer starts at zero, so that an untrained one corrects nothing.
+    are samples to it. Its last layer starts at zero, so that an untrained one corrects nothing. The paper's net knows
+    no more; ``joints`` and ``state_unit`` let it know which joint it serves, and how the arm stands and moves.
 
     Args:
         history: Physics steps it sees.
@@ -42,6 +46,12 @@ def uan(
             unit (:class:`InUnits`); 0 sees all alike, as in the paper.
         torque_unit: What the output is multiplied with [N·m], for each joint where they differ: a joint with two motors
             has twice the friction of one with one. Kept with the parameters.
+        joints: J, for a net that is told which of them it serves (:class:`WhichJoint`). None as in the paper.
+        state_unit: For a net of ``joints`` that is also shown positions, velocities and torques of all of them
+            (:func:`~.functional.actuation.uan_features`), what they are divided by. Length 3 J.
+
+    Raises:
+        ValueError: If there is a ``state_unit`` without ``joints``, or not one for each value.
 
     Source:
         Fey et al. 2025, section III-A, https://arxiv.org/abs/2502.10894.
@@ -50,12 +60,53 @@ def uan(
         >>> uan()(torch.randn(4, 6, 40)).shape
         torch.Size([4, 6, 1])
     """
-    net = MLP(2 * history, 1, num_cells=list(hidden), activation_class=nn.ELU, device=device)
+    state = torch.tensor([] if state_unit is None else list(state_unit), device=device)
+    if state_unit is not None and (joints is None or len(state) != 3 * joints):
+        raise ValueError(
+            f"state_unit has {len(state)} numbers for {joints} joints, needed are the units of the position, the "
+            "velocity and the torque of each: joints=6 and 18 numbers, say."
+        )
+    units = torch.cat((torch.tensor(unit, device=device).repeat_interleave(history), state))
+    sharpness = torch.tensor([LINEAR, max(sharpness_of_velocity, LINEAR)], device=device).repeat_interleave(history)
+    sharpness = torch.cat((sharpness, torch.full_like(state, LINEAR)))
+    told = [] if joints is None else [WhichJoint(joints, state=state_unit is not None, device=device)]
+    net = MLP(len(units) + (joints or 0), 1, num_cells=list(hidden), activation_class=nn.ELU, device=device)
     nn.init.zeros_(net[-1].weight)
     nn.init.zeros_(net[-1].bias)
-    units = torch.tensor(unit, device=device).repeat_interleave(history)
-    sharpness = torch.tensor([LINEAR, max(sharpness_of_velocity, LINEAR)], device=device).repeat_interleave(history)
-    return nn.Sequential(InUnits(units, sharpness), net, OutUnits(torque_unit, device))
+    return nn.Sequential(InUnits(units, sharpness), *told, net, OutUnits(torque_unit, device))
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What a net of :func:`uan` looks at, and how large it is."""
+
+    history: int
+    """Steps."""
+    hidden: tuple[int, ...]
+    joints: int | None
+    """That it tells apart; None if it does not know which one it serves."""
+    state: bool
+    """Whether it is shown positions, velocities and torques of all joints."""
+
+    def net(self) -> nn.Sequential:
+        """An untrained one of these sizes."""
+        unit = [1.0] * (3 * (self.joints or 0)) if self.state else None
+        return uan(self.history, self.hidden, joints=self.joints, state_unit=unit)
+
+
+def sizes_of(net: nn.Module) -> Sizes:
+    """Of a net that :func:`uan` made.
+
+    Example:
+        >>> sizes_of(uan(history=5, hidden=(8,), joints=6))
+        Sizes(history=5, hidden=(8,), joints=6, state=False)
+    """
+    linears = [layer for layer in net.modules() if isinstance(layer, nn.Linear)]
+    told = next((module for module in net.modules() if isinstance(module, WhichJoint)), None)
+    joints = None if told is None else told.joints
+    state = told is not None and told.state
+    features = linears[0].in_features - (joints or 0) * (4 if state else 1)
+    return Sizes(features // 2, tuple(layer.out_features for layer in linears[:-1]), joints, state)
 
 
 def uan_actor(
@@ -107,6 +158,28 @@ class InUnits(nn.Module):
 
     def forward(self, value: Tensor) -> Tensor:
         return torch.asinh(self.sharpness * value / self.unit) / torch.asinh(self.sharpness)
+
+
+class WhichJoint(nn.Module):
+    """Beside each joint's features, which joint it is: one for itself, zero for the others. (*B, J, F + J).
+
+    A layer that follows learns a vector for each joint, which is what is called an embedding.
+
+    Args:
+        joints: J.
+        state: Whether the features hold the state of all joints; noted for :func:`sizes_of`.
+        device: Where it is.
+    """
+
+    which: Tensor
+
+    def __init__(self, joints: int, state: bool = False, device: torch.device | str | None = None):
+        super().__init__()
+        self.joints, self.state = joints, state
+        self.register_buffer("which", torch.eye(joints, device=device), persistent=False)
+
+    def forward(self, value: Tensor) -> Tensor:
+        return torch.cat((value, self.which.to(value.dtype).expand(*value.shape[:-1], -1)), -1)
 
 
 class OutUnits(nn.Module):

@@ -11,6 +11,7 @@ from torchrl_athletic.training.rollout import Rollout, control_step
 from torchrl_athletic.training.uan import (
     Credit,
     JointRollout,
+    Knows,
     Validation,
     chain_with,
     for_training,
@@ -36,6 +37,7 @@ __all__ = [
     "DifferentiableTorqueEnv",
     "GradientLearner",
     "JointRollout",
+    "Knows",
     "Learner",
     "LoggerName",
     "MetricLogger",

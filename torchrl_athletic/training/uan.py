@@ -17,9 +17,10 @@ from torchrl.envs import EnvBase, Transform, TransformedEnv
 from torchrl.modules import MLP, ValueOperator
 
 from torchrl_athletic.envs.replay import HISTORY, Takes, replay_env
+from torchrl_athletic.functional import actuation
 from torchrl_athletic.identification import Simulator
 from torchrl_athletic.networks.actor_critic import GaussianHead, gaussian_actor
-from torchrl_athletic.networks.actuator_net import LINEAR, InUnits, PerJoint, uan_actor
+from torchrl_athletic.networks.actuator_net import LINEAR, InUnits, PerJoint, sizes_of, uan_actor
 from torchrl_athletic.recordings import Recording, RecordingError, resample
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.training.captured import CapturedRollout
@@ -27,6 +28,8 @@ from torchrl_athletic.training.ppo import PPO, UAN, Learner
 
 Credit = Literal["arm", "joint"]
 """Whether all joints share one reward, as in the paper, or each earns its own."""
+Knows = Literal["errors", "joint", "arm"]
+"""What a net is told of a joint: its errors, as in the paper; also which one it is; also how the arm stands and moves."""
 
 SHARPNESS = 30.0
 """How much finer velocities are seen about zero than at their standard deviation."""
@@ -177,7 +180,7 @@ def set_aside(
     return pieces, windows
 
 
-def units_of(takes: Takes, robot: Robot) -> dict[str, Any]:
+def units_of(takes: Takes, robot: Robot, knows: Knows = "errors") -> dict[str, Any]:
     """What :func:`~torchrl_athletic.networks.uan` measures in: ``unit``, ``sharpness_of_velocity``, ``torque_unit``.
 
     Errors of position and velocity come in their standard deviations over the joints that move, velocities on a scale
@@ -187,6 +190,7 @@ def units_of(takes: Takes, robot: Robot) -> dict[str, Any]:
     Args:
         takes: To be trained on.
         robot: Whose torque limits tell how strong its motors are.
+        knows: With ``"joint"``, ``joints`` is among them, with ``"arm"`` also ``state_unit``, standard deviations.
 
     Example:
         >>> from torchrl_athletic.robots import z1
@@ -194,16 +198,27 @@ def units_of(takes: Takes, robot: Robot) -> dict[str, Any]:
         >>> units_of(Takes(moved, moved, moved + 0.1 * torch.randn(100, 7), (100,)), z1())["torque_unit"]
         [1.0, 2.0, 1.0, 1.0, 1.0, 1.0]
     """
-    off = takes.command - takes.position
+    kp, kd = torch.tensor(robot.kp), torch.tensor(robot.kd)
+    off, torque = takes.command - takes.position, takes.command
     if takes.driven == "torque":
-        off = (takes.command + torch.tensor(robot.kd) * takes.velocity) / torch.tensor(robot.kp)
+        off = (takes.command + kd * takes.velocity) / kp
+    else:
+        torque = actuation.pd_torque(takes.command, takes.position, takes.velocity, kp, kd)
     moves = takes.velocity.std(0) > 1e-6
-    strength = [robot.torque_limit[joint] for joint in robot.joint_groups.get("arm", range(len(robot.joint_names)))]
-    return {
+    group = list(robot.joint_groups.get("arm", range(len(robot.joint_names))))
+    limit = torch.tensor(robot.torque_limit)
+    strength = limit[group].tolist()
+    units: dict[str, Any] = {
         "unit": (float(off[:, moves].std()), float(takes.velocity[:, moves].std())),
         "sharpness_of_velocity": SHARPNESS,
-        "torque_unit": [limit / median(strength) for limit in strength],
+        "torque_unit": [value / median(strength) for value in strength],
     }
+    if knows != "errors":
+        units["joints"] = len(group)
+    if knows == "arm":
+        state = (takes.position, takes.velocity, torque.clamp(-limit, limit))
+        units["state_unit"] = torch.cat([v[:, group].std(0).clamp(min=1e-2) for v in state]).tolist()
+    return units
 
 
 class MeanPolicy(nn.Module):
@@ -220,6 +235,9 @@ class MeanPolicy(nn.Module):
 class Validation:
     """Open-loop replays of windows that nothing is trained on, one a row, from their first moments to their ends.
 
+    A replay that diverges, or leaves the recording by more than the bound, is lost: from there to the window's end it is
+    charged the square of the bound, or a net would gain by losing it.
+
     Args:
         env: :func:`~torchrl_athletic.envs.replay.replay_env` with a row for each window and ``by_row``.
         net: What corrects, as it is at each call; ``best`` keeps the lowest error and the net's state then.
@@ -228,19 +246,26 @@ class Validation:
 
     def __init__(self, env: TransformedEnv, net: nn.Sequential, steps: int) -> None:
         self.net, self.best = net, (float("inf"), deepcopy(net.state_dict()))
+        self.bound = env.transform[-1].bound
         self.rollout = CapturedRollout(env, MeanPolicy(net), steps, keys=["privileged"], fuse=False)
 
     @torch.no_grad()
     def __call__(self) -> dict[str, float]:
-        """``mse`` [rad²], the mean over windows, time and joints, and ``lost``, the share of rows that had to end."""
+        """``mse`` [rad²], the mean over windows, time and joints, and ``lost``, the share of windows that were lost."""
         batch = self.rollout()
-        mse = float(batch["next", "privileged"][..., 0].square().mean())
+        lost = batch["next", "terminated"].cummax(1).values  # (N, T, 1)
+        mse = float(torch.where(lost, self.bound**2, batch["next", "privileged"][..., 0].square()).mean())
         if mse < self.best[0]:
             self.best = mse, deepcopy(self.net.state_dict())
-        return {
-            "mse": mse,
-            "lost": float(batch["next", "terminated"].any(1).float().mean()),
-        }
+        return {"mse": mse, "lost": float(lost[:, -1].float().mean())}
+
+    def state_dict(self) -> dict[str, Any]:
+        """The best net so far, for a checkpoint."""
+        return {"mse": self.best[0], "net": self.best[1]}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take it over."""
+        self.best = state_dict["mse"], state_dict["net"]
 
 
 def validation_of(
@@ -318,13 +343,22 @@ def uan_learner(
     Returns:
         For :func:`~torchrl_athletic.training.train`; its ``samples`` count joints with ``credit="joint"``.
 
+    Raises:
+        ValueError: If a net that knows its joint shall be credited by joint.
+
     Source:
         Fey et al. 2025, sections II-A and appendix A. The critic's inputs are ours, the paper states none.
     """
     joints = env.observation_spec["observation"].shape[-2]
+    if credit == "joint" and sizes_of(net).joints is not None:
+        raise ValueError(
+            "credit by joint shows the net one joint at a time, but this one is told which of its joints is which by "
+            "their order. Take credit='arm', or the gradient method."
+        )
     policy = uan_actor(net[:-1], scale=scale, device=env.device)
-    errors = net[0].get_buffer("unit")
-    features = torch.cat((errors, torch.full_like(errors[:1], 0.05), errors[-1:] / 4))
+    seen = net[0].get_buffer("unit")
+    speed = seen[2 * HISTORY - 1 : 2 * HISTORY]
+    features = torch.cat((seen, torch.full_like(speed, 0.05), speed / 4))
     if credit == "arm":
         critic = ValueOperator(_ArmValue(features, joints, hidden, env.device), in_keys=["observation", "privileged"])
         learner = Learner(env, policy, critic, config, seed=seed, cuda_graph=cuda_graph)

@@ -112,7 +112,7 @@ class DifferentiableTorqueEnv(TorqueEnv):
         self.steps = nudges.sum((-1, -2)).flatten().to(self.device)  # (3D,)
         self._place = place.to(self.device) if isinstance(place, Tensor) else place
         self._dof = dof.to(self.device) if isinstance(dof, Tensor) else dof
-        self.known = None if along is None else self._measure(along)
+        self.known: tuple[Tensor, Tensor] | None = None if along is None else self._measure(along)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         torque = tensordict.get("torque")
@@ -121,7 +121,11 @@ class DifferentiableTorqueEnv(TorqueEnv):
         if self.known is None:
             self._nudge_copies(torque.detach())
         shown = super()._step(tensordict)
-        jacobian = self._jacobian() if self.known is None else self.known[tensordict.get("sample").squeeze(-1) // EVERY]
+        if self.known is None:
+            jacobian = self._jacobian()
+        else:
+            jacobians, of_sample = self.known
+            jacobian = jacobians[of_sample[tensordict.get("sample").squeeze(-1)]]
         seen = torch.cat([tensordict.get("joint_position"), tensordict.get("joint_velocity"), torque], -1)
         state = seen.unflatten(-1, (3, -1))[..., self.columns].flatten(-2)
         after = torch.cat((shown.get("joint_position"), shown.get("joint_velocity")), -1)
@@ -131,12 +135,16 @@ class DifferentiableTorqueEnv(TorqueEnv):
         whole[..., self.columns] = told.unflatten(-1, (2, -1))
         return shown.set("joint_position", whole[:, 0]).set("joint_velocity", whole[:, 1])
 
-    def _measure(self, takes: Takes) -> Tensor:
-        """Jacobians at every so many samples of takes, under the torques that were commanded. Shape (S', 3D, 2D)."""
+    def _measure(self, takes: Takes) -> tuple[Tensor, Tensor]:
+        """Jacobians at every so many samples of each take, under the torques that were commanded.
+
+        Returns:
+            Shape (S', 3D, 2D), and which of them is the last one before each sample in its take, (S,).
+        """
         kp, kd = torch.tensor(self.robot.kp), torch.tensor(self.robot.kd)
-        found = []
-        samples = torch.arange(0, len(takes.position), EVERY)
-        for part in samples.split(self.physics.num_envs):
+        in_take = torch.cat([torch.arange(length) for length in takes.lengths])
+        measured, found = in_take % EVERY == 0, []
+        for part in torch.nonzero(measured).squeeze(-1).split(self.physics.num_envs):
             rows = torch.cat((part, part[-1:].expand(self.physics.num_envs - len(part))))
             position, velocity, command = (v[rows] for v in (takes.position, takes.velocity, takes.command))
             torque = command if takes.driven == "torque" else actuation.pd_torque(command, position, velocity, kp, kd)
@@ -146,7 +154,7 @@ class DifferentiableTorqueEnv(TorqueEnv):
             self.physics.apply_torque(torque.to(self.device))
             self.physics.step()
             found.append(self._jacobian()[: len(part)])
-        return torch.cat(found)
+        return torch.cat(found), (measured.cumsum(0) - 1).to(self.device)
 
     def _nudge_copies(self, torque: Tensor) -> None:
         rows = len(self.nudges)
@@ -262,17 +270,21 @@ def descend(learner: GradientLearner) -> TensorDict:
         learner: Changed in place.
 
     Returns:
-        ``train_mse`` [rad²], ``grad_norm`` before clipping, ``rate``, ``window`` [steps], and the mean
-        ``reward``. Shape ().
+        ``train_mse`` [rad²], in which a row that is lost on the way counts with the square of the bound from there to
+        the window's end; ``lost``, the share of such rows; ``grad_norm`` before clipping, ``rate``, ``window`` [steps],
+        and the mean ``reward``. Shape ().
     """
     window = learner.window
     rate = learner.caution * learner.rate * 0.5 * (1 + math.cos(math.pi * learner.share))
-    following, errors, rewards = learner.current, [], []
+    following, errors, ended, rewards = learner.current, [], [], []
     for _ in range(window):
         step, following = control_step(learner.env, learner.policy, following)
-        errors.append(step["next", "privileged"][..., 0].square().mean())
+        errors.append(step["next", "privileged"][..., 0].square())
+        ended.append(step["next", "terminated"])
         rewards.append(step["next", "reward"].detach().mean())
     learner.current, error = following.detach(), torch.stack(errors).mean()
+    lost = torch.stack(ended).cummax(0).values  # (T, N, 1)
+    charged = torch.where(lost, learner.env.transform[-1].bound ** 2, torch.stack(errors).detach()).mean()
     learner.optimizer.zero_grad()
     (1e4 * error).backward()
     norm = nn.utils.clip_grad_norm_(learner.net.parameters(), learner.max_grad_norm)
@@ -290,4 +302,5 @@ def descend(learner: GradientLearner) -> TensorDict:
     learner.samples += window * learner.env.numel()
     numbers = {"rate": rate, "window": float(window)}
     report = {name: torch.full_like(norm, value) for name, value in numbers.items()}
-    return TensorDict({"train_mse": error.detach(), "grad_norm": norm, "reward": torch.stack(rewards).mean(), **report})
+    report |= {"lost": lost[-1].to(norm.dtype).mean(), "reward": torch.stack(rewards).mean()}
+    return TensorDict({"train_mse": charged, "grad_norm": norm, **report})

@@ -5,8 +5,15 @@ repository for that reason. What must survive a step is carried in the tensordic
 """
 
 from torchrl_athletic.transforms.action_history import ActionHistory
-from torchrl_athletic.transforms.actuation import ActionDelay, PDControl, PowerClip, TorqueSpeedClip, UANCorrection
-from torchrl_athletic.transforms.actuator_net import ActuatorNet, EquivalentTarget
+from torchrl_athletic.transforms.actuation import (
+    ActionDelay,
+    EquivalentTarget,
+    PDControl,
+    PowerClip,
+    TorqueSpeedClip,
+    UANCorrection,
+)
+from torchrl_athletic.transforms.actuator_net import ActuatorNet
 from torchrl_athletic.transforms.command_sampler import CommandSampler
 from torchrl_athletic.transforms.corrected_actuation import CorrectedActuation
 from torchrl_athletic.transforms.decimation import Decimation

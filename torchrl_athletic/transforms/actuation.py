@@ -30,7 +30,21 @@ class _Torque(Transform):
         return tensordict
 
 
-class PDControl(_Torque):
+class _Law(_Torque):
+    """Makes the torque of what the policy gives instead."""
+
+    action_key: NestedKey
+
+    def transform_input_spec(self, input_spec: Composite) -> Composite:
+        action = input_spec["full_action_spec"]
+        torque = action[self.torque_key]
+        if unravel_key(self.torque_key) != unravel_key(self.action_key):
+            del action[self.torque_key]
+        action[self.action_key] = unbounded_like(torque, torque.shape)
+        return input_spec
+
+
+class PDControl(_Law):
     """The action is a position target; a PD law makes a torque of it (:func:`~.functional.actuation.pd_torque`).
 
     Also notes the target under ``position_target``, for what corrects the torque further in.
@@ -90,13 +104,70 @@ class PDControl(_Torque):
         tensordict.set(self.target_key, target)
         return tensordict
 
-    def transform_input_spec(self, input_spec: Composite) -> Composite:
-        action = input_spec["full_action_spec"]
-        torque = action[self.torque_key]
-        if unravel_key(self.torque_key) != unravel_key(self.action_key):
-            del action[self.torque_key]
-        action[self.action_key] = unbounded_like(torque, torque.shape)
-        return input_spec
+
+class EquivalentTarget(_Law):
+    r"""The action is a torque; note the position target whose PD law would command it.
+
+    .. math:: q^* = q + (\tau + k_d \dot q) / k_p
+
+    It takes the place of :class:`PDControl` where a robot is driven by torques, so that nets which look at errors of
+    position and velocity see those that a drive with these gains would.
+
+    Args:
+        kp: Stiffness [N·m/rad]. Shape (J,) or ().
+        kd: Damping [N·m·s/rad]. Shape (J,) or ().
+        torque_key: What the environment takes [N·m]. Shape (*B, J).
+        action_key: What the policy gives, the same torque [N·m]. Shape (*B, J).
+        position_key: [rad].
+        velocity_key: [rad/s].
+        target_key: Where to note the target [rad].
+
+    Raises:
+        ValueError: If a stiffness is not positive: no target would command a torque.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> note = EquivalentTarget(kp=10.0, kd=2.0)
+        >>> seen = TensorDict(action=[[5.0]], joint_position=[[1.0]], joint_velocity=[[0.5]], batch_size=[1])
+        >>> note.inv(seen)["position_target"]
+        tensor([[1.6000]])
+    """
+
+    kp: Tensor
+    kd: Tensor
+
+    def __init__(
+        self,
+        kp: PerJoint,
+        kd: PerJoint,
+        *,
+        torque_key: NestedKey = "torque",
+        action_key: NestedKey = "action",
+        position_key: NestedKey = "joint_position",
+        velocity_key: NestedKey = "joint_velocity",
+        target_key: NestedKey = "position_target",
+    ) -> None:
+        super().__init__(torque_key, action_key)
+        self.register_buffer("kp", _per_joint(kp))
+        self.register_buffer("kd", _per_joint(kd))
+        if not (self.kp > 0).all():
+            raise ValueError(
+                f"kp is {self.kp.tolist()}: with a stiffness of zero no target commands a torque, so the errors that "
+                "nets look at would be infinite. Give the gains of a drive that could hold the robot."
+            )
+        self.action_key, self.target_key = action_key, target_key
+        self.position_key, self.velocity_key = position_key, velocity_key
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        torque = tensordict.get(self.action_key, None)
+        if torque is None:
+            raise KeyError(
+                f"EquivalentTarget found no {self.action_key!r}: there is no torque to find a target for. Give it data "
+                "of the policy's side; on an environment, name the policy's action with action_key=..."
+            )
+        position, velocity = tensordict.get(self.position_key), tensordict.get(self.velocity_key)
+        tensordict.set(self.target_key, position + (torque + self.kd * velocity) / self.kp)
+        return tensordict.set(self.torque_key, torque)
 
 
 class TorqueSpeedClip(_Torque):
@@ -202,11 +273,12 @@ class UANCorrection(StatefulTransform):
     :class:`PDControl`, which notes the target, and within :class:`~.Decimation`: it runs at the physics rate.
 
     Args:
-        net: Maps (*B, J, 2 * length) to (*B, J, 1) [N·m], position errors before velocity errors. Not trained here:
-            it runs without gradients unless ``differentiable``.
+        net: Maps :func:`~.functional.actuation.uan_features`, (*B, J, 2 * length), to (*B, J, 1) [N·m]. Not trained here: it runs without
+            gradients unless ``differentiable``.
         joints: Which it corrects.
         length: Steps that it sees, the newest included.
         scale: Unit of its output [N·m].
+        state: Whether each joint is also shown the state of the group, 3 J numbers more (:func:`~.functional.actuation.uan_features`).
         differentiable: Whether gradients shall flow through the net.
         torque_key: What is corrected [N·m]. Shape (*B, J).
         target_key: [rad]. Shape (*B, J).
@@ -237,6 +309,7 @@ class UANCorrection(StatefulTransform):
         *,
         length: int = 20,
         scale: float = 1.0,
+        state: bool = False,
         differentiable: bool = False,
         torque_key: NestedKey = "torque",
         target_key: NestedKey = "position_target",
@@ -253,7 +326,8 @@ class UANCorrection(StatefulTransform):
             out_keys_inv=[torque_key],
             reset_key=reset_key,
         )
-        self.net, self.joints, self.length, self.scale, self.differentiable = net, joints, length, scale, differentiable
+        self.net, self.joints, self.length = net, joints, length
+        self.scale, self.state, self.differentiable = scale, state, differentiable
         self.torque_key, self.target_key, self.position_key = torque_key, target_key, position_key
         self.velocity_key, self.correction_key, self.history_key = velocity_key, correction_key, history_key
 
@@ -266,14 +340,15 @@ class UANCorrection(StatefulTransform):
                 f"UANCorrection found no {self.target_key!r}: the errors that the net sees are undefined. Put "
                 "PDControl after it in Compose, so that the action passes it first."
             )
-        error = torch.stack((target[..., columns] - position[..., columns], -velocity[..., columns]), -1)
+        position, velocity = position[..., columns], velocity[..., columns]
+        error = torch.stack((target[..., columns] - position, -velocity), -1)
         errors = tensordict.get(self.history_key, None)
         if errors is None:
             raise _nothing_remembered(self, self.history_key)
-        errors = history.push(errors, error, dim=-1)
+        errors, torque = history.push(errors, error, dim=-1), tensordict.get(self.torque_key)
+        group = (position, velocity, torque[..., columns]) if self.state else ()
         with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
-            correction = self.scale * self.net(errors.flatten(-2)).squeeze(-1)
-        torque = tensordict.get(self.torque_key)
+            correction = self.scale * self.net(actuation.uan_features(errors, *group)).squeeze(-1)
         if self.joints is None:
             torque = torque + correction
         else:
