@@ -1,37 +1,31 @@
-"""Does a throw learnt in an identified simulator fly as far on the real arm? The paper's figure 3.
+"""Does a throw learnt in an identified simulator fly as far on the real arm? The paper's figure 3, and what it hides.
 
-    python benchmarks/throw_transfer.py train outputs/identification/*                        # on two cores
-    python benchmarks/throw_transfer.py train outputs/identification/* --device cuda --num-envs 2048 --jobs 4
-    python benchmarks/throw_transfer.py score outputs/throw/* --results benchmarks/results
+    python benchmarks/throw_transfer.py outputs/throw/* --results benchmarks/results --images docs/images
 
-``train`` runs ``recipes/throw_arm.py`` in each simulator, several at a time, and leaves a folder for each under
-``--output``; what is there already stays. ``score`` throws ten times with each policy, in its own simulator and on the
-concealed arm, which stands for the real one, from the same starts, and writes ``throw_transfer.md``, ``.json`` and
-``.svg``. On the concealed arm a policy sees what drives report, no more; where the ball goes follows from the true
-motion of the bucket by the very lines that say so in training. ``reference`` is the throw made by hand, without a
-policy.
+Throws ten times with each policy that ``train_throws.py`` left, from starts of its own: in the simulator that it was
+trained in, in every other one, and on the concealed arm, which stands for the real one. There a policy sees what drives
+report, no more; where the ball goes follows from the true motion of the bucket by the very lines that say so in
+training. ``reference`` is the throw made by hand, without a policy. Writes ``throw_transfer.md`` and ``.json`` to one
+folder, ``throw_transfer.svg`` (the paper's figure) and ``throw_matrix.svg`` (every policy in every world) to the other.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import json
-import os
-import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from statistics import fmean, pstdev
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 import tyro
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite, Unbounded
+from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 from tqdm import tqdm
 
@@ -39,197 +33,202 @@ ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT))  # last: the package under test is the installed one
 
 from benchmarks.concealed.arm import ConcealedArm  # noqa: E402
-from torchrl_athletic.envs import BallFlight, throw_distance, throw_task  # noqa: E402
-from torchrl_athletic.envs.throw import BUCKET, STEPS  # noqa: E402
+from benchmarks.throw_report import ARM, Score, Throws, draw, draw_matrix, in_order, markdown  # noqa: E402
+from torchrl_athletic.envs import BallFlight, throw_distance, throw_env, throw_task  # noqa: E402
+from torchrl_athletic.envs.throw import ARM_POWER, BUCKET, STEPS  # noqa: E402
 from torchrl_athletic.identification import Simulator  # noqa: E402
 from torchrl_athletic.networks import load_checkpoint  # noqa: E402
 from torchrl_athletic.robots import with_bucket, z1  # noqa: E402
-from torchrl_athletic.training import play  # noqa: E402
+from torchrl_athletic.training.evaluation import acting  # noqa: E402
 from torchrl_athletic.transforms import Decimation  # noqa: E402
+from torchrl_athletic.transforms.stateful import StatefulTransform, spread  # noqa: E402
 
 RECIPE = ROOT / "recipes" / "throw_arm.py"
-METHODS = ("reference", "default", "roa", "dr", "cem", "actuator_net", "uan", "diagnosed", "diagnosed_uan")
-"""In the order of the figure; others follow."""
 TOLERANCE = 0.05
 """How far a joint may be beyond its range in a throw that counts [rad]."""
+AT_RELEASE = ("release_time", "release_velocity", "release_joint_velocity")
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
 
 
 @dataclass(frozen=True)
 class Config:
     """Every field is a flag."""
 
-    action: Annotated[Literal["train", "score"], tyro.conf.Positional]
-    """Train policies, or throw with them."""
     folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Of simulators to train in, or of policies to score."""
-    output: Path = Path("outputs/throw")
-    """Where folders of policies go."""
+    """Of policies."""
     results: Path = Path("benchmarks/results")
-    """Where table and figure go."""
-    seeds: tuple[int, ...] = (0,)
-    """Of training, each in every simulator."""
-    jobs: int = 2
-    """Trainings at a time, which share the cores."""
-    iterations: int = 120
-    """Of each, so that all have learnt from as many samples."""
-    minutes: float = 20.0
-    """Of each at most [min]; what was stopped goes on from its checkpoint when it is trained again."""
-    device: Literal["cpu", "cuda"] = "cpu"
-    """Where to train."""
-    num_envs: int = 512
-    """Of each training."""
-    evaluate_every: int = 60
-    """Iterations between measurements, each of which takes as long as some tens of iterations."""
+    """Where table and numbers go."""
+    images: Path = Path("docs/images")
+    """Where figures go."""
     throws: int = 10
-    """With each policy."""
-    timeout: float = 2.0
-    """Minutes after its own that a training is stopped."""
-
-
-@dataclass(frozen=True)
-class Throws:
-    """What came of one policy."""
-
-    method: str
-    name: str
-    """Of the folder."""
-    simulated: list[float]
-    """[m]; 0 where the throw failed."""
-    real: list[float]
-    """[m]."""
-    failed: list[bool]
-    """On the real arm."""
-
-    @property
-    def differences(self) -> list[float]:
-        """Throw by throw [m]."""
-        return [abs(a - b) for a, b in zip(self.simulated, self.real, strict=True)]
+    """With each policy in each world."""
 
 
 def main(cfg: Config) -> None:
-    if cfg.action == "train":
-        train_all(cfg)
-        return
-    arms = [ConcealedArm(robot=with_bucket(z1(), BUCKET), seed=k) for k in range(cfg.throws)]
-    folders = [Path("reference"), *(folder for folder in cfg.folders if (folder / "policy.pt").exists())]
-    found = [score(folder, arms) for folder in tqdm(folders)]
+    scores = score(trained(cfg.folders), cfg.throws)
     cfg.results.mkdir(parents=True, exist_ok=True)
-    content = json.dumps([asdict(throws) for throws in found], indent=1)
+    cfg.images.mkdir(parents=True, exist_ok=True)
+    content = json.dumps([asdict(each) for each in scores], indent=1)
     (cfg.results / "throw_transfer.json").write_text(content + "\n", encoding="utf-8")
-    (cfg.results / "throw_transfer.md").write_text(markdown(found), encoding="utf-8")
-    draw(found, cfg.results / "throw_transfer.svg")
-    print(markdown(found))
+    (cfg.results / "throw_transfer.md").write_text(markdown(scores), encoding="utf-8")
+    draw(scores, cfg.images / "throw_transfer.svg")
+    draw_matrix(scores, cfg.images / "throw_matrix.svg")
+    print(markdown(scores))
 
 
-def train_all(cfg: Config) -> None:
-    """Policies that are not there yet, ``jobs`` at a time; each has a log of its own."""
-    waiting = [
-        (folder, seed, cfg.output / f"{folder.name}-{seed}")
-        for seed in cfg.seeds
-        for folder in cfg.folders
-        if (folder / "simulator.json").exists() and not (cfg.output / f"{folder.name}-{seed}" / "policy.pt").exists()
-    ]
-    running: list[tuple[subprocess.Popen[bytes], float, Path]] = []
-    limit = 60 * (cfg.minutes + cfg.timeout)
-    with tqdm(total=len(waiting)) as bar:
-        while waiting or running:
-            while waiting and len(running) < cfg.jobs:
-                running.append(start(*waiting.pop(0), cfg))
-            time.sleep(1.0)
-            for job in list(running):
-                process, began, output = job
-                if process.poll() is None and time.monotonic() - began > limit:
-                    process.kill()
-                    process.wait()
-                if process.returncode is not None:
-                    running.remove(job)
-                    bar.update()
-                    tqdm.write(f"{output.name}: {last_line(output / 'log.txt', process.returncode)}")
+@dataclass(frozen=True)
+class Trained:
+    """A policy, and what it was trained in."""
+
+    name: str
+    policy: Policy
+    method: str
+    world: str
+    simulator: Simulator
+    samples: int = 0
 
 
-def start(folder: Path, seed: int, output: Path, cfg: Config) -> tuple[subprocess.Popen[bytes], float, Path]:
-    """A training as a process of its own."""
-    output.mkdir(parents=True, exist_ok=True)
-    flags = {
-        "simulator": folder,
-        "seed": seed,
-        "output": output,
-        "iterations": cfg.iterations,
-        "minutes": cfg.minutes,
-        "device": cfg.device,
-        "ppo.num-envs": cfg.num_envs,
-        "evaluate-every": cfg.evaluate_every,
-    }
-    words = [word for name, value in flags.items() for word in (f"--{name}", str(value))]
-    threads = str(max(1, len(os.sched_getaffinity(0)) // cfg.jobs))
-    with (output / "log.txt").open("wb") as log:
-        process = subprocess.Popen(
-            [sys.executable, str(RECIPE), *words],
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            env=os.environ | {"OMP_NUM_THREADS": threads},
-        )
-    (output / "simulator.txt").write_text(f"{folder}\n", encoding="utf-8")
-    return process, time.monotonic(), output
+def trained(folders: Iterable[Path]) -> list[Trained]:
+    """The throw made by hand, and all policies that are there.
 
-
-def last_line(log: Path, code: int) -> str:
-    lines = log.read_text(errors="replace").replace("\r", "\n").strip().splitlines()
-    measured = [line for line in lines if " m, " in line and "failed" in line]
-    return measured[-1] if measured else f"ended with {code}: {lines[-1] if lines else 'said nothing'}"
-
-
-def score(folder: Path, arms: Sequence[ConcealedArm]) -> Throws:
-    """Throws from the same starts, in the policy's own simulator and on the arm.
-
-    Args:
-        folder: With ``policy.pt`` and ``simulator.txt``; one that is called ``reference`` needs neither.
-        arms: The same arm again and again, one for each throw.
+    Raises:
+        ValueError: If two were trained in simulators of the same name that are not the same.
     """
     recipe = load_recipe()
-    alone = folder.name == "reference"
-    simulator: Simulator = recipe.load_simulator(
-        None if alone else Path((folder / "simulator.txt").read_text(encoding="utf-8").strip())
-    )
-    env = recipe.make_env(simulator, len(arms), seed=7, randomize=False, ends=False, tolerance=TOLERANCE)
-    policy = stay_on_reference if alone else load_policy(recipe, folder / "policy.pt")
-    steps = play(env, policy, STEPS)
-    simulated = steps[:, -1]["next"]
-    real = throw_with(arms, policy, starts=steps["joint_position"][:, 0])
-    return Throws(
-        "reference" if alone else simulator.name,
-        folder.name,
-        throw_distance(simulated).tolist(),
-        throw_distance(real).tolist(),
-        real["throw_failed"].flatten().tolist(),
-    )
+    found = [Trained("reference", stay_on_reference, "reference", "default", recipe.load_simulator(None))]
+    digests: dict[str, str] = {}
+    for folder in folders:
+        if not (folder / "policy.pt").exists():
+            continue
+        simulator: Simulator = recipe.load_simulator(folder / "simulator")
+        world, now = folder.name.rpartition("-")[0], digest(folder / "simulator")
+        if digests.setdefault(world, now) != now:
+            raise ValueError(
+                f"{folder.name} was trained in another {world} than the policy before it: their throws would be taken "
+                "for those of one simulator. Train it again, or score the two apart."
+            )
+        if simulator.correction is None and simulator.net is None:  # robots are drawn in training alone
+            world = "default"
+        about = torch.load(folder / "policy.pt", map_location="cpu", weights_only=True)["metadata"]
+        policy = load_policy(recipe, folder / "policy.pt", about["sizes"])
+        found.append(Trained(folder.name, policy, simulator.name, world, simulator, int(about["samples"])))
+    return found
 
 
-def load_policy(recipe: Any, path: Path) -> Callable[[TensorDictBase], TensorDictBase]:
+def digest(simulator: Path) -> str:
+    files = [path for path in sorted(simulator.iterdir()) if path.suffix in (".json", ".pt")]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+
+
+def load_policy(recipe: Any, path: Path, sizes: Mapping[str, Any]) -> Policy:
     """What the recipe saved, as it acts on a robot."""
-    sizes = torch.load(path, map_location="cpu", weights_only=True)["metadata"]["sizes"]
     policy = recipe.make_policy(**sizes)
     load_checkpoint(path, policy=policy)
-    return recipe.deployed(policy, sizes["adapts_to"])
+    deployed: Policy = recipe.deployed(policy, sizes["adapts_to"])
+    return deployed
 
 
-def throw_with(
-    arms: Sequence[ConcealedArm], policy: Callable[[TensorDictBase], TensorDictBase], starts: Tensor
-) -> TensorDictBase:
-    """What a throw with each arm ends with. Shape (N,)."""
+def score(policies: Sequence[Trained], throws: int) -> list[Score]:
+    """Throws with all policies in all of their worlds and on the arm, from the same starts."""
+    act = side_by_side([each.policy for each in policies], throws)
+    count = throws * len(policies)
+    worlds = {each.world: each.simulator for each in policies}
+    ends, starts = {}, torch.empty(0)
+    for name in tqdm(in_order(worlds), desc="worlds"):
+        env = simulated_env(worlds[name], count)
+        ends[name], starts = throw_all(env, act)  # rows start alike in every world: their draws are their own
+    robot = with_bucket(z1(), BUCKET)
+    arms = [ConcealedArm(robot=robot, seed=k % throws) for k in tqdm(range(count), desc="arms")]
+    ends[ARM], _ = throw_all(real_env(arms, starts), act)
+    found = []
+    for k, each in enumerate(policies):
+        rows = slice(k * throws, (k + 1) * throws)
+        by_world = {name: outcome(end[rows]) for name, end in ends.items()}
+        found.append(Score(each.method, each.name, each.world, each.samples, by_world))
+    return found
+
+
+def side_by_side(policies: Sequence[Policy], throws: int) -> Policy:
+    """All of them as one, each for so many rows."""
+
+    def act(step: TensorDictBase) -> TensorDictBase:
+        rows = zip(policies, step.split(throws), strict=True)
+        return step.set("action", torch.cat([policy(its)["action"] for policy, its in rows]))
+
+    return act
+
+
+def simulated_env(simulator: Simulator, count: int) -> EnvBase:
+    """The task in a simulator, which notes what happens at the release."""
+    chain = [AtRelease("joint_velocity"), *simulator.chain(arm_power=ARM_POWER, randomize=False)]
+    return throw_env(simulator.robot, num_envs=count, chain=chain, tolerance=TOLERANCE, ends=False, seed=7)
+
+
+def real_env(arms: Sequence[ConcealedArm], starts: Tensor) -> EnvBase:
+    """The task on arms, each with a throw of its own."""
     task = throw_task(arms[0].robot, ends=False, tolerance=TOLERANCE)
-    env = TransformedEnv(ArmEnv(arms, starts), Compose(BallFlight(1 / arms[0].rate), Decimation(4), *task))
-    return play(env, policy, STEPS)[:, -1]["next"]
+    flight = [BallFlight(1 / arms[0].rate), AtRelease("link_velocity")]
+    return TransformedEnv(ArmEnv(arms, starts), Compose(*flight, Decimation(4), *task))
+
+
+@torch.no_grad()
+def throw_all(env: EnvBase, act: Policy) -> tuple[TensorDictBase, Tensor]:
+    """What a throw ends with, and where the joints started [rad]. Shapes (N,) and (N, J)."""
+    starts = end = None
+    for step in tqdm(acting(env, act, STEPS), total=STEPS, leave=False):
+        starts, end = step["joint_position"] if starts is None else starts, step["next"]
+    assert starts is not None
+    assert end is not None
+    return end, starts
+
+
+def outcome(end: TensorDictBase) -> Throws:
+    release = {key: end[key].float().mean(0).tolist() for key in AT_RELEASE}
+    return Throws(throw_distance(end).tolist(), end["throw_failed"].flatten().tolist(), release)
 
 
 def stay_on_reference(step: TensorDictBase) -> TensorDictBase:
     return step.set("action", torch.zeros(*step.shape, 6))
 
 
+class AtRelease(StatefulTransform):
+    """Keep what was when the ball left the bucket; zeros until then.
+
+    Writes ``release_time`` (N, 1) since the episode's start [s], ``release_velocity`` (N, 3) of the ball [m/s] and
+    ``release_joint_velocity`` (N, J) [rad/s]. It stands behind :class:`~torchrl_athletic.envs.BallFlight`, at the same
+    rate.
+
+    Args:
+        velocity_key: Joint velocities.
+        dt: Of a step [s].
+    """
+
+    def __init__(self, velocity_key: NestedKey, dt: float = 0.005) -> None:
+        super().__init__(["ball_age", "ball_linear_velocity", velocity_key], list(AT_RELEASE))
+        self.dt = dt
+
+    def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
+        values = [torch.zeros_like(tensordict_reset.get(key)) for key in self.in_keys]
+        return dict(zip(self.out_keys, (values[0].float(), *values[1:]), strict=True))
+
+    def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
+        leaves = next_tensordict.get("ball_away") & ~tensordict.get("ball_away")
+        age, *velocities = (next_tensordict.get(key) for key in self.in_keys)
+        for key, value in zip(self.out_keys, (age * self.dt, *velocities), strict=True):
+            next_tensordict.set(key, torch.where(spread(leaves, value), value, tensordict.get(key)))
+
+    def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
+        shapes = [observation_spec[key].shape for key in self.in_keys]
+        device = observation_spec.device
+        return {key: Unbounded(shape=shape, device=device) for key, shape in zip(self.out_keys, shapes, strict=True)}
+
+
 class ArmEnv(EnvBase):
     """Arms that take position targets and 5 ms for each, beside which cameras follow the buckets.
 
-    Shows what :class:`~torchrl_athletic.envs.TorqueEnv` does; joints as the drives report them.
+    Shows what :class:`~torchrl_athletic.envs.TorqueEnv` does; joints as the drives report them, and for the referee
+    ``link_velocity``, that of the links.
 
     Args:
         arms: Each with ``reset``, ``step`` and ``true_state``.
@@ -240,8 +239,8 @@ class ArmEnv(EnvBase):
         count, joints = starts.shape
         super().__init__(batch_size=[count])
         self.arms, self.starts = arms, starts
-        widths = {"joint_position": joints, "joint_velocity": joints, "applied_torque": joints, "arm_force": 3}
-        widths |= dict.fromkeys(("bucket_position", "bucket_linear_velocity", "bucket_axis"), 3)
+        widths = dict.fromkeys(("joint_position", "joint_velocity", "applied_torque", "link_velocity"), joints)
+        widths |= dict.fromkeys(("bucket_position", "bucket_linear_velocity", "bucket_axis", "arm_force"), 3)
         shown = {key: Unbounded(shape=(count, width)) for key, width in widths.items()}
         self.observation_spec = Composite(shown, shape=[count])
         self.action_spec = Composite(action=Unbounded(shape=(count, joints)), shape=[count])
@@ -265,6 +264,7 @@ class ArmEnv(EnvBase):
             "joint_position": [reading.position for reading in readings],
             "joint_velocity": [reading.velocity for reading in readings],
             "applied_torque": [reading.torque for reading in readings],
+            "link_velocity": [state.velocity for state in states],
             "arm_force": [np.zeros(3)] * len(states),
             "bucket_position": [state.site_position for state in states],
             "bucket_linear_velocity": [state.site_velocity for state in states],
@@ -286,75 +286,6 @@ def load_recipe() -> Any:
         sys.modules[spec.name] = module  # where dataclasses look for annotations
         spec.loader.exec_module(module)
     return sys.modules[spec.name]
-
-
-def by_method(found: Iterable[Throws]) -> dict[str, list[Throws]]:
-    """In the figure's order."""
-    groups: dict[str, list[Throws]] = {}
-    for throws in found:
-        groups.setdefault(throws.method, []).append(throws)
-    known = [method for method in METHODS if method in groups]
-    return {method: groups[method] for method in (*known, *sorted(set(groups) - set(known)))}
-
-
-def markdown(found: Iterable[Throws]) -> str:
-    """A row for each policy, and the mean of each method that has several."""
-    lines = [
-        "| simulator | policy | simulated | real | difference | share | real throws that failed |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for method, group in by_method(found).items():
-        rows = [(throws.name, [throws]) for throws in group]
-        if len(group) > 1:
-            rows.append((f"mean of {len(group)}", group))
-        lines += [f"| {method} | {name} | {cells(some)} |" for name, some in rows]
-    return "\n".join(lines) + "\n"
-
-
-def cells(some: list[Throws]) -> str:
-    simulated, real, differences = gathered(some)
-    share = f"{100 * fmean(differences) / fmean(simulated):.1f} %" if fmean(simulated) > 0 else "-"
-    failed = sum(sum(throws.failed) for throws in some)
-    numbers = " | ".join(f"{fmean(x):.3f} ± {pstdev(x):.3f} m" for x in (simulated, real, differences))
-    return f"{numbers} | {share} | {failed} of {len(real)}"
-
-
-def gathered(some: list[Throws]) -> tuple[list[float], list[float], list[float]]:
-    """All throws of several policies: simulated, real, difference [m]."""
-    return (
-        [x for throws in some for x in throws.simulated],
-        [x for throws in some for x in throws.real],
-        [x for throws in some for x in throws.differences],
-    )
-
-
-def draw(found: Iterable[Throws], path: Path) -> None:
-    """Two bar charts: how far simulation and reality are apart, and how far the real arm throws."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    groups = by_method(found)
-    figure, (left, right) = pyplot.subplots(1, 2, figsize=(10, 4))
-    place = np.arange(len(groups))
-    colours = [f"C{k}" for k in range(len(groups))]
-    for axes, which, title in (
-        (left, 2, "simulated less real distance, absolute [m]"),
-        (right, 1, "real throw distance [m]"),
-    ):
-        values = [gathered(group)[which] for group in groups.values()]
-        heights, spreads = [fmean(x) for x in values], [pstdev(x) for x in values]
-        axes.bar(place, heights, yerr=spreads, capsize=3, color=colours, edgecolor="black")
-        for x, group in zip(place, groups.values(), strict=True):
-            each = [fmean((throws.simulated, throws.real, throws.differences)[which]) for throws in group]
-            axes.plot([x] * len(each), each, "k.", markersize=4)
-        axes.set_xticks(place, list(groups), rotation=30, ha="right")
-        axes.set_title(title, fontsize="medium")
-        axes.grid(axis="y", alpha=0.3)
-    figure.tight_layout()
-    figure.savefig(path)
-    pyplot.close(figure)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
 """Teach a Z1 arm, bolted to the floor, to throw a ball from a bucket as far as it can, in an identified simulator.
 
 python recipes/throw_arm.py                     # the nominal model: 1.70 m after 0.5 M samples; by hand 1.26 m
-python recipes/throw_arm.py --device cuda --ppo.num-envs 4096 --minutes 3  # on a GPU
+python recipes/throw_arm.py --device cuda --ppo.num-envs 4096 --iterations 120  # on a GPU
 python recipes/throw_arm.py --simulator outputs/identification/uan_seed0 --output outputs/throw/uan_seed0-0
 """
 
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +20,9 @@ from torchrl_athletic.envs.throw import ARM_POWER, BUCKET, STEPS
 from torchrl_athletic.identification import Simulator
 from torchrl_athletic.networks import actor, critic, deploy, roa_actor, save_checkpoint
 from torchrl_athletic.robots import with_bucket, z1
-from torchrl_athletic.training import PPO, Checkpoints, Learner, LoggerName, make_logger, play, train
+from torchrl_athletic.training import PPO, CapturedRollout, Checkpoints, Learner, make_logger, play, train
+
+THROW = PPO(num_envs=512, horizon=16, entropy_coeff=0.0, actor_lr=1e-4, critic_lr=1e-3, kl_target=0.02)
 
 
 @dataclass(frozen=True)
@@ -28,27 +30,19 @@ class Config:
     simulator: Path | None = None
     """Folder that an identification wrote; the nominal model by default."""
     minutes: float = 5.0
-    """When to stop [min]."""
+    """When to stop [min]; ``iterations`` stop it in any case."""
     iterations: int | None = None
-    """When to stop in any case."""
     seed: int = 0
-    """Of weights, starts and exploration."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where to simulate and learn."""
+    fuse: bool = True
+    """On a GPU: compile what surrounds the physics, which takes a minute."""
     hidden: tuple[int, ...] = (128, 64)
     """Layers of both networks."""
-    ppo: PPO = field(
-        default_factory=lambda: PPO(
-            num_envs=512, horizon=16, entropy_coeff=0.0, actor_lr=1e-4, critic_lr=1e-3, kl_target=0.02
-        )
-    )
+    ppo: PPO = THROW
     """What else is chosen by hand."""
     evaluate_every: int = 50
-    """Iterations between measurements."""
-    logger: LoggerName = "csv"
-    """Where numbers go."""
+    """Iterations between measurements, each of which writes the policy too."""
     output: Path = Path("outputs/throw/default-0")
-    """Folder for all that is written."""
 
 
 def main(cfg: Config) -> None:
@@ -56,27 +50,33 @@ def main(cfg: Config) -> None:
     simulator = load_simulator(cfg.simulator)
     env = make_env(simulator, cfg.ppo.num_envs, device=cfg.device, seed=cfg.seed)
     exam = make_env(simulator, 32, device=cfg.device, seed=1_000_000, randomize=False, ends=False)
-    spec = env.observation_spec
-    seen, known, joints = spec["observation"].shape[-1], spec["privileged"].shape[-1], env.action_spec.shape[-1]
-    adapts_to = spec["randomization"].shape[-1] if simulator.name == "roa" else 0
-    policy = make_policy(seen, joints, adapts_to, cfg.hidden, cfg.device)
-    value = critic(seen + known, in_keys=["observation", "privileged"], hidden=cfg.hidden, device=cfg.device)
-    watch = ["reward_terms", "throw_failed"]
-    learner = Learner(env, policy, value, cfg.ppo, watch=watch, seed=cfg.seed, cuda_graph=cfg.device == "cuda")
-    learner.rollout.current["step_count"].random_(0, STEPS)  # so that episodes do not end all at once
+    width = {key: env.observation_spec[key].shape[-1] for key in ("observation", "privileged")}
+    sizes = {"seen": width["observation"], "joints": env.action_spec.shape[-1], "hidden": list(cfg.hidden)}
+    sizes["adapts_to"] = env.observation_spec["randomization"].shape[-1] if simulator.name == "roa" else 0
+    policy = make_policy(**sizes, device=cfg.device)
+    value = critic(sum(width.values()), in_keys=list(width), hidden=cfg.hidden, device=cfg.device)
+    watch, graph = ["reward_terms", "throw_failed"], cfg.device == "cuda"
+    rollout = CapturedRollout(env, policy, cfg.ppo.horizon, keys=[*value.in_keys, *watch], fuse=cfg.fuse)
+    learner = Learner(env, policy, value, cfg.ppo, watch=watch, seed=cfg.seed, cuda_graph=graph, rollout=rollout)
+    rollout.current["step_count"].random_(0, STEPS)  # so that episodes do not end all at once
+
+    def evaluate() -> dict[str, float]:
+        found = throw_summary(play(exam, deployed(policy, sizes["adapts_to"]), STEPS)[:, -1]["next"])
+        about = {"sizes": sizes, "iterations": learner.iteration, "samples": learner.samples}
+        save_checkpoint(cfg.output / "policy.pt", about | found, policy=policy)
+        return found
+
     found = train(
         learner,
         minutes=cfg.minutes,
         iterations=cfg.iterations,
-        evaluate=lambda: throw_summary(play(exam, deployed(policy, adapts_to), STEPS)[:, -1]["next"]),
+        evaluate=evaluate,
         evaluate_every=cfg.evaluate_every,
-        logger=make_logger(cfg.logger, cfg.output, "throw_arm"),
+        logger=make_logger("csv", cfg.output, "throw_arm"),
         checkpoints=Checkpoints(cfg.output / "checkpoints", keep=1),
         show=["reward", "distance_m"],
     )
     print(f"{found['distance_m']:.2f} ± {found['spread_m']:.2f} m, {100 * found['failed']:.0f} % of throws failed")
-    sizes = {"seen": seen, "joints": joints, "adapts_to": adapts_to, "hidden": list(cfg.hidden)}
-    print("policy:", save_checkpoint(cfg.output / "policy.pt", {"sizes": sizes} | found, policy=policy))
 
 
 def load_simulator(folder: Path | None) -> Simulator:

@@ -1,0 +1,202 @@
+"""Train throwing policies in identified simulators, several at a time; ``throw_transfer.py`` then throws with them.
+
+    python benchmarks/train_throws.py outputs/identification/*                                  # on two cores
+    python benchmarks/train_throws.py outputs/identification/* --device cuda --gpus 2 --jobs 27 --num-envs 4096
+
+Each training is a process that runs ``recipes/throw_arm.py`` in a folder of its own under ``--output``, with a copy of
+the simulator that it is trained in. Of a method that was identified with several seeds (``uan_seed0``, ``uan_seed1``)
+the policies' seeds take these in turn, so that each method has as many policies. Policies that have had their
+iterations are left as they are, others go on from their checkpoint: the command may be stopped and given again.
+A training that fails on a GPU is tried again without compiling, then on the CPU.
+"""
+
+from __future__ import annotations
+
+import csv
+import filecmp
+import itertools
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import torch
+import tyro
+from tqdm import tqdm
+
+RECIPE = Path(__file__).parents[1] / "recipes" / "throw_arm.py"
+FILES = ("simulator.json", "corrected.json", "net.pt")
+"""Of a simulator."""
+STARTING = 75.0
+"""Of a training's time on a GPU, for what comes before its first iteration and after its last [s]."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Every field is a flag."""
+
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Of simulators."""
+    output: Path = Path("outputs/throw")
+    """Where folders of policies go."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Of the policies."""
+    iterations: int = 120
+    """Of each training, so that all have learnt from as many samples."""
+    num_envs: int = 512
+    """Of each training."""
+    horizon: int = 16
+    """Steps of each environment per iteration."""
+    evaluate_every: int = 40
+    """Iterations between measurements, each of which takes as long as some tens of iterations."""
+    jobs: int = 2
+    """Trainings at a time, which share the cores."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where to train."""
+    gpus: int = 1
+    """That the trainings share."""
+    budget: float = 36_000.0
+    """When all of them stop, whatever they have reached [s]."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One policy."""
+
+    folder: Path
+    """Of the simulator."""
+    seed: int
+    output: Path
+    device: str
+    fuse: bool = True
+
+    @property
+    def else_tried(self) -> Job | None:
+        """What to do instead if it fails."""
+        if self.device == "cpu":
+            return None
+        return replace(self, fuse=False) if self.fuse else replace(self, device="cpu")
+
+
+def main(cfg: Config) -> None:
+    end = time.monotonic() + cfg.budget
+    waiting = [job for job in jobs_of(cfg) if iterations_of(job.output) < cfg.iterations]
+    running: list[tuple[subprocess.Popen[bytes], Job]] = []
+    gpu = itertools.cycle(range(cfg.gpus))
+    with tqdm(total=len(waiting)) as bar:
+        while running or (waiting and time.monotonic() < end):
+            while waiting and len(running) < cfg.jobs and time.monotonic() < end:
+                job = waiting.pop(0)
+                running.append((start(job, cfg, seconds=end - time.monotonic(), gpu=next(gpu)), job))
+            time.sleep(0.5)
+            for process, job in list(running):
+                if process.poll() is None and time.monotonic() > end:
+                    process.kill()  # its policy is that of its last measurement
+                    process.wait()
+                if process.returncode is None:
+                    continue
+                running.remove((process, job))
+                if process.returncode > 0 and job.else_tried is not None:
+                    tqdm.write(f"{job.output.name} failed, tried again otherwise: {last_line(job.output)}")
+                    waiting.insert(0, job.else_tried)
+                    continue
+                bar.update()
+                tqdm.write(f"{job.output.name}, {iterations_of(job.output)} iterations: {last_line(job.output)}")
+
+
+def jobs_of(cfg: Config) -> list[Job]:
+    """First a policy of every method, then the second of each."""
+    methods: dict[str, list[Path]] = {}
+    for folder in cfg.folders:
+        if (folder / "simulator.json").exists():
+            methods.setdefault(re.sub(r"_seed\d+$", "", folder.name), []).append(folder)
+    turns = [(k, seed, found[k % len(found)]) for k, seed in enumerate(cfg.seeds) for found in methods.values()]
+    return [Job(folder, seed, cfg.output / f"{folder.name}-{seed}", cfg.device) for _, seed, folder in turns]
+
+
+def iterations_of(output: Path) -> int:
+    """That its policy has had; 0 without a policy."""
+    path = output / "policy.pt"
+    if not path.exists():
+        return 0
+    return int(torch.load(path, map_location="cpu", weights_only=True)["metadata"].get("iterations", 0))
+
+
+def start(job: Job, cfg: Config, seconds: float, gpu: int) -> subprocess.Popen[bytes]:
+    """A training as a process of its own, which ends within so many seconds."""
+    keep_simulator(job.folder, job.output / "simulator")
+    left = seconds - STARTING if job.device == "cuda" else 0.9 * seconds
+    flags = {
+        "simulator": job.output / "simulator",
+        "seed": job.seed,
+        "output": job.output,
+        "iterations": cfg.iterations,
+        "minutes": (max(1.0, left) + seconds_spent(job.output)) / 60,
+        "device": job.device,
+        "evaluate-every": cfg.evaluate_every,
+        "ppo.num-envs": cfg.num_envs,
+        "ppo.horizon": cfg.horizon,
+    }
+    words = [word for name, value in flags.items() for word in (f"--{name}", str(value))]
+    threads = str(max(1, len(os.sched_getaffinity(0)) // cfg.jobs))
+    own = {"OMP_NUM_THREADS": "1", "TORCHINDUCTOR_COMPILE_THREADS": threads}
+    if job.device == "cuda":
+        own["CUDA_VISIBLE_DEVICES"] = str(gpu)
+    with (job.output / "log.txt").open("ab") as log:
+        return subprocess.Popen(
+            [sys.executable, str(RECIPE), *words, *([] if job.fuse else ["--no-fuse"])],
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=os.environ | own,
+        )
+
+
+def keep_simulator(folder: Path, copy: Path) -> None:
+    """Copy what a policy is trained in, since a folder may be identified anew.
+
+    Raises:
+        ValueError: If the policy was begun in another simulator.
+    """
+    copy.mkdir(parents=True, exist_ok=True)
+    names = [name for name in FILES if (folder / name).exists()]
+    if not (copy / FILES[0]).exists():
+        for name in reversed(names):  # simulator.json last: a folder that has it is complete
+            shutil.copyfile(folder / name, copy / name)
+    differing = [
+        name for name in names if not (copy / name).exists() or not filecmp.cmp(folder / name, copy / name, False)
+    ]
+    if differing:
+        raise ValueError(
+            f"{copy.parent} was begun in another simulator than {folder} is now: {', '.join(differing)} differ. A "
+            "policy of two simulators would tell about neither. Remove that folder, or give another --output."
+        )
+
+
+def seconds_spent(output: Path) -> float:
+    """By earlier runs of this training [s]."""
+    log = output / "progress.csv"
+    if not log.exists() or not (output / "checkpoints").exists():
+        return 0.0
+    with log.open(newline="", encoding="utf-8") as file:
+        return max((float(row["seconds"] or 0) for row in csv.DictReader(file)), default=0.0)
+
+
+def last_line(output: Path) -> str:
+    """What it said of its throws, or at its end."""
+    lines = (output / "log.txt").read_text(errors="replace").replace("\r", "\n").strip().splitlines()
+    measured = [line for line in lines if " m, " in line and "failed" in line]
+    return (measured or lines or ["it said nothing"])[-1]
+
+
+def _main(arguments: Sequence[str] | None = None) -> None:
+    main(tyro.cli(Config, description=__doc__, args=arguments))
+
+
+if __name__ == "__main__":
+    _main()
