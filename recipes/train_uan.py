@@ -5,8 +5,8 @@ python recipes/train_uan.py --method ppo --device cuda --output outputs/identifi
 python recipes/train_uan.py --model outputs/diagnosis --output outputs/identification/left       # what that left
 
 Takes that say ``split: heldout``, and throws, are not looked at. A window of each other take is validated on: ``mse``
-of the open-loop replays against time stands in ``progress.csv``. The same command goes on after a kill, and with what
-lies in its folder: give each run its own. ``Simulator.load`` reads the result. How the methods compare: docs/uan.md.
+of the open-loop replays against time stands in ``progress.csv``. The same command goes on after a kill; a run of other
+takes or another model is refused its folder. ``Simulator.load`` reads the result. How the methods compare: docs/uan.md.
 """
 
 import json
@@ -20,7 +20,7 @@ from torch import nn
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import Takes, replay_env
-from torchrl_athletic.identification import Simulator
+from torchrl_athletic.identification import Simulator, digest_of
 from torchrl_athletic.networks import uan
 from torchrl_athletic.recordings import read_recordings
 from torchrl_athletic.robots import from_mjcf, z1
@@ -75,6 +75,8 @@ def main(cfg: Config) -> Simulator:
     validate = training.validation_of(given, windows, net, device=cfg.device)
     before = validate()["mse"]  # of a net that corrects nothing yet
 
+    made_of = {name: str(getattr(cfg, name)) for name in ("method", "credit", "knows", "seed", "window")}
+    made_of |= {"recordings": digest_of(recordings), "model": given.digest}
     learner = make_learner(cfg, given, takes, net)
     numbers = training.train(
         learner,
@@ -83,16 +85,17 @@ def main(cfg: Config) -> Simulator:
         evaluate=validate,
         evaluate_every=cfg.evaluate_every,
         logger=training.make_logger(cfg.logger, cfg.output, "train_uan"),
-        checkpoints=training.Checkpoints(cfg.output / "checkpoints"),
+        checkpoints=training.Checkpoints(cfg.output / "checkpoints", made_of=made_of, beside={"validation": validate}),
         checkpoint_every=cfg.evaluate_every,
         show=["reward", "mse", "lost"],
         step=training.iterate if cfg.method == "ppo" else training.descend,
     )
     best, state = validate.best
     net.load_state_dict(state)
-    notes = {name: getattr(cfg, name) for name in ("method", "credit", "knows", "seed", "device")}
-    notes |= {"training_seconds": learner.seconds, "data_seconds": sum(r.duration for r in recordings)}
+    notes = {"device": cfg.device}
+    notes |= {"training_seconds": learner.seconds, "data_seconds": sum(r.duration for r in (*pieces, *windows))}
     notes |= {"validation_mse": best, "validation_mse_last": numbers["mse"], "validation_mse_before": before}
+    notes |= {"validation_lost_last": numbers["lost"], **made_of}
     found = replace(given, net=net.cpu(), kind="correction", notes=notes)
     print(f"mean square error of replays not trained on: {before:.3g} rad² before, {best:.3g} rad² after")
     print("simulator:", found.save(cfg.output))

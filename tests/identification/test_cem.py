@@ -41,7 +41,7 @@ def test_it_finds_what_was_changed() -> None:
     assert after < before / 50
     values = [next(iter(e["parameters"].values()))["value"] for e in found.correction["effects"]]
     np.testing.assert_allclose(values[4:], TRUE[4:], rtol=0.15)  # dry and viscous friction do for each other longest
-    assert found.notes["data_seconds"] == pytest.approx(8.0)
+    assert found.notes["data_seconds"] == pytest.approx(4.0)  # eight windows of half a second, of 8 s
     assert found.notes["training_seconds"] > 0
 
 

@@ -13,7 +13,7 @@ from torch import nn
 from torchrl_athletic.identification import Simulator
 from torchrl_athletic.identification.open_loop import MOST, OpenLoopScore, open_loop, score
 from torchrl_athletic.networks import uan
-from torchrl_athletic.recordings import Recording
+from torchrl_athletic.recordings import Recording, resample
 from torchrl_athletic.robots import z1
 
 ROBOT = robot()
@@ -128,10 +128,20 @@ def hold_of(position: np.ndarray, names: tuple[str, ...], kp: np.ndarray, kd: np
     return Recording(0.005 * np.arange(len(position)), names, position, position_target=position, kp=kp, kd=kd)
 
 
-def test_another_rate_and_missing_joints_are_refused() -> None:
+def test_a_take_of_another_rate_is_replayed_on_the_grid_of_the_physics() -> None:
+    """Commands that change every 30 ms, logged at 200 Hz and at 400 Hz; and at 199.5 Hz, where 5 s are 12 ms off."""
+    take = recorded(TRUTHS[0], commands(1001, scale=0.3))
+    fine = resample(take, 0.0025)
+    odd = replace(resample(take, 1 / 199.5), velocity=None)
+    for logged, least in ((fine, 1e-3), (odd, 3e-3)):
+        [rollout] = open_loop(TRUTHS[0], [logged])
+        assert round(rollout.recording.rate, 3) == 200.0
+        assert np.sqrt(np.mean(rollout.error**2)) < least
+    assert np.ptp(take.position, axis=0).min() > 0.2
+
+
+def test_missing_joints_are_refused() -> None:
     take = recorded(TRUTHS[0], commands(100))
-    with pytest.raises(ValueError, match="Resample it"):
-        open_loop(TRUTHS[0], [replace(take, time=take.time * 2)])
     hip = hold_of(take.position[:, :1], ("hip",), np.array([40.0]), np.array([1.0]))
     with pytest.raises(ValueError, match=r"\['knee'\] of 'two_joints' are missing"):
         open_loop(TRUTHS[0], [hip])

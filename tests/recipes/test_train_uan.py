@@ -64,7 +64,7 @@ def test_it_leaves_a_simulator_a_curve_and_what_it_was_made_of(inputs, tmp_path,
     rows = CSVTable(tmp_path / "progress.csv").rows
     assert [bool(row["mse"]) for row in rows] == [False, True, True]
     notes = json.loads((tmp_path / "simulator.json").read_text())["notes"]
-    assert notes["data_seconds"] == pytest.approx(599 * 0.005)  # of one take: the other is held out
+    assert notes["data_seconds"] == pytest.approx(599 * 0.005, rel=0.01)  # of one take: the other is held out
     assert notes["training_seconds"] > 0
     assert notes["validation_mse_last"] == float(rows[-1]["mse"])
     measured = [notes["validation_mse_before"], *(float(row["mse"]) for row in rows if row["mse"])]

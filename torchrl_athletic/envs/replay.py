@@ -305,14 +305,12 @@ class ReplayTakes(RandomTransform):
         sample, (_, past) = self._draw_start(key), once_per_model(self, self._known)
         columns = joint_index(self, self.joints)
         errors = past.error[sample.unsqueeze(-1) + self.lookback][:, :, columns]  # (N, L, A, 2)
-        shown = self._shown(
-            errors.permute(0, 2, 3, 1), self.position[sample], self.velocity[sample], past.torque[sample]
-        )
+        state = self.position[sample], self.velocity[sample], past.torque[sample]
         left = (self.ends[sample] - sample).clamp(max=self.max_steps)
         return {
             "sample": sample.unsqueeze(-1),
             "steps_left": left.unsqueeze(-1),
-            "observation": shown,
+            "observation": self._shown(errors.permute(0, 2, 3, 1), *state),
             "privileged": errors.new_zeros(*errors.shape[::2], 2),
             "torque_correction": errors.new_zeros(errors.shape[::2]),
             "joint_reward": errors.new_zeros(errors.shape[::2]),

@@ -10,6 +10,7 @@ from torchrl_athletic.identification.diagnosed import identify_diagnosed
 from torchrl_athletic.identification.open_loop import OpenLoopScore, Rollout, open_loop, score
 from torchrl_athletic.identification.randomization import ARM_RANGES, randomized
 from torchrl_athletic.identification.simulator import Simulator, load_net
+from torchrl_athletic.identification.takes import digest_of, on_all_joints, on_grid
 
 __all__ = [
     "ARM_RANGES",
@@ -20,11 +21,14 @@ __all__ = [
     "Rollout",
     "Simulator",
     "compare",
+    "digest_of",
     "figure",
     "identify_actuator_net",
     "identify_cem",
     "identify_diagnosed",
     "load_net",
+    "on_all_joints",
+    "on_grid",
     "open_loop",
     "randomized",
     "score",

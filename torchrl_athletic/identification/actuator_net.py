@@ -12,8 +12,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from torchrl_athletic.identification.open_loop import identified_joints, start_velocity
+from torchrl_athletic.identification.open_loop import identified_joints
 from torchrl_athletic.identification.simulator import Simulator
+from torchrl_athletic.identification.takes import on_grid, velocity_of
 from torchrl_athletic.networks import uan
 from torchrl_athletic.recordings import Recording
 from torchrl_athletic.robots import Robot
@@ -117,6 +118,8 @@ def samples(robot: Robot, recording: Recording, history: int) -> tuple[Tensor, T
             f"{recording.source} holds no torque_measured, so there is nothing that a supervised actuator net could "
             "learn. Log the motor current, or train an Unsupervised Actuator Net, which needs none."
         )
+    recording = on_grid(recording, robot)
+    assert recording.torque_measured is not None
     names = [n for n in identified_joints(Simulator("default", robot)) if n in recording.joint_names]
     columns = [recording.joint_names.index(name) for name in names]
     errors = torch.from_numpy(tracking_errors(robot, recording)[:, columns]).float()  # (T, J, 2)
@@ -127,7 +130,7 @@ def samples(robot: Robot, recording: Recording, history: int) -> tuple[Tensor, T
 
 def tracking_errors(robot: Robot, recording: Recording) -> Array:
     """Position errors and velocity errors, as ``UANCorrection`` would see them on the robot. Shape (T, J, 2)."""
-    velocity = start_velocity(recording)
+    velocity = velocity_of(recording)
     if recording.position_target is not None:
         return np.stack([recording.position_target - recording.position, -velocity], axis=-1)
     columns = [robot.joint_names.index(name) for name in recording.joint_names]

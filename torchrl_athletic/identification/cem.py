@@ -16,12 +16,12 @@ from torchrl_athletic.identification.open_loop import (
     MOST,
     gains_of,
     identified_joints,
-    on_all_joints,
     replay_env,
     simulate,
     windows_of,
 )
 from torchrl_athletic.identification.simulator import Simulator
+from torchrl_athletic.identification.takes import on_all_joints
 from torchrl_athletic.recordings import Recording
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.robots.corrected import SCHEMA
@@ -128,7 +128,7 @@ def identify_cem(
         **base.notes,
         "seed": seed,
         "training_seconds": seconds,
-        "data_seconds": float(sum(r.duration for r in recordings)),
+        "data_seconds": float(base.notes.get("data_seconds", 0.0)) + objective.seconds,
         "fit_mse": least,
         "generations": generation + 1,
     }
@@ -198,10 +198,11 @@ class WindowError:
         self.nominal = _nominal(robot, self.free)
         # with the softness of friction that the found values will be simulated with
         simulator = replace(simulator, correction=correction_with(simulator.correction, self.free, self.nominal))
-        takes = [on_all_joints(simulator, recording) for recording in recordings]
-        index = _draw([windows_of(r, settings.window) for r in recordings], settings.windows, seed)
+        takes = [on_all_joints(recording, robot) for recording in recordings]
+        index = _draw([windows_of(take, settings.window) for take in takes], settings.windows, seed)
         self.takes, self.index = zip(*[(t, i) for t, i in zip(takes, index, strict=True) if len(i)], strict=True)
         self.steps = max(i.shape[1] for i in self.index)
+        self.seconds = sum(i.size for i in self.index) * float(robot.model().opt.timestep)
         self.measured = np.concatenate([t.position[i] for t, i in zip(self.takes, self.index, strict=True)])
         self.population = settings.population
         fields = tuple(dict.fromkeys(f.field for f in self.free))

@@ -13,8 +13,8 @@ from torchrl_athletic.diagnosis import Diagnosis, diagnose
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.effects import CATALOGUE, Effect
 from torchrl_athletic.identification.cem import CEM, identify_cem
-from torchrl_athletic.identification.open_loop import start_velocity
 from torchrl_athletic.identification.simulator import Simulator
+from torchrl_athletic.identification.takes import velocity_of
 from torchrl_athletic.recordings import Recording
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.transforms.corrected_actuation import NOT_ACTED_OUT, OF_THE_RECORDING
@@ -79,7 +79,7 @@ def identify_diagnosed(
             output=output,
             progress=progress,
         )
-    found = simulator_of(diagnosis, robot, recordings, time.perf_counter() - started, seed)
+    found = simulator_of(diagnosis, robot, taken, time.perf_counter() - started, seed)
     return found if refine is None else identify_cem(robot, recordings, refine, given=found, seed=seed)
 
 
@@ -104,7 +104,7 @@ def within_limits(robot: Robot, recording: Recording) -> Recording:
     """
     columns = [robot.joint_names.index(name) for name in recording.joint_names]
     limit, fastest = (np.asarray(v)[columns] for v in (robot.torque_limit, robot.velocity_limit))
-    velocity, position = start_velocity(recording), recording.position
+    velocity, position = velocity_of(recording), recording.position
     used = velocity / fastest
     low, high = -limit * (1 + np.clip(used, -1, 0)), limit * (1 - np.clip(used, 0, 1))
     if recording.position_target is None:

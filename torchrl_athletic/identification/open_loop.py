@@ -15,8 +15,9 @@ from torchrl.envs import Compose, TransformedEnv
 
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.identification.simulator import Simulator
+from torchrl_athletic.identification.takes import on_all_joints, on_grid, velocity_of
 from torchrl_athletic.physics import BatchPhysics
-from torchrl_athletic.recordings import Recording
+from torchrl_athletic.recordings import Recording, RecordingError
 from torchrl_athletic.transforms import CorrectedActuation
 
 Array = NDArray[np.float64]
@@ -34,6 +35,7 @@ class Rollout:
     """A recording, and what a simulator made of its commands. W windows of L steps, J joints."""
 
     recording: Recording
+    """On the grid of the physics."""
     index: NDArray[np.intp]
     """Samples of the recording that are predicted; a window's start is the sample before. Shape (W, L)."""
     position: Array
@@ -83,12 +85,13 @@ def open_loop(simulator: Simulator, recordings: Sequence[Recording], window: flo
         simulator: What is judged.
         recordings: Of the robot's joints, or of those that were identified; the others then hold their default.
         window: Start anew from the measured state every so often [s]; None is one rollout over the whole take.
+            Recordings of another rate than the physics' are resampled.
 
     Returns:
         One rollout for each recording, in their order.
 
     Raises:
-        ValueError: If a recording was sampled at another rate than the simulation steps, or lacks joints.
+        RecordingError: If a recording lacks joints that were identified, or names others than the robot's.
 
     Source:
         Fey et al. 2025, section III-A, figure 5.
@@ -120,13 +123,6 @@ def score(rollouts: Sequence[Rollout]) -> OpenLoopScore:
     return OpenLoopScore(float(squared.mean()), by_joint, float(diverged.mean()))
 
 
-def start_velocity(recording: Recording) -> Array:
-    """As logged, or central differences of the position [rad/s]. Shape (T, J)."""
-    if recording.velocity is not None:
-        return recording.velocity
-    return np.gradient(recording.position, recording.time, axis=0)
-
-
 def gains_of(recording: Recording) -> tuple[tuple[float, ...], ...]:
     """What tells recordings apart that cannot run in one batch: gains, or none."""
     if recording.position_target is None:
@@ -138,7 +134,10 @@ def gains_of(recording: Recording) -> tuple[tuple[float, ...], ...]:
 
 def _rolled(simulator: Simulator, recordings: Sequence[Recording], window: float | None) -> Iterator[Rollout]:
     """Rollouts of takes with the same gains."""
-    takes = [on_all_joints(simulator, recording) for recording in recordings]
+    for recording in recordings:
+        _check_identified(simulator, recording)
+    recordings = [on_grid(recording, simulator.robot) for recording in recordings]
+    takes = [on_all_joints(recording, simulator.robot) for recording in recordings]
     index = [windows_of(recording, window) for recording in recordings]
     rows = sum(len(i) for i in index)
     env = replay_env(simulator, takes[0], rows)
@@ -153,50 +152,13 @@ def _rolled(simulator: Simulator, recordings: Sequence[Recording], window: float
         first += len(i)
 
 
-@dataclass(frozen=True, eq=False)
-class Take:
-    """A recording on all joints of the robot, in its order. T samples, shapes (T, J)."""
-
-    position: Array
-    velocity: Array
-    command: Array
-    kp: Array | None
-    kd: Array | None
-
-
-def on_all_joints(simulator: Simulator, recording: Recording) -> Take:
-    """Joints that were not recorded rest at their default."""
-    robot = simulator.robot
-    names = list(robot.joint_names)
-    step = float(robot.model().opt.timestep)
-    if abs(recording.rate * step - 1.0) > 0.02:
-        raise ValueError(
-            f"{recording.source} was sampled at {recording.rate:.1f} Hz, the simulation steps at {1 / step:.1f} Hz: "
-            "commands would act too long or too short. Resample it: torchrl_athletic.recordings.resample."
-        )
+def _check_identified(simulator: Simulator, recording: Recording) -> None:
     missing = [name for name in identified_joints(simulator) if name not in recording.joint_names]
-    strange = [name for name in recording.joint_names if name not in names]
-    if missing or strange:
-        raise ValueError(
-            f"{recording.source} holds the joints {recording.joint_names}; {missing} of {robot.name!r} are missing "
-            f"and {strange} unknown, so the robot would not move as it did. Record all joints under the model's names."
+    if missing:
+        raise RecordingError(
+            f"{recording.source} holds the joints {recording.joint_names}; {missing} of {simulator.robot.name!r} are "
+            "missing, so the robot would not move as it did. Record all joints under the model's names."
         )
-    columns = [names.index(name) for name in recording.joint_names]
-    positions = recording.position_target is not None
-    rest = np.tile(np.asarray(robot.default_pose), (recording.num_samples, 1))
-
-    def spread(values: Array, others: Array) -> Array:
-        out = others.copy()
-        out[..., columns] = values
-        return out
-
-    return Take(
-        position=spread(recording.position, rest),
-        velocity=spread(start_velocity(recording), np.zeros_like(rest)),
-        command=spread(recording.command, rest if positions else np.zeros_like(rest)),
-        kp=spread(recording.kp, np.asarray(robot.kp)) if recording.kp is not None else None,
-        kd=spread(recording.kd, np.asarray(robot.kd)) if recording.kd is not None else None,
-    )
 
 
 def identified_joints(simulator: Simulator) -> tuple[str, ...]:
@@ -212,7 +174,7 @@ def windows_of(recording: Recording, window: float | None) -> NDArray[np.intp]:
     return np.arange(0, last - length + 1, length)[:, None] + np.arange(1, length + 1)
 
 
-def replay_env(simulator: Simulator, take: Take, rows: int, fields: Sequence[str] = ()) -> TransformedEnv:
+def replay_env(simulator: Simulator, take: Recording, rows: int, fields: Sequence[str] = ()) -> TransformedEnv:
     """Rows that follow a simulator's chain under commands as the take's, with fields of the model of their own."""
     robot = simulator.robot
     positions = take.kp is not None
@@ -226,7 +188,7 @@ def replay_env(simulator: Simulator, take: Take, rows: int, fields: Sequence[str
 
 
 def simulate(
-    env: TransformedEnv, takes: Sequence[Take], index: Sequence[NDArray[np.intp]], steps: int
+    env: TransformedEnv, takes: Sequence[Recording], index: Sequence[NDArray[np.intp]], steps: int
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Positions as the encoders read them, shape (rows, steps, J), and which rows became unstable."""
     chain, base = env.transform, env.base_env
@@ -235,7 +197,7 @@ def simulate(
     before = range(-WARM_UP, 1)
     shown = {
         "joint_position": _true(chain, stacked([t.position for t in takes], start, before)),
-        "joint_velocity": stacked([t.velocity for t in takes], start, before),
+        "joint_velocity": stacked([velocity_of(t) for t in takes], start, before),
     }
     earlier = stacked([t.command for t in takes], start, before)
     model, rows = base.physics.model, command.shape[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -64,7 +65,7 @@ class Simulator:
     correction: Mapping[str, Any] | None = None
     """Content of a ``corrected.json``: friction, damping, armature and what else has a name. None changes nothing."""
     net: nn.Module | None = None
-    """As :func:`~torchrl_athletic.networks.uan` makes it: what it sees of each joint, (*B, J, F), to (*B, J, 1) [N·m]."""
+    """As :func:`~torchrl_athletic.networks.uan` makes it: what it sees, (*B, J, F), to (*B, J, 1) [N·m]."""
     kind: Kind = "none"
     randomization: RandomizationRanges | None = None
     """What differs between episodes of a policy's training; replays take the robot as it is."""
@@ -97,6 +98,17 @@ class Simulator:
     def fields(self) -> tuple[str, ...]:
         """Of the model, that differ between rows of an environment: ``TorqueEnv(..., fields=simulator.fields)``."""
         return () if self.randomization is None else self._randomizer(0).fields
+
+    @property
+    def digest(self) -> str:
+        """Names what acts in it: another model, correction, net or range of randomisation gives another digest."""
+        total = hashlib.sha256(self.robot.spec().to_xml().encode())
+        told = (self.kind, self.nominal.kp, self.nominal.kd, self.nominal.torque_limit, self.nominal.velocity_limit)
+        total.update(repr((told, self.randomization)).encode())
+        total.update(json.dumps(self.correction, sort_keys=True).encode())
+        for name, value in () if self.net is None else self.net.state_dict().items():
+            total.update(f"{name} {value if isinstance(value, list) else value.cpu().numpy().tobytes()!r}".encode())
+        return total.hexdigest()[:16]
 
     def on(self, robot: Robot) -> Simulator:
         """The same identification on a variant of the robot, such as one with a tool in its hand."""
@@ -194,6 +206,9 @@ class Simulator:
             "kind": self.kind,
             "corrected": self.correction is not None,
             "randomization": None if self.randomization is None else asdict(self.randomization),
+            "joint_names": list(self.nominal.joint_names),
+            "kp": list(self.nominal.kp),
+            "kd": list(self.nominal.kd),
             "notes": dict(self.notes),
         }
         _write(folder / "simulator.json", content)
@@ -209,7 +224,8 @@ class Simulator:
 
         Raises:
             FileNotFoundError: If the folder holds no simulator.
-            ValueError: If it was written by another version.
+            ValueError: If it was written by another version, or the robot has other joints than were identified, or a
+                net was trained under other gains.
         """
         folder = Path(folder)
         if not (folder / "simulator.json").exists():
@@ -227,7 +243,29 @@ class Simulator:
         if ranges is not None:
             ranges = RandomizationRanges(**{k: None if v is None else tuple(v) for k, v in ranges.items()})
         net = None if content["kind"] == "none" else load_net(folder / "net.pt")
+        _check_robot(folder, content, robot)
         return cls(content["method"], robot, correction, net, content["kind"], ranges, content["notes"])
+
+
+def _check_robot(folder: Path, content: Mapping[str, Any], robot: Robot) -> None:
+    names = content.get("joint_names", [])
+    missing = [name for name in names if name not in robot.joint_names]
+    if missing:
+        raise ValueError(
+            f"{folder}: {missing} were identified, {robot.name!r} has the joints {list(robot.joint_names)}: what was "
+            "found would act on other joints. Give the robot that was identified, or a variant of it."
+        )
+    if content["kind"] == "none":
+        return
+    for gain in ("kp", "kd"):
+        then = content.get(gain, [])
+        now = [getattr(robot, gain)[robot.joint_names.index(name)] for name in names]
+        if any(abs(a - b) > 1e-3 * abs(a) for a, b in zip(then, now, strict=True)):
+            raise ValueError(
+                f"{folder}: the net was trained with {gain} {then}, {robot.name!r} has {now}: the errors that it sees "
+                f"would mean other torques. Give the robot these gains, dataclasses.replace(robot, {gain}=...), or "
+                "train a net with its own."
+            )
 
 
 def load_net(path: str | os.PathLike[str]) -> nn.Module:

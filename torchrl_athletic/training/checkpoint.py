@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -36,6 +37,9 @@ class Checkpoints:
     Args:
         folder: Is made.
         keep: How many stay.
+        made_of: What the run is of, by name: method, seed, a digest of the data. A run of something else is not gone on
+            with.
+        beside: What else shall be as it was, by name.
 
     Example:
         >>> import tempfile, torch
@@ -49,8 +53,16 @@ class Checkpoints:
         True
     """
 
-    def __init__(self, folder: str | Path, keep: int = 3) -> None:
+    def __init__(
+        self,
+        folder: str | Path,
+        keep: int = 3,
+        *,
+        made_of: Mapping[str, str | int] | None = None,
+        beside: Mapping[str, HasState] | None = None,
+    ) -> None:
         self.rotation = CheckpointRotation(folder, keep_last=keep)
+        self.made_of, self.beside = _Facts(made_of or {}), dict(beside or {})
 
     def save(self, learner: Any, logger: Any = None) -> Path:
         """Write a new one and remove the oldest.
@@ -59,24 +71,55 @@ class Checkpoints:
             learner: With ``state_dict`` and ``iteration``, which names the checkpoint.
             logger: Whose position is kept if it is a :class:`~.CSVTable`; others start a new run when training goes on.
         """
-        return self.rotation.save(_checkpoint(learner, logger), step=learner.iteration)
+        return self.rotation.save(self._checkpoint(learner, logger), step=learner.iteration)
 
     def resume(self, learner: HasState, logger: Any = None) -> bool:
         """Take over the newest state; tells whether there was one.
 
         Raises:
             RuntimeError: If the networks or the optimisers are of other sizes.
+            ValueError: If the run was of something else.
         """
         if self.rotation.latest() is None:
             return False
-        self.rotation.load_latest(_checkpoint(learner, logger))
+        self._check_what_it_is_of()
+        self.rotation.load_latest(self._checkpoint(learner, logger))
         return True
 
+    def _check_what_it_is_of(self) -> None:
+        """Before anything is taken over."""
+        found = _Facts({})
+        self.rotation.load_latest(_of_parts({"made_of": found}), strict="ignore")
+        then, now = found.facts, self.made_of.facts
+        for name in sorted(then.keys() | now.keys()):
+            if then.get(name) != now.get(name):
+                raise ValueError(
+                    f"{self.rotation.directory} holds a run whose {name} is {then.get(name)!r}; here it is "
+                    f"{now.get(name)!r}. Going on would mix two trainings in one net. Give this one a folder of its "
+                    f"own (--output), or the {name} of then."
+                )
 
-def _checkpoint(learner: HasState, logger: Any) -> Checkpoint:
-    parts: dict[str, Any] = {"learner": learner, "generators": GlobalRNGState()}
-    if isinstance(logger, CSVTable):  # other loggers start a new run, which refuses the state of an old one
-        parts["logger"] = logger
+    def _checkpoint(self, learner: HasState, logger: Any) -> Checkpoint:
+        parts: dict[str, Any] = {"learner": learner, "generators": GlobalRNGState(), "made_of": self.made_of}
+        if isinstance(logger, CSVTable):  # other loggers start a new run, which refuses the state of an old one
+            parts["logger"] = logger
+        return _of_parts(parts | self.beside)
+
+
+class _Facts:
+    """What does not change, kept as a state is."""
+
+    def __init__(self, facts: Mapping[str, str | int]) -> None:
+        self.facts = dict(facts)
+
+    def state_dict(self) -> dict[str, Any]:
+        return dict(self.facts)
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        self.facts = dict(state_dict)
+
+
+def _of_parts(parts: Mapping[str, Any]) -> Checkpoint:
     checkpoint = Checkpoint()
     for name, part in parts.items():
         checkpoint.register(name, part, adapter=FORMAT)

@@ -19,9 +19,10 @@ from torchrl.modules import MLP, ValueOperator
 from torchrl_athletic.envs.replay import HISTORY, Takes, replay_env
 from torchrl_athletic.functional import actuation
 from torchrl_athletic.identification import Simulator
+from torchrl_athletic.identification.takes import check_joints, on_all_joints, velocity_of
 from torchrl_athletic.networks.actor_critic import GaussianHead, gaussian_actor
 from torchrl_athletic.networks.actuator_net import LINEAR, InUnits, PerJoint, sizes_of, uan_actor
-from torchrl_athletic.recordings import Recording, RecordingError, resample
+from torchrl_athletic.recordings import Recording, RecordingError
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.training.captured import CapturedRollout
 from torchrl_athletic.training.ppo import PPO, UAN, Learner
@@ -29,7 +30,7 @@ from torchrl_athletic.training.ppo import PPO, UAN, Learner
 Credit = Literal["arm", "joint"]
 """Whether all joints share one reward, as in the paper, or each earns its own."""
 Knows = Literal["errors", "joint", "arm"]
-"""What a net is told of a joint: its errors, as in the paper; also which one it is; also how the arm stands and moves."""
+"""What a net is told: a joint's errors, as in the paper; also which joint it is; also how the arm stands and moves."""
 
 SHARPNESS = 30.0
 """How much finer velocities are seen about zero than at their standard deviation."""
@@ -38,8 +39,7 @@ SHARPNESS = 30.0
 def takes_of(recordings: Sequence[Recording], robot: Robot) -> Takes:
     """Recordings as :class:`~torchrl_athletic.envs.replay.Takes`, in the robot's order and on its physics' time step.
 
-    Velocities are the measured ones; where a robot logs none, the slope of a cubic through seven positions. Joints of
-    the robot that position-driven takes do not name rest at their default.
+    What :func:`~torchrl_athletic.identification.takes.on_all_joints` makes of each take, as for scores.
 
     Args:
         recordings: All driven by position targets, or all by torques.
@@ -64,56 +64,19 @@ def takes_of(recordings: Sequence[Recording], robot: Robot) -> Takes:
             "some takes are driven by position targets and others by torques: the errors that the net sees would mean "
             "two things. Train on one kind."
         )
-    step = float(robot.model().opt.timestep)
-    pieces = [_on_grid(r, robot, step) for r in recordings]
+    whole = [on_all_joints(_of_these_gains(r, robot), robot) for r in recordings]
     position, velocity, command = (
-        torch.from_numpy(np.concatenate(column)).float() for column in zip(*pieces, strict=True)
+        torch.from_numpy(np.concatenate(column)).float()
+        for column in zip(*((r.position, velocity_of(r), r.command) for r in whole), strict=True)
     )
-    lengths = tuple(len(piece[0]) for piece in pieces)
+    lengths = tuple(r.num_samples for r in whole)
     return Takes(position, velocity, command, lengths, "torque" if "torque" in driven else "position")
 
 
-def _on_grid(recording: Recording, robot: Robot, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, velocity and command of all the robot's joints. Shape (T, J) each."""
-    _check_joints(recording, robot)
-    _check_gains(recording, robot)
-    if abs(recording.rate * step - 1) > 1e-3:
-        recording = resample(recording, step)
-    velocity = recording.velocity if recording.velocity is not None else _slope(recording.position, step)
-    columns = [robot.joint_names.index(name) for name in recording.joint_names]
-    rest = np.tile(np.asarray(robot.default_pose), (recording.num_samples, 1))
-    whole = []
-    for values, base in ((recording.position, rest), (velocity, 0 * rest), (recording.command, rest)):
-        filled = base.copy()
-        filled[:, columns] = values
-        whole.append(filled)
-    return whole[0], whole[1], whole[2]
-
-
-def _slope(position: np.ndarray, step: float) -> np.ndarray:
-    from scipy.signal import savgol_filter
-
-    return np.asarray(savgol_filter(position, 7, 3, deriv=1, delta=step, axis=0))
-
-
-def _check_joints(recording: Recording, robot: Robot) -> None:
-    unknown = [name for name in recording.joint_names if name not in robot.joint_names]
-    if unknown:
-        raise RecordingError(
-            f"{recording.source}: joint {unknown[0]!r} is none of {robot.name}'s {robot.joint_names}. Rename the "
-            "columns, or give the robot that was recorded."
-        )
-    if recording.torque_command is not None and recording.num_joints < len(robot.joint_names):
-        missing = [name for name in robot.joint_names if name not in recording.joint_names]
-        raise RecordingError(
-            f"{recording.source}: there is no torque of {missing}, which would fall limp in the replay. Record all "
-            "joints, or take a model in which these are welded."
-        )
-
-
-def _check_gains(recording: Recording, robot: Robot) -> None:
-    if recording.kp is None or recording.kd is None:
-        return
+def _of_these_gains(recording: Recording, robot: Robot) -> Recording:
+    """As it came, if its gains are the robot's."""
+    if recording.kp is None or recording.kd is None or not set(recording.joint_names) <= set(robot.joint_names):
+        return recording
     columns = [robot.joint_names.index(name) for name in recording.joint_names]
     for name, given, known in (("kp", recording.kp, robot.kp), ("kd", recording.kd, robot.kd)):
         wanted = np.asarray(known)[columns]
@@ -123,6 +86,7 @@ def _check_gains(recording: Recording, robot: Robot) -> None:
                 "torques would be others. Give the robot the gains of the takes: dataclasses.replace(robot, "
                 f"{name}=...)."
             )
+    return recording
 
 
 def for_training(recordings: Sequence[Recording]) -> list[Recording]:
@@ -235,8 +199,8 @@ class MeanPolicy(nn.Module):
 class Validation:
     """Open-loop replays of windows that nothing is trained on, one a row, from their first moments to their ends.
 
-    A replay that diverges, or leaves the recording by more than the bound, is lost: from there to the window's end it is
-    charged the square of the bound, or a net would gain by losing it.
+    A replay that diverges, or leaves the recording by more than the bound, is lost: from there to the window's end it
+    is charged the square of the bound, or a net would gain by losing it.
 
     Args:
         env: :func:`~torchrl_athletic.envs.replay.replay_env` with a row for each window and ``by_row``.
@@ -478,7 +442,7 @@ def with_gains_of(robot: Robot, recordings: Sequence[Recording]) -> Robot:
     """
     kp, kd = list(robot.kp), list(robot.kd)
     for r in recordings:
-        _check_joints(r, robot)
+        check_joints(r, robot)
         if r.kp is None or r.kd is None:
             continue
         for name, p, d in zip(r.joint_names, r.kp.tolist(), r.kd.tolist(), strict=True):

@@ -273,12 +273,12 @@ class UANCorrection(StatefulTransform):
     :class:`PDControl`, which notes the target, and within :class:`~.Decimation`: it runs at the physics rate.
 
     Args:
-        net: Maps :func:`~.functional.actuation.uan_features`, (*B, J, 2 * length), to (*B, J, 1) [N·m]. Not trained here: it runs without
-            gradients unless ``differentiable``.
+        net: Maps :func:`~.functional.actuation.uan_features`, (*B, J, 2 * length), to (*B, J, 1) [N·m]. Not trained
+            here: it runs without gradients unless ``differentiable``.
         joints: Which it corrects.
         length: Steps that it sees, the newest included.
         scale: Unit of its output [N·m].
-        state: Whether each joint is also shown the state of the group, 3 J numbers more (:func:`~.functional.actuation.uan_features`).
+        state: Whether each joint is also shown positions, velocities and torques of the group, 3 J numbers more.
         differentiable: Whether gradients shall flow through the net.
         torque_key: What is corrected [N·m]. Shape (*B, J).
         target_key: [rad]. Shape (*B, J).
