@@ -1,0 +1,125 @@
+"""A command file is replayed as a user would, and what it leaves is graded by what no motion can tell apart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from benchmarks.concealed.cases import Case, Session, prepare
+from benchmarks.concealed.hidden import Truth
+from benchmarks.concealed.next_experiment import ambiguous, grade, replayed, report, same_physics
+from benchmarks.concealed.score import Row
+from torchrl_athletic.diagnosis.experiment import RATE
+
+
+@cache
+def session_of(mode: str) -> Session:
+    """A case of one joint that hides nothing and errs in nothing but its sensors."""
+    return next(
+        s
+        for s in (prepare("tuning", "nothing", k) for k in range(60))
+        if s.robot.joints == 1 and s.case.mode == mode and not s.robot.tree.slide[0]
+    )
+
+
+def command_file(session, folder, swing=0.3):
+    time = np.arange(round(6 * RATE)) / RATE
+    target = session.robot.centre + swing * np.sin(2 * np.pi * 0.25 * time)[:, None]
+    kp, kd = (session.kp, session.kd) if session.case.mode == "position_target" else (np.array([20.0]), np.array([2.0]))
+    path = folder / "next_experiment.npz"
+    np.savez(path, time=time, position_target=target, kp=kp, kd=kd)
+    return path, target, kp, kd
+
+
+def test_who_takes_torques_is_sent_those_of_the_files_loop(tmp_path):
+    session = session_of("torque_command")
+    path, target, kp, kd = command_file(session, tmp_path)
+    log = replayed(session, path, 1000)
+    assert log.rate == pytest.approx(session.case.rate, rel=0.01)
+    speed = np.gradient(log.position, log.time, axis=0)
+    held = target[np.clip(np.searchsorted(np.arange(len(target)) / RATE, log.time + 1e-4) - 1, 0, None)]
+    sent = np.linalg.lstsq(np.hstack([held - log.position, -speed]), log.torque_command[:, 0], rcond=None)[0]
+    np.testing.assert_allclose(sent, [kp[0], kd[0]], rtol=0.15)  # the speed is a difference of noisy readings
+    assert np.ptp(log.position) > 0.1  # it did move
+
+
+def test_who_takes_targets_is_sent_the_files_and_follows(tmp_path):
+    session = session_of("position_target")
+    path, target, kp, _ = command_file(session, tmp_path)
+    log = replayed(session, path, 1000)
+    np.testing.assert_array_equal(log.kp, kp)
+    assert log.torque_command is None
+    assert set(np.unique(log.position_target)) <= set(np.unique(target))
+    assert np.corrcoef(log.position[:, 0], log.position_target[:, 0])[0, 1] > 0.8
+
+
+def test_a_robot_that_is_driven_away_is_no_experiment(tmp_path):
+    session = session_of("position_target")
+    path, *_ = command_file(session, tmp_path, swing=50.0)
+    session = replace(session, kp=100 * session.kp)
+    with pytest.raises(RuntimeError, match="out of its range"):
+        replayed(session, path, 1000)
+
+
+def hidden(effect: str, joint: str | None, *equivalents) -> Case:
+    """On a hinge of one joint."""
+    drawn = session_of("torque_command").case
+    return replace(drawn, truths=(Truth(effect, joint, {}),), equivalents=(equivalents,))
+
+
+def finding(effect, joint, probability, *rivals) -> dict:
+    given = [{"effect": e, "joint": j, "probability": p} for e, j, p in rivals]
+    return {"effect": effect, "joint": joint, "probability": probability, "rivals": given}
+
+
+def test_an_identity_holds_both_ways_and_a_likeness_of_the_recordings_does_not_count():
+    joint = session_of("torque_command").robot.joint_names[0]
+    tilt = hidden("gravity_tilt", None, ("encoder_offset", joint))
+    assert same_physics(tilt) == {("gravity_tilt", None), ("encoder_offset", joint)}
+    lag = hidden("actuation_lag", joint, ("actuation_delay", joint))
+    assert same_physics(lag) == {("actuation_lag", joint)}
+
+
+@pytest.mark.parametrize(
+    ("last", "experiments", "left"),
+    [
+        ([("gravity_tilt", None, 0.6, ("joint_spring", "J", 0.03))], 1, "one"),
+        ([("encoder_offset", "J", 0.6, ("gravity_tilt", None, 0.3))], 1, "identical"),
+        ([("encoder_offset", "J", 0.4, ("joint_spring", "J", 0.3))], 1, "several"),
+        ([("encoder_offset", "J", 0.4, ("joint_spring", "J", 0.3))], 0, "not proposed"),
+        ([("joint_spring", "J", 0.9, ("gravity_tilt", None, 0.05))], 1, "wrong"),
+        ([("joint_spring", "J", 0.9)], 1, "lost"),
+        ([], 1, "lost"),
+        ([("coulomb_friction", "J", 0.9), ("gravity_tilt", None, 0.5)], 1, "one"),
+    ],
+)
+def test_what_is_left_is_graded_by_its_share_of_the_answer_set(last, experiments, left):
+    joint = session_of("torque_command").robot.joint_names[0]
+    named = [[joint if part == "J" else part for part in f[:3]] for f in last]
+    rivals = [[tuple(joint if part == "J" else part for part in r) for r in f[3:]] for f in last]
+    findings = [finding(*f, *r) for f, r in zip(named, rivals, strict=True)]
+    case = hidden("gravity_tilt", None, ("encoder_offset", joint))
+    result = {"answers": [{"findings": []}, {"findings": findings}], "experiments": [{"sentence": "x"}] * experiments}
+    assert grade(case, result) == left
+    assert grade(case, {**result, "error": "broke"}) == "failed"
+
+
+def test_an_answer_is_ambiguous_where_no_name_has_nine_tenths_of_its_set():
+    case = hidden("gravity_tilt", None)
+    clear, vague = (
+        Row(case, {"answer": {"findings": [finding("gravity_tilt", None, 0.7, ("torque_offset", "a", p))]}})
+        for p in (0.05, 0.2)
+    )
+    assert not ambiguous(clear)
+    assert ambiguous(vague)
+    assert not ambiguous(Row(case, {"error": "broke"}))
+
+
+def test_every_case_is_in_the_report_those_that_failed_included():
+    case = hidden("gravity_tilt", None)
+    lines = report([(case, {"error": "broke", "answers": [], "experiments": []})], "tuning", 0)
+    assert "| all | 1 | 0 | 0 | 0 | 0 | 0 | 0 | 1 |" in lines
+    assert lines[-1].endswith("| broke | failed |")
