@@ -4,8 +4,9 @@ python recipes/compare_identification.py --simulators outputs/identification/*
 
 Mean squared error of the position, over whole takes (24 s, 5 min and the 5 s throw), over 20 s and over 0.5 s windows;
 a table, a figure and all numbers. Square, sine and the first Gaussian take were seen in training; the second Gaussian
-take and the throw were not. What a simulator scored is kept beside it, so that the same command goes on after Ctrl-C.
-Simulators for domain randomisation are left out: until an episode draws an arm, they are the default one.
+take and the throw were not. What a simulator scored is kept beside it under digests of takes and simulator, so that the
+same command goes on after Ctrl-C. Simulators for domain randomisation are left out: until an episode draws an arm, they
+are the default one.
 Results and figure: docs/identification.md.
 """
 
@@ -13,33 +14,38 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import torch
 import tyro
 from tqdm import tqdm
 
-from torchrl_athletic.identification import Result, Rollout, Simulator, compare, figure, open_loop, table
+from torchrl_athletic.identification import Result, Rollout, Simulator, compare, digest_of, figure, open_loop, table
 from torchrl_athletic.recordings import Recording, read_recordings
-from torchrl_athletic.robots import z1
+from torchrl_athletic.robots import from_mjcf, z1
+from torchrl_athletic.training import with_gains_of
 
 
 @dataclass(frozen=True)
 class Config:
     recordings: Path = Path("outputs/recordings/z1")
-    """Folder of takes of a Z1."""
+    """Folder of takes."""
     simulators: tuple[Path, ...] = field(
         default_factory=lambda: tuple(sorted(Path("outputs/identification").glob("*")))
     )
     """Folders that methods of identification wrote."""
     output: Path = Path("outputs/comparison")
     """Folder for the table, the numbers and the figure."""
+    robot: str = "z1"
+    """``z1``, or the path of an MJCF."""
     windows: tuple[float, ...] = (20.0, 0.5)
     """Beside whole takes: after how long rollouts start anew from the measured state [s]."""
 
 
 def main(cfg: Config) -> None:
     torch.set_num_threads(1)  # a batch of rollouts is too small for more
-    robot, takes = z1(), read_recordings(cfg.recordings)
+    takes = read_recordings(cfg.recordings)
+    robot = with_gains_of(z1() if cfg.robot == "z1" else from_mjcf(cfg.robot), takes)
     groups = {name: [t for t in takes if group_of(t) == name] for name in dict.fromkeys(map(group_of, takes))}
     found = {f: Simulator.load(f, robot) for f in cfg.simulators if (f / "simulator.json").exists()}
     judged = {folder: simulator for folder, simulator in found.items() if simulator.randomization is None}
@@ -67,15 +73,15 @@ def group_of(take: Recording) -> str:
 def scored(
     folder: Path, simulator: Simulator, groups: dict[str, list[Recording]], windows: Sequence[float | None]
 ) -> list[Result]:
-    """From the file beside the simulator, if it is newer and of the same windows."""
-    kept, asked = folder / "scores.json", [None if w is None else f"{w:g} s" for w in windows]
-    if kept.exists() and kept.stat().st_mtime > (folder / "simulator.json").stat().st_mtime:
-        content = json.loads(kept.read_text())
-        if content["windows"] == asked and content["groups"] == {g: len(t) for g, t in groups.items()}:
-            return [Result(**result) for result in content["results"]]
+    """From the file beside the simulator, if that and the takes are the same, down to the numbers."""
+    kept = folder / "scores.json"
+    asked: dict[str, Any] = {"windows": [None if w is None else f"{w:g} s" for w in windows]}
+    asked |= {"simulator": simulator.digest, "takes": {name: digest_of(of) for name, of in groups.items()}}
+    content = json.loads(kept.read_text()) if kept.exists() else {}
+    if all(content.get(name) == value for name, value in asked.items()):
+        return [Result(**result) for result in content["results"]]
     results = compare(simulator, groups, windows)
-    content = {"windows": asked, "groups": {g: len(t) for g, t in groups.items()}}
-    kept.write_text(json.dumps(content | {"results": [r.to_json() for r in results]}, indent=1))
+    kept.write_text(json.dumps(asked | {"results": [r.to_json() for r in results]}, indent=1))
     return results
 
 

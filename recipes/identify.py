@@ -29,7 +29,8 @@ from torchrl_athletic.identification import (
     score,
 )
 from torchrl_athletic.recordings import Recording, read_recordings
-from torchrl_athletic.robots import Robot, z1
+from torchrl_athletic.robots import Robot, from_mjcf, z1
+from torchrl_athletic.training import with_gains_of
 
 Method = Literal["default", "cem", "actuator_net", "diagnosed", "dr", "roa"]
 
@@ -39,9 +40,11 @@ class Config:
     method: Method
     """What identifies."""
     recordings: Path = Path("outputs/recordings/z1")
-    """Folder of takes of a Z1."""
+    """Folder of takes."""
     output: Path = Path("outputs/identification")
     """Folder of simulators."""
+    robot: str = "z1"
+    """``z1``, or the path of an MJCF."""
     seed: int = 0
     """Of the search, the weights, the windows."""
     cem: CEM = field(default_factory=CEM)
@@ -55,10 +58,10 @@ class Config:
 
 
 def main(cfg: Config) -> None:
-    robot = z1()
     takes = [take for take in read_recordings(cfg.recordings) if take.metadata.get("split") != "heldout"]
     if not takes:
         raise SystemExit(f"{cfg.recordings} holds no takes to fit. Record some: recipes/collect_recordings.py.")
+    robot = with_gains_of(z1() if cfg.robot == "z1" else from_mjcf(cfg.robot), takes)
     simulator = identify(robot, takes, cfg)
     folder = simulator.save(folder_of(cfg))
     before, after = (score(open_loop(s, takes, window=0.5)).mse for s in (Simulator("default", robot), simulator))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 import torch
 from identification.arms import last_layer
+from identification.arms import robot as two_joints
 from tensordict.nn import TensorDictModule
 from torchrl.envs import Compose, TransformedEnv
 
@@ -122,3 +124,29 @@ def test_an_unfinished_folder_and_another_version_are_refused(tmp_path) -> None:
     (folder / "simulator.json").write_text(json.dumps({**content, "schema": "torchrl_athletic/simulator/0"}))
     with pytest.raises(ValueError, match="Identify it again"):
         Simulator.load(folder, ROBOT)
+
+
+def test_a_robot_of_other_joints_or_a_net_under_other_gains_is_refused(tmp_path) -> None:
+    folder = Simulator("uan", ROBOT, net=net_of(0), kind="correction").save(tmp_path / "net")
+    with pytest.raises(ValueError, match=r"\['joint1', .*\] were identified, 'two_joints' has the joints"):
+        Simulator.load(folder, two_joints())
+    softer = replace(ROBOT, kp=tuple(0.5 * kp for kp in ROBOT.kp))
+    with pytest.raises(ValueError, match=r"dataclasses.replace\(robot, kp="):
+        Simulator.load(folder, softer)
+    found = Simulator("cem", ROBOT, FOUND).save(tmp_path / "numbers")
+    assert Simulator.load(found, softer).robot.kp == softer.kp  # friction is friction, whatever drives it
+
+
+def test_a_digest_changes_with_whatever_acts() -> None:
+    heavier = {**FOUND, "effects": FOUND["effects"][:1]}
+    all_different = [
+        Simulator("a", ROBOT),
+        Simulator("a", ROBOT, FOUND),
+        Simulator("a", ROBOT, heavier),
+        Simulator("a", ROBOT, net=net_of(0), kind="correction"),
+        Simulator("a", ROBOT, net=net_of(1), kind="correction"),
+        Simulator("a", ROBOT, net=net_of(0), kind="torque"),
+        Simulator("a", replace(ROBOT, kp=tuple(2 * kp for kp in ROBOT.kp))),
+    ]
+    assert len({simulator.digest for simulator in all_different}) == len(all_different)
+    assert Simulator("b", ROBOT, FOUND, notes={"seed": 3}).digest == all_different[1].digest

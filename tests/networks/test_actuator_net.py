@@ -6,7 +6,7 @@ from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_athletic.losses import SplitClipPPOLoss
-from torchrl_athletic.networks import critic, load_checkpoint, save_checkpoint, uan, uan_actor
+from torchrl_athletic.networks import Sizes, critic, load_checkpoint, save_checkpoint, sizes_of, uan, uan_actor
 
 
 def moved():
@@ -90,3 +90,41 @@ def test_training_the_policy_trains_the_network():
     batch["action"] = batch["action"] + 0.1
     loss.loss_actor(batch)["loss_objective"].backward()
     assert all(parameter.grad.abs().max() > 0 for parameter in net.parameters())
+
+
+def test_a_net_that_is_told_the_joint_gives_equal_errors_other_torques():
+    net = uan(joints=3)
+    move(net)
+    same = torch.randn(4, 1, 40).expand(4, 3, 40)
+    out = net(same)
+    assert (out[:, 0] - out[:, 1]).abs().max() > 1e-2
+    shuffled = net(same[[2, 0, 3, 1]])
+    torch.testing.assert_close(shuffled, out[[2, 0, 3, 1]])
+
+
+def test_what_the_arm_does_is_seen_in_its_units_and_by_every_joint():
+    net = uan(joints=2, state_unit=[1.0, 1.0, 2.0, 2.0, 10.0, 5.0])
+    move(net)
+    seen = torch.zeros(1, 2, 46)
+    seen[..., 44:] = torch.tensor([10.0, -5.0])  # of torque
+    torch.testing.assert_close(net[0](seen)[0, :, 44:], torch.tensor([[1.0, -1.0]] * 2), rtol=1e-4, atol=1e-5)
+    assert (net(seen) - net(torch.zeros(1, 2, 46))).abs().min() > 1e-3
+
+
+@pytest.mark.parametrize(
+    "told", [{}, {"joints": 3}, {"joints": 3, "state_unit": [1.0] * 9}], ids=["errors", "joint", "arm"]
+)
+def test_sizes_tell_how_to_make_such_a_net_again(told):
+    net = uan(7, (16, 8), **told)
+    sizes = sizes_of(net)
+    assert sizes == Sizes(7, (16, 8), told.get("joints"), "state_unit" in told)
+    again = sizes.net()
+    again.load_state_dict(net.state_dict())
+    assert [p.shape for p in again.parameters()] == [p.shape for p in net.parameters()]
+
+
+def test_a_state_without_joints_is_refused():
+    with pytest.raises(ValueError, match="joints=6 and 18 numbers"):
+        uan(state_unit=[1.0] * 18)
+    with pytest.raises(ValueError, match="state_unit has 5 numbers for 2 joints"):
+        uan(joints=2, state_unit=[1.0] * 5)

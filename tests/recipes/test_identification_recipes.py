@@ -89,11 +89,23 @@ def test_scores_are_kept_beside_a_simulator_until_it_or_the_question_changes(fol
     identify.main(config(folder, "default"))
     simulator, calls = folder / "found" / "default", []
     monkeypatch.setattr(compare, "compare", lambda *given: calls.append(given) or [])
-    groups = {"throw, unseen": [take("throw", "heldout", 3)]}
+    throw = take("throw", "heldout", 3)
     loaded = Simulator.load(simulator, ARM)
-    for windows in ((None, 0.3), (None, 0.3), (None, 0.2)):
-        compare.scored(simulator, loaded, groups, windows)
-    assert len(calls) == 2
+    stiffer = replace(loaded, correction=correction_of(ARM.joint_names[:6], np.repeat([1.0, 1.0, 0.03], 6)))
+    moved = replace(throw, position=throw.position + 1e-6)
+    asked = [
+        (loaded, throw, (None, 0.3)),
+        (loaded, throw, (None, 0.3)),
+        (loaded, throw, (None, 0.2)),
+        (stiffer, throw, (None, 0.2)),
+        (stiffer, moved, (None, 0.2)),
+        (stiffer, moved, (None, 0.2)),
+    ]
+    scored = []
+    for which, throw, windows in asked:
+        compare.scored(simulator, which, {"throw, unseen": [throw]}, windows)
+        scored.append(len(calls))
+    assert scored == [1, 1, 2, 3, 4, 4]
 
 
 def test_without_recordings_or_simulators_it_says_which_recipe_comes_first(folder, tmp_path):

@@ -79,6 +79,39 @@ def test_a_killed_run_goes_on(inputs, tmp_path):
     assert [row["step"] for row in CSVTable(tmp_path / "progress.csv").rows] == ["1", "2", "3", "4"]
 
 
+def test_a_folder_is_not_gone_on_with_by_a_run_of_something_else(inputs, tmp_path):
+    recipe.main(short(inputs, tmp_path / "out", iterations=1))
+    with pytest.raises(ValueError, match=r"holds a run whose seed is '0'; here it is '1'.*--output"):
+        recipe.main(short(inputs, tmp_path / "out", iterations=2, seed=1))
+    with pytest.raises(ValueError, match="whose knows is 'errors'"):
+        recipe.main(short(inputs, tmp_path / "out", iterations=2, knows="joint"))
+    (tmp_path / "other").mkdir()
+    write_recording(recorded(Simulator("other", robot()), commands(600, seed=5)), tmp_path / "other" / "take.npz")
+    with pytest.raises(ValueError, match="whose recordings is"):
+        recipe.main(replace(short(inputs, tmp_path / "out", iterations=2), recordings=tmp_path / "other"))
+    assert len(CSVTable(tmp_path / "out" / "progress.csv").rows) == 1
+
+
+def test_the_best_net_survives_a_kill(inputs, tmp_path):
+    """Even if all that comes after it is worse."""
+    first = recipe.main(short(inputs, tmp_path, iterations=4))
+    later = recipe.main(short(inputs, tmp_path, iterations=4))  # begins with the net of before training
+    assert later.notes["validation_mse"] == first.notes["validation_mse"]
+    errors = torch.randn(5, 2, 40)
+    torch.testing.assert_close(later.net(errors), first.net(errors), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("knows", ["joint", "arm"])
+def test_a_net_that_knows_more_comes_back_as_it_was(inputs, tmp_path, knows):
+    made = recipe.main(short(inputs, tmp_path, knows=knows, iterations=2))
+    loaded = Simulator.load(tmp_path, robot())
+    assert loaded.name == f"uan_{knows}"
+    seen = torch.randn(5, 2, 46 if knows == "arm" else 40)
+    torch.testing.assert_close(loaded.net(seen), made.net(seen))
+    chain = loaded.chain()
+    assert (chain[0].length, chain[0].state) == (20, knows == "arm")
+
+
 def test_on_a_diagnosed_model_it_keeps_the_diagnosis(inputs, tmp_path):
     found = {"effect": "viscous_friction", "joint": "hip", "parameters": {"damping": {"value": 2.0}}}
     (tmp_path / "corrected.json").write_text(

@@ -1,5 +1,6 @@
 """From recordings to a trained net: what may be learnt from, whose reward counts, and that it learns."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -128,6 +129,21 @@ def test_validation_replays_whole_windows_again_and_again():
     assert first["mse"] > 1e-5
     assert other() == first
     assert first["lost"] == 0
+
+
+def test_a_lost_replay_is_charged_the_bound_until_the_window_ends():
+    """Thrown off in its first steps, it would start anew and look good; the better its luck, the better the net."""
+    windows = set_aside([take(900)], seconds=1.0)[1]
+    net = uan(torque_unit=[1.0, 1.0])
+    validate = validation_of(Simulator("s", ROBOT), windows, net)
+    good, before = validate(), deepcopy(net.state_dict())
+    torch.nn.init.constant_(net[1][-1].bias, 1e4)
+    bad = validate()
+    assert bad["lost"] == 1.0
+    assert 0.8 * 1.5**2 < bad["mse"] <= 1.5**2
+    assert validate.best[0] == good["mse"]
+    for name, value in validate.best[1].items():
+        assert name.endswith("extra_state") or (value == before[name]).all()
 
 
 def _heavier(spec):

@@ -117,6 +117,27 @@ def test_a_jacobian_measured_along_the_recording_is_the_one_measured_there():
     assert slopes[0].abs().min() > 1e-5
 
 
+def test_a_jacobian_belongs_to_the_take_of_its_sample():
+    """Where a take begins, none of the one before is used: the second arm hangs, the first was upright."""
+    up, down = (replace(take(samples=205), position=take(samples=205).position + x) for x in (2.0, 0.0))
+    both = takes_of([up, down], robot())
+    jacobians, of_sample = DifferentiableTorqueEnv(robot(), num_envs=3, along=both).known
+    alone, of_alone = DifferentiableTorqueEnv(robot(), num_envs=3, along=takes_of([down], robot())).known
+    torch.testing.assert_close(jacobians[of_sample[205:]], alone[of_alone])
+    assert (jacobians[of_sample[204]] - alone[0]).abs().max() > 1e-3
+    assert of_sample[:17].tolist() == [0] * 8 + [1] * 8 + [2]
+
+
+def test_a_row_that_is_lost_is_charged_and_counted():
+    learner = learner_of(uan())
+    sound = descend(learner)
+    assert sound["lost"] == 0
+    learner.env.transform[-1].bound = 1e-4
+    report = descend(learner)
+    assert report["lost"] == 1.0
+    assert 0.3e-8 < report["train_mse"] <= 1e-8
+
+
 @pytest.mark.parametrize("known", [False, True])
 def test_it_learns_friction_from_encoders_alone(known):
     """In 80 windows the error of windows that it never saw falls to less than half."""
