@@ -1,7 +1,7 @@
 """Train throwing policies in identified simulators, several at a time; ``throw_transfer.py`` then throws with them.
 
     python benchmarks/train_throws.py outputs/identification/*                                  # on two cores
-    python benchmarks/train_throws.py outputs/identification/* --device cuda --gpus 2 --jobs 27 --num-envs 4096
+    python benchmarks/train_throws.py outputs/identification/* --device cuda --gpus 2 --jobs 27 --num-envs 2048
 
 Each training is a process that runs ``recipes/throw_arm.py`` in a folder of its own under ``--output``, with a copy of
 the simulator that it is trained in. Of a method that was identified with several seeds (``uan_seed0``, ``uan_seed1``)
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import csv
 import filecmp
-import itertools
 import os
 import re
 import shutil
@@ -33,8 +32,10 @@ from tqdm import tqdm
 RECIPE = Path(__file__).parents[1] / "recipes" / "throw_arm.py"
 FILES = ("simulator.json", "corrected.json", "net.pt")
 """Of a simulator."""
+MINIBATCH = 4096
+"""Of the actor [samples]; of a small batch a quarter."""
 STARTING = 75.0
-"""Of a training's time on a GPU, for what comes before its first iteration and after its last [s]."""
+"""Of a training's time, for what comes before its first iteration and after its last [s]."""
 
 
 @dataclass(frozen=True)
@@ -87,27 +88,28 @@ class Job:
 def main(cfg: Config) -> None:
     end = time.monotonic() + cfg.budget
     waiting = [job for job in jobs_of(cfg) if iterations_of(job.output) < cfg.iterations]
-    running: list[tuple[subprocess.Popen[bytes], Job]] = []
-    gpu = itertools.cycle(range(cfg.gpus))
+    running: dict[int, tuple[subprocess.Popen[bytes], Job]] = {}
     with tqdm(total=len(waiting)) as bar:
         while running or (waiting and time.monotonic() < end):
             while waiting and len(running) < cfg.jobs and time.monotonic() < end:
-                job = waiting.pop(0)
-                running.append((start(job, cfg, seconds=end - time.monotonic(), gpu=next(gpu)), job))
+                place, job = min(set(range(cfg.jobs)) - set(running)), waiting.pop(0)
+                running[place] = start(job, cfg, place, seconds=end - time.monotonic()), job
             time.sleep(0.5)
-            for process, job in list(running):
+            for place, (process, job) in list(running.items()):
                 if process.poll() is None and time.monotonic() > end:
                     process.kill()  # its policy is that of its last measurement
                     process.wait()
                 if process.returncode is None:
                     continue
-                running.remove((process, job))
-                if process.returncode > 0 and job.else_tried is not None:
-                    tqdm.write(f"{job.output.name} failed, tried again otherwise: {last_line(job.output)}")
+                del running[place]
+                failed = process.returncode > 0
+                if failed and job.else_tried is not None:
+                    tqdm.write(f"{job.output.name} failed, is tried otherwise: {last_line(job.output, failed)}")
                     waiting.insert(0, job.else_tried)
                     continue
                 bar.update()
-                tqdm.write(f"{job.output.name}, {iterations_of(job.output)} iterations: {last_line(job.output)}")
+                said = "stopped" if process.returncode < 0 else last_line(job.output, failed)
+                tqdm.write(f"{job.output.name}, {iterations_of(job.output)} iterations: {said}")
 
 
 def jobs_of(cfg: Config) -> list[Job]:
@@ -128,33 +130,39 @@ def iterations_of(output: Path) -> int:
     return int(torch.load(path, map_location="cpu", weights_only=True)["metadata"].get("iterations", 0))
 
 
-def start(job: Job, cfg: Config, seconds: float, gpu: int) -> subprocess.Popen[bytes]:
-    """A training as a process of its own, which ends within so many seconds."""
+def start(job: Job, cfg: Config, place: int, seconds: float) -> subprocess.Popen[bytes]:
+    """A training as a process of its own, which ends within so many seconds, at one of ``cfg.jobs`` places."""
     keep_simulator(job.folder, job.output / "simulator")
-    left = seconds - STARTING if job.device == "cuda" else 0.9 * seconds
+    left = seconds - STARTING
     flags = {
         "simulator": job.output / "simulator",
         "seed": job.seed,
         "output": job.output,
         "iterations": cfg.iterations,
-        "minutes": (max(1.0, left) + seconds_spent(job.output)) / 60,
+        "minutes": (max(10.0, left) + seconds_spent(job.output)) / 60,
         "device": job.device,
         "evaluate-every": cfg.evaluate_every,
         "ppo.num-envs": cfg.num_envs,
         "ppo.horizon": cfg.horizon,
+        "ppo.actor-minibatches": max(4, cfg.num_envs * cfg.horizon // MINIBATCH),
+        "ppo.critic-minibatches": 4,
     }
     words = [word for name, value in flags.items() for word in (f"--{name}", str(value))]
-    threads = str(max(1, len(os.sched_getaffinity(0)) // cfg.jobs))
-    own = {"OMP_NUM_THREADS": "1", "TORCHINDUCTOR_COMPILE_THREADS": threads}
+    cores = sorted(os.sched_getaffinity(0))
+    own = {"OMP_NUM_THREADS": "1", "TORCHINDUCTOR_COMPILE_THREADS": str(max(1, len(cores) // cfg.jobs))}
     if job.device == "cuda":
-        own["CUDA_VISIBLE_DEVICES"] = str(gpu)
+        own["CUDA_VISIBLE_DEVICES"] = str(place % cfg.gpus)
+    else:  # the simulation takes a thread for every core that it may run on
+        cores = cores[place :: cfg.jobs] or [cores[place % len(cores)]]
     with (job.output / "log.txt").open("ab") as log:
-        return subprocess.Popen(
+        process = subprocess.Popen(
             [sys.executable, str(RECIPE), *words, *([] if job.fuse else ["--no-fuse"])],
             stdout=log,
             stderr=subprocess.STDOUT,
             env=os.environ | own,
         )
+    os.sched_setaffinity(process.pid, cores)
+    return process
 
 
 def keep_simulator(folder: Path, copy: Path) -> None:
@@ -187,10 +195,10 @@ def seconds_spent(output: Path) -> float:
         return max((float(row["seconds"] or 0) for row in csv.DictReader(file)), default=0.0)
 
 
-def last_line(output: Path) -> str:
-    """What it said of its throws, or at its end."""
+def last_line(output: Path, failed: bool = False) -> str:
+    """What it said of its throws, or why it failed."""
     lines = (output / "log.txt").read_text(errors="replace").replace("\r", "\n").strip().splitlines()
-    measured = [line for line in lines if " m, " in line and "failed" in line]
+    measured = [line for line in lines if " m, " in line and "failed" in line and not failed]
     return (measured or lines or ["it said nothing"])[-1]
 
 

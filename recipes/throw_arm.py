@@ -41,7 +41,7 @@ class Config:
     ppo: PPO = THROW
     """What else is chosen by hand."""
     evaluate_every: int = 50
-    """Iterations between measurements, each of which writes the policy too."""
+    """Iterations between measurements; with each, the policy and a checkpoint are written."""
     output: Path = Path("outputs/throw/default-0")
 
 
@@ -74,7 +74,7 @@ def main(cfg: Config) -> None:
         evaluate_every=cfg.evaluate_every,
         logger=make_logger("csv", cfg.output, "throw_arm"),
         checkpoints=Checkpoints(cfg.output / "checkpoints", keep=1),
-        show=["reward", "distance_m"],
+        checkpoint_every=cfg.evaluate_every,
     )
     print(f"{found['distance_m']:.2f} ± {found['spread_m']:.2f} m, {100 * found['failed']:.0f} % of throws failed")
 
