@@ -9,7 +9,6 @@ of the open-loop replays against time stands in ``progress.csv``. The same comma
 takes or another model is refused its folder. ``Simulator.load`` reads the result. How the methods compare: docs/uan.md.
 """
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -20,7 +19,7 @@ from torch import nn
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import Takes, replay_env
-from torchrl_athletic.identification import Simulator, digest_of
+from torchrl_athletic.identification import Simulator, digest_of, read_correction
 from torchrl_athletic.networks import uan
 from torchrl_athletic.recordings import read_recordings
 from torchrl_athletic.robots import from_mjcf, z1
@@ -68,7 +67,7 @@ def main(cfg: Config) -> Simulator:
     recordings = training.for_training(read_recordings(cfg.recordings))
     robot = training.with_gains_of(z1() if cfg.robot == "z1" else from_mjcf(cfg.robot), recordings)
     name = ("uan" if cfg.model is None else "diagnosed_uan") + {"errors": ""}.get(cfg.knows, f"_{cfg.knows}")
-    given = Simulator(name, robot, correction_of(cfg.model))
+    given = Simulator(name, robot, None if cfg.model is None else read_correction(cfg.model))
     pieces, windows = training.set_aside(recordings, seconds=cfg.window)
     takes = training.takes_of(pieces, robot)
     net = uan(**training.units_of(takes, robot, cfg.knows)).to(cfg.device)
@@ -113,12 +112,6 @@ def make_learner(cfg: Config, given: Simulator, takes: Takes, net: nn.Sequential
     env = replay_env(robot, takes, chain=chain, unit=unit, num_envs=rows, device=cfg.device, seed=cfg.seed)
     ppo, on_gpu = replace(training.UAN, num_envs=rows, micro_batch=98_304), cfg.device == "cuda"
     return training.uan_learner(env, net, ppo, credit=cfg.credit, seed=cfg.seed, cuda_graph=on_gpu)
-
-
-def correction_of(path: Path | None) -> dict | None:
-    if path is None:
-        return None
-    return json.loads((path / "corrected.json" if path.is_dir() else path).read_text(encoding="utf-8"))
 
 
 if __name__ == "__main__":

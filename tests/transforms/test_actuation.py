@@ -1,14 +1,24 @@
 """The links of the actuation chain, alone and together, on joints whose motion can be written down."""
 
+from typing import ClassVar
+
 import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
 from torchrl.envs import Compose, SerialEnv, TransformedEnv
 
-from torchrl_athletic.functional.actuation import torque_speed_limits
-from torchrl_athletic.testing import ToyEnv, make_actions, play
-from torchrl_athletic.transforms import ActionDelay, Decimation, PDControl, PowerClip, TorqueSpeedClip, UANCorrection
+from torchrl_athletic.functional.actuation import pd_torque, torque_speed_limits, uan_features
+from torchrl_athletic.testing import ToyEnv, TransformContract, make_actions, play
+from torchrl_athletic.transforms import (
+    ActionDelay,
+    Decimation,
+    EquivalentTarget,
+    PDControl,
+    PowerClip,
+    TorqueSpeedClip,
+    UANCorrection,
+)
 
 
 class Recording(ToyEnv):
@@ -224,3 +234,39 @@ def test_a_correction_that_asks_for_too_much_is_clipped_by_the_motor_further_in(
     play(env, make_actions(env, 6))
     assert (arrived(base).abs() <= 1.0).all()
     assert (arrived(base).abs() > 0.5).any()
+
+
+class TestEquivalentTargetContract(TransformContract):
+    env_settings: ClassVar = {"action": "torque"}
+
+    def make_transform(self, key=str, first_row=0):
+        names = {"torque": "torque", "position": "joint_position", "velocity": "joint_velocity"}
+        names |= {"target": "position_target", "action": "action"}
+        keys = {f"{name}_key": key(entry) for name, entry in names.items()}
+        return EquivalentTarget(20.0, [0.5, 0.4, 0.3], **keys)
+
+
+def test_a_pd_law_towards_the_equivalent_target_commands_the_torque():
+    torch.manual_seed(0)
+    seen = TensorDict(
+        {name: torch.randn(5, 3) for name in ("action", "joint_position", "joint_velocity")}, batch_size=[5]
+    )
+    kp, kd = torch.tensor([10.0, 20.0, 5.0]), torch.tensor([0.5, 1.0, 2.0])
+    noted = EquivalentTarget(kp, kd).inv(seen)
+    again = pd_torque(noted["position_target"], seen["joint_position"], seen["joint_velocity"], kp, kd)
+    torch.testing.assert_close(again, seen["action"])
+    torch.testing.assert_close(noted["torque"], seen["action"])
+
+
+def test_a_torque_needs_a_stiffness_to_have_a_target():
+    with pytest.raises(ValueError, match="Give the gains of a drive that could hold the robot"):
+        EquivalentTarget(kp=[10.0, 0.0], kd=1.0)
+
+
+def test_what_a_net_sees_of_the_group_is_the_same_for_each_joint_and_stands_behind_its_own_errors():
+    errors = torch.arange(12.0).reshape(1, 2, 2, 3)
+    position, torque = torch.tensor([[5.0, 6.0]]), torch.tensor([[7.0, 8.0]])
+    assert uan_features(errors, position, torque)[0].tolist() == [
+        [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 5.0, 6.0, 7.0, 8.0],
+        [6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 5.0, 6.0, 7.0, 8.0],
+    ]

@@ -1,4 +1,4 @@
-"""A supervised net takes the place of the torque law, and a torque command is the target that would command it."""
+"""A supervised net takes the place of the torque law."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from torch import Tensor, nn
 from torchrl.envs import Compose, Transform, TransformedEnv
 
 from torchrl_athletic.envs import TorqueEnv
-from torchrl_athletic.functional.actuation import pd_torque
 from torchrl_athletic.robots import z1
 from torchrl_athletic.testing import TransformContract
-from torchrl_athletic.transforms import ActuatorNet, EquivalentTarget, PDControl
+from torchrl_athletic.transforms import ActuatorNet, PDControl
 
 Key = Callable[[str], object]
 ROBOT = z1()
@@ -51,14 +50,6 @@ class TestActuatorNetOfSomeContract(TestActuatorNetContract):
     joints: ClassVar = [0, 2]
 
 
-class TestEquivalentTargetContract(TransformContract):
-    env_settings: ClassVar = {"action": "torque"}
-
-    def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
-        names = ("torque", "position", "velocity", "target", "action")
-        return EquivalentTarget(20.0, [0.5, 0.4, 0.3], **{f"{n}_key": key(ENTRIES.get(n, n)) for n in names})
-
-
 def always(action: Tensor) -> TensorDictModule:
     return TensorDictModule(lambda position: action, in_keys=["joint_position"], out_keys=["action"])
 
@@ -81,20 +72,3 @@ def test_only_joints_of_the_group_get_the_nets_torque() -> None:
     torque = shown["next", "applied_torque"][0, 0]
     assert torque[:6] == pytest.approx([4.0] * 6, rel=1e-5)  # twice 20 N·m/rad times 0.1 rad, at rest
     assert torque[6] == pytest.approx(2.0, rel=1e-5)
-
-
-def test_a_pd_law_towards_the_equivalent_target_commands_the_torque() -> None:
-    torch.manual_seed(0)
-    seen = TensorDict(
-        {name: torch.randn(5, 3) for name in ("action", "joint_position", "joint_velocity")}, batch_size=[5]
-    )
-    kp, kd = torch.tensor([10.0, 20.0, 5.0]), torch.tensor([0.5, 1.0, 2.0])
-    noted = EquivalentTarget(kp, kd).inv(seen)
-    again = pd_torque(noted["position_target"], seen["joint_position"], seen["joint_velocity"], kp, kd)
-    torch.testing.assert_close(again, seen["action"])
-    torch.testing.assert_close(noted["torque"], seen["action"])
-
-
-def test_a_torque_needs_a_stiffness_to_have_a_target() -> None:
-    with pytest.raises(ValueError, match="Give the gains of a drive that could hold the robot"):
-        EquivalentTarget(kp=[10.0, 0.0], kd=1.0)

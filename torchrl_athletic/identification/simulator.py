@@ -268,6 +268,13 @@ def _check_robot(folder: Path, content: Mapping[str, Any], robot: Robot) -> None
             )
 
 
+def read_correction(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Content of a ``corrected.json``, named itself or by the folder of a diagnosis or a simulator that holds it."""
+    path = Path(path)
+    content: dict[str, Any] = json.loads((path / "corrected.json" if path.is_dir() else path).read_text("utf-8"))
+    return content
+
+
 def load_net(path: str | os.PathLike[str]) -> nn.Module:
     """The net of a ``net.pt``, of whatever sizes it was saved with."""
     sizes = torch.load(path, map_location="cpu", weights_only=True)["metadata"]
