@@ -47,9 +47,9 @@ from torchrl_athletic.recordings.datasets.two_link_arm import load
 from torchrl_athletic.robots import Robot, from_mjcf
 from torchrl_athletic.robots.benches import two_link_arm
 
-Method = Literal["default", "cem", "actuator_net", "uan", "diagnosed", "diagnosed_uan"]
+Method = Literal["default", "cem", "actuator_net", "uan", "uan_arm", "diagnosed", "diagnosed_uan"]
 STEP = 0.005
-SEEDED = ("cem", "actuator_net", "uan", "diagnosed_uan")
+SEEDED = ("cem", "actuator_net", "uan", "uan_arm", "diagnosed_uan")
 GROUPS = {"swing-up": "swing-up", "open-loop sines on the elbow": "elbow alone"}
 
 
@@ -85,7 +85,7 @@ class Case:
 
 def main(cfg: Config) -> None:
     cases = list(cases_of(cfg))
-    for wave in (("default", "cem", "actuator_net", "uan", "diagnosed"), ("diagnosed_uan",)):  # the last needs a model
+    for wave in (("default", "cem", "actuator_net", "uan", "uan_arm", "diagnosed"), ("diagnosed_uan",)):  # the last needs a model
         todo = [c for c in cases if c.method in wave and not is_there(c, cfg) and not cfg.score_only]
         with ProcessPoolExecutor(cfg.jobs) as pool:
             running = [pool.submit(identify, case, cfg) for case in todo]
@@ -154,8 +154,9 @@ def identify(case: Case, cfg: Config) -> None:
         simulator = identify_actuator_net(robot, fit, ActuatorNetTraining(batch=1024, epochs=100), seed=case.seed)
     elif case.method == "diagnosed":
         simulator = identify_diagnosed(robot, fit, refine=search(case), output=cfg.output / case.name / "diagnosis")
-    elif case.method == "uan":
-        simulator = with_uan(Simulator("uan", robot), fit, case.seed, cfg.minutes)
+    elif case.method in ("uan", "uan_arm"):
+        knows: training.Knows = "arm" if case.method == "uan_arm" else "errors"
+        simulator = with_uan(Simulator(case.method, robot), fit, case.seed, cfg.minutes, knows)
     elif case.method == "diagnosed_uan":
         folder = cfg.output / Case("diagnosed", case.seconds, cfg.seeds[0]).name
         given = replace(Simulator.load(folder, robot), name="diagnosed_uan")
@@ -167,13 +168,15 @@ def search(case: Case) -> CEM:
     return CEM(generations=60, population=12, windows=max(4, min(48, round(case.seconds))), window=0.5)
 
 
-def with_uan(given: Simulator, recordings: Sequence[Recording], seed: int, minutes: float) -> Simulator:
+def with_uan(
+    given: Simulator, recordings: Sequence[Recording], seed: int, minutes: float, knows: training.Knows = "errors"
+) -> Simulator:
     """An Unsupervised Actuator Net on what a simulator leaves, down the gradient of the position's error."""
     torch.manual_seed(seed)
     takes = training.takes_of(recordings, given.robot)
-    net = uan(**training.units_of(takes, given.robot))
+    net = uan(**training.units_of(takes, given.robot, knows))
     base = training.DifferentiableTorqueEnv(given.robot, num_envs=32)
-    unit, chain = training.torque_unit(net), given.chain(command=takes.driven, decimation=1)
+    unit, chain = training.torque_unit(net), training.chain_with(given, net, takes)
     env = replay_env(given.robot, takes, chain=chain, unit=unit, base=base, max_steps=200, seed=seed)
     learner = training.GradientLearner(env, net, minutes=minutes)
     training.train(learner, minutes=minutes, step=training.descend, progress=False)

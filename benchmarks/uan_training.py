@@ -25,12 +25,20 @@ import tyro
 from torchrl_athletic.training import CSVTable
 
 RECIPE = Path(__file__).parents[1] / "recipes" / "train_uan.py"
-METHODS = {
+METHODS = {  # credit for the arm or by joint; last, what the net is told beside its errors
     "ppo_arm": ("--method", "ppo", "--credit", "arm"),
     "ppo_joint": ("--method", "ppo", "--credit", "joint"),
     "gradient": ("--method", "gradient"),
+    "gradient_joint": ("--method", "gradient", "--knows", "joint"),
+    "gradient_arm": ("--method", "gradient", "--knows", "arm"),
 }
-COLOURS = {"ppo_arm": "#C45552", "ppo_joint": "#E07A5F", "gradient": "#457B9D"}
+COLOURS = {
+    "ppo_arm": "#C45552",
+    "ppo_joint": "#E07A5F",
+    "gradient": "#457B9D",
+    "gradient_joint": "#52936C",
+    "gradient_arm": "#2F4858",
+}
 
 
 @dataclass(frozen=True)

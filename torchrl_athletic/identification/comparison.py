@@ -19,8 +19,11 @@ NAMES = {
     "cem": "CEM",
     "actuator_net": "Actuator Net",
     "uan": "UAN",
+    "uan_joint": "UAN, told the joint",
+    "uan_arm": "UAN, told joint and arm",
     "diagnosed": "Diagnosed",
     "diagnosed_uan": "Diagnosed + UAN",
+    "diagnosed_uan_arm": "Diagnosed + UAN, told joint and arm",
 }
 """Methods in the order of tables and figures; others follow under their own names."""
 COLOURS = {
@@ -28,8 +31,11 @@ COLOURS = {
     "cem": "#E07A5F",
     "actuator_net": "#52936C",
     "uan": "#C45552",
+    "uan_joint": "#D98C5F",
+    "uan_arm": "#8C2F39",
     "diagnosed": "#9A97C4",
-    "diagnosed_uan": "#2F4858",
+    "diagnosed_uan": "#5A6F8C",
+    "diagnosed_uan_arm": "#2F4858",
 }
 
 
@@ -79,10 +85,11 @@ def compare(
 def table(results: Sequence[Result], baseline: str = "default") -> str:
     """Mean and standard deviation over seeds, in Markdown, and each method's error as a share of the baseline's.
 
-    A method of which some rollout diverged is marked with the share of those that did.
+    A method of which some rollout diverged is marked with the share of those that did. The last columns say the wall
+    clock of identification, and the seconds of recordings that it looked at.
     """
     methods, columns = _methods(results), _columns(results)
-    head = ["method", *(f"{group}, {window}" for group, window in columns), "training", "data", "seeds"]
+    head = ["method", *(f"{group}, {window}" for group, window in columns), "training", "looked at", "seeds"]
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for method in methods:
         of_method = [r for r in results if r.method == method]
