@@ -85,11 +85,12 @@ class Case:
 
 def main(cfg: Config) -> None:
     cases = list(cases_of(cfg))
-    for wave in (("default", "cem", "actuator_net", "uan", "uan_arm", "diagnosed"), ("diagnosed_uan",)):  # the last needs a model
-        todo = [c for c in cases if c.method in wave and not is_there(c, cfg) and not cfg.score_only]
+    needs_a_model = ("diagnosed_uan",)
+    for last in (False, True):
+        todo = [c for c in cases if (c.method in needs_a_model) == last and not is_there(c, cfg) and not cfg.score_only]
         with ProcessPoolExecutor(cfg.jobs) as pool:
             running = [pool.submit(identify, case, cfg) for case in todo]
-            for done in tqdm(as_completed(running), total=len(todo), desc=", ".join(wave)):
+            for done in tqdm(as_completed(running), total=len(todo), desc="on a diagnosis" if last else "alone"):
                 done.result()
     robot, (_, heldout) = arm(), takes()
     groups = {name: [t for t in heldout if kind in t.metadata["excitation"]] for kind, name in GROUPS.items()}
