@@ -91,10 +91,10 @@ def main(cfg: Config) -> Simulator:
     )
     best, state = validate.best
     net.load_state_dict(state)
-    notes = {"device": cfg.device}
+    notes: dict[str, Any] = {"device": cfg.device, **made_of}
     notes |= {"training_seconds": learner.seconds, "data_seconds": sum(r.duration for r in (*pieces, *windows))}
     notes |= {"validation_mse": best, "validation_mse_last": numbers["mse"], "validation_mse_before": before}
-    notes |= {"validation_lost_last": numbers["lost"], **made_of}
+    notes |= {"validation_lost_last": numbers["lost"]}
     found = replace(given, net=net.cpu(), kind="correction", notes=notes)
     print(f"mean square error of replays not trained on: {before:.3g} rad² before, {best:.3g} rad² after")
     print("simulator:", found.save(cfg.output))
