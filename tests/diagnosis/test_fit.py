@@ -1,11 +1,22 @@
 """A fit finds what was put in, says how sure it is, and leaves alone what cannot be followed."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
-from diagnosis.plants import candidate, double_pendulum, pendulum, record, slider, smooth_torque, take
+from diagnosis.plants import RATE, candidate, double_pendulum, pendulum, record, slider, smooth_torque, take
 
-from torchrl_athletic.diagnosis.fit import Hypothesis, _follows, draw_windows, fit
+from torchrl_athletic.diagnosis.fit import (
+    Fitted,
+    Hypothesis,
+    _follows,
+    _with_telling,
+    as_trims,
+    draw_windows,
+    fit,
+    idle_terms,
+)
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.replay import simulate, windows_of
 from torchrl_athletic.diagnosis.screen import Candidate
@@ -13,6 +24,7 @@ from torchrl_athletic.effects import (
     ActuationDelay,
     CoulombFriction,
     JointAddress,
+    JointStop,
     ReflectedInertia,
     TorqueOffset,
     TorqueScale,
@@ -150,3 +162,65 @@ def test_a_hypothesis_hands_out_the_numbers_of_each_candidate():
     assert h.nominal.tolist() == [0.05, 0.0, 1.0]
     with pytest.raises(ValueError, match="not part of the hypothesis"):
         h.values_of(candidate(TorqueOffset(), r, pendulum()), values)
+
+
+def stopped(seconds=40.0):
+    """A pendulum that meets a stop twice in 40 s, when a push carries it there."""
+    torque = 0.3 * smooth_torque(seconds)
+    torque[2000:2040] += 3.0
+    torque[3000:3040] += 3.0
+    free = pendulum()
+    model = mujoco.MjModel.from_xml_string(free)
+    data, position = mujoco.MjData(model), []
+    for u in torque[:, 0]:
+        position.append(float(data.qpos[0]))
+        for _ in range(round(1 / RATE / model.opt.timestep)):
+            data.qfrc_applied[:] = u - 100.0 * max(data.qpos[0] - 0.7, 0.0)
+            mujoco.mj_step(model, data)
+    r = replace(record(free, torque), position=np.array(position)[:, None])
+    assert 0 < (r.position > 0.7).sum() < 0.05 * len(r.time)  # it is a rare thing
+    return free, r
+
+
+def test_a_stop_that_is_met_twice_is_not_idle_and_a_spring_that_does_nothing_is():
+    free, r = stopped()
+    stop, friction = candidate(JointStop(), r, free), candidate(ViscousFriction(), r, free)
+    h = Hypothesis((stop, friction))
+    values = np.array([0.7, 1.0, 100.0, 0.05001])  # the friction is that of the given model
+    fitted = Fitted(h, values, np.zeros((1, 4)), 0.0)
+    assert idle_terms(fitted, [take(free, r, 1e-4)], np.random.default_rng(0)) == (friction,)
+    nowhere = Fitted(h, np.array([2.5, 1.0, 100.0, 0.06]), np.zeros((1, 4)), 0.0)  # a stop that is never met
+    assert stop in idle_terms(nowhere, [take(free, r, 1e-4)], np.random.default_rng(0))
+
+
+def test_a_term_that_moves_the_simulation_away_from_the_recording_is_idle():
+    r = record(pendulum(), smooth_torque(6.0), noise=1e-4)
+    friction = candidate(ViscousFriction(), r, pendulum())
+    worse = Fitted(Hypothesis((friction,)), np.array([0.2]), np.zeros((1, 1)), 0.0)
+    assert idle_terms(worse, [take(pendulum(), r, 1e-4)], np.random.default_rng(0)) == (friction,)
+
+
+def test_windows_in_which_a_term_acts_are_always_fitted():
+    free, r = stopped()
+    t = take(free, r, 1e-4)
+    h = Hypothesis((candidate(JointStop(), r, free),))
+    drawn = draw_windows([t], 0.5, 3, np.random.default_rng(0))
+    (windows,) = _with_telling(h, [t], np.array([0.7, 1.0, 100.0]), drawn, np.random.default_rng(0), 200)
+    met = np.flatnonzero(r.position[:, 0] > 0.7)
+    assert any(((met >= s) & (met < s + windows.length)).any() for s in windows.start)
+    assert set(drawn[0].start.tolist()) <= set(windows.start.tolist())
+
+
+def test_what_becomes_a_trim_keeps_its_value():
+    r = record(pendulum(), smooth_torque(1.0))
+    friction, delay, scale = (candidate(e, r, pendulum()) for e in (ViscousFriction(), ActuationDelay(), TorqueScale()))
+    samples = np.arange(6.0).reshape(2, 3)
+    fitted = Fitted(Hypothesis((friction, delay), (scale,)), np.array([0.1, 0.02, 1.03]), samples, 0.0)
+    moved = as_trims(fitted, [friction])
+    assert moved.hypothesis.terms == (delay,)
+    assert moved.hypothesis.trims == (friction, scale)
+    for c in (friction, delay, scale):
+        before, after = (f.hypothesis.values_of(c, f.values) for f in (fitted, moved))
+        np.testing.assert_array_equal(before, after)
+        before, after = (f.hypothesis.values_of(c, f.samples) for f in (fitted, moved))
+        np.testing.assert_array_equal(before, after)

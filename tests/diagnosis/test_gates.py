@@ -102,9 +102,19 @@ def test_what_the_simulation_says_of_a_combination_counts_beside_the_torque_doma
     term, rival = atom("coulomb"), atom("stribeck")
     options = [scored(100.0, term), scored(104.0, rival)]
     monkeypatch.setattr(gates, "alternatives", lambda *_: options)
-    part = SimpleNamespace(judge=None, best=options[0], simulated={frozenset({("coulomb", "elbow")}): 10.0})
+    against = {frozenset({("coulomb", "elbow")}): 10.0, frozenset({("stribeck", "elbow")}): 0.0}
+    part = SimpleNamespace(judge=None, best=options[0], simulated=against)
     shares = gates._shares(part, term)[1]
     assert shares[1] / shares[0] == pytest.approx(np.exp(3.0))
+
+
+def test_a_rival_that_was_not_simulated_gains_nothing_by_it(monkeypatch):
+    term, rival = atom("coulomb"), atom("stribeck")
+    options = [scored(100.0, term), scored(104.0, rival)]
+    monkeypatch.setattr(gates, "alternatives", lambda *_: options)
+    part = SimpleNamespace(judge=None, best=options[0], simulated={frozenset({("coulomb", "elbow")}): 10.0})
+    shares = gates._shares(part, term)[1]
+    assert shares[1] / shares[0] == pytest.approx(np.exp(-2.0))
 
 
 def test_equals_share_the_probability_and_odds_do_not_depend_on_the_level(monkeypatch):

@@ -13,10 +13,11 @@ from torchrl_athletic.diagnosis.screen import (
     bounded_least_squares,
     candidates_for,
     correlation_time,
+    is_trim,
     row_noise,
     trims_for,
 )
-from torchrl_athletic.effects import CATALOGUE, GainMismatch
+from torchrl_athletic.effects import CATALOGUE, ClockOffset, CoulombFriction, GainMismatch
 
 N = 450  # four and a half blocks
 NOISE = np.array([0.5, 2.0])
@@ -189,6 +190,21 @@ def test_trims_lie_within_a_share_of_the_given_numbers(take):
             reach = 0.5 * STEP if trim.effect.name == "clock_shift" else FIT_TRIMS[trim.effect] * p.scale
             assert p.upper - p.nominal == pytest.approx(reach)
             assert p.nominal - p.lower == pytest.approx(reach)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "period", "expected"),
+    [
+        (GainMismatch(), (1.014, 1.024), 0.005, True),
+        (GainMismatch(), (1.014, 1.2), 0.005, False),
+        (ClockOffset(), (-0.0005,), 0.001, True),
+        (ClockOffset(), (-0.002,), 0.001, False),
+        (ClockOffset(), (-0.002,), 0.005, True),  # half a sample is nobody's fault
+        (CoulombFriction(), (1e-6,), 0.005, False),  # there is no friction that every model has
+    ],
+)
+def test_what_every_log_is_off_by_is_a_trim(effect, values, period, expected):
+    assert is_trim(candidate(effect), np.array(values), period) is expected
 
 
 def test_every_effect_is_a_candidate_on_every_joint(take):

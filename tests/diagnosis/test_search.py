@@ -1,4 +1,5 @@
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,7 +7,8 @@ from diagnosis.columns import STEP, Given, Shifted, candidate, judge, shifted, s
 from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis.screen import Bank
-from torchrl_athletic.diagnosis.search import BEAM, TERM, Judge, alternatives, search
+from torchrl_athletic.diagnosis.search import BEAM, TERM, Judge, _merge, alternatives, search
+from torchrl_athletic.effects import Fingerprint
 
 N = 1000
 
@@ -139,6 +141,46 @@ def test_a_stand_in_for_two_effects_is_given_up_for_the_two():
     single = sorted(weigh.bank.atoms, key=lambda atom: weigh.score([atom]).evidence)
     assert {atom.candidate.effect.name for atom in single[:BEAM]} <= set(stand_ins)
     assert names(search(weigh)[0]) == {("a", "shoulder"), ("b", "shoulder")}
+
+
+def test_two_effects_are_merged_into_the_one_that_says_the_same():
+    """Wrong gains are a weaker motor with more friction: one cause is likelier than two."""
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    take = on_shoulder(6 * a + 5 * b, rng.normal(size=(N, 2)))
+    one = Given("gains", np.stack([a, b], -1), excludes=("motor",))
+    weigh = judge(take, candidate(Given("motor", a)), candidate(Given("friction", b)), candidate(one))
+    two = weigh.score(weigh.bank.atoms[:2])
+    assert names(_merge(weigh, two)) == {("gains", "shoulder")}
+
+
+def test_two_effects_that_no_single_one_replaces_stay():
+    rng = np.random.default_rng(0)
+    a, b, c = smooth(rng, (3, N))
+    take = on_shoulder(6 * a + 5 * b, rng.normal(size=(N, 2)))
+    weigh = judge(take, candidate(Given("a", a)), candidate(Given("b", b)), candidate(Given("c", c)))
+    two = weigh.score(weigh.bank.atoms[:2])
+    assert names(_merge(weigh, two)) == {("a", "shoulder"), ("b", "shoulder")}
+
+
+def test_the_same_delay_on_all_joints_is_a_clocks():
+    rng = np.random.default_rng(0)
+    time = STEP * np.arange(N)
+    missing = np.stack([shifted(time, 0.2)] * 2, -1)
+
+    class Everywhere(Shifted):
+        whole_robot = True
+
+        def fingerprint(self, s, joint, fixed):
+            late = np.stack([shifted(s.time, fixed["delay"])] * 2, -1)
+            return Fingerprint(np.zeros((*late.shape, 0)), fixed, late)
+
+    column = np.zeros(N)
+    late = [candidate(Shifted("late", column), joint) for joint in (0, 1)]
+    clock = replace(candidate(Everywhere("clock", column, excludes=("late",))), joint_name=None)
+    weigh = judge(signals(missing + rng.normal(size=(N, 2))), *late, clock)
+    both = [next(a for a in weigh.bank.atoms if a.candidate is c and a.fixed["delay"] == 0.2) for c in late]
+    assert names(_merge(weigh, weigh.score(both))) == {("clock", None)}
 
 
 def test_what_closes_no_material_share_is_not_kept():
@@ -319,6 +361,16 @@ def test_the_same_statement_with_more_numbers_is_no_rival():
         best = weigh.score(weigh.bank.atoms[1:])
         rivals = alternatives(weigh, best, best.fit.terms[0])
         assert {key[0] for s in rivals for key in names(s)} == expected
+
+
+def test_a_richer_rival_that_closes_nothing_more_is_at_most_an_equal():
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    take = on_shoulder(6 * a + 0.8 * b, 4 * rng.normal(size=(N, 2)))  # the data do prefer the richer one, by little
+    weigh = judge(take, candidate(Given("rich", np.stack([a, b], -1))), candidate(Given("plain", a)))
+    best = weigh.score(weigh.bank.atoms[1:])
+    rivals = {key[0]: s.evidence for s in alternatives(weigh, best, best.fit.terms[0]) for key in names(s)}
+    assert rivals["rich"] == rivals["plain"]
 
 
 def test_a_correlated_residual_makes_rivals_nearer():

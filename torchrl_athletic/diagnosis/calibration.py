@@ -31,6 +31,8 @@ class Grounds:
     """Findings on its joint, itself included: a real robot has some on every joint, a wrong answer many on one."""
     strain: float
     """Sum of squares of the trims, each in standard deviations of what it may be."""
+    sure: float
+    """How far its parameters lie from the given model's, in standard deviations."""
 
     def features(self) -> dict[str, float]:
         """Numbers of order one, in which the log odds are linear."""
@@ -44,6 +46,7 @@ class Grounds:
             "energy": float(np.log10(self.energy + 1e-3)),
             "terms": float(np.log2(self.terms)),
             "strain": float(np.log10(self.strain + 1.0)),
+            "sure": float(np.log10(np.clip(self.sure, 0.1, 100.0))) - 1,
         }
 
     def to_json(self) -> dict[str, float]:
@@ -62,13 +65,13 @@ def probability(grounds: Grounds) -> float:
     """That a finding with these grounds is true: a logistic regression's answer.
 
     Example:
-        >>> clear = Grounds(share=0.99, left=0, excess=0, scatter=0.01, open=0, energy=1, terms=1, strain=1)
-        >>> vague = Grounds(share=0.6, left=0.4, excess=30, scatter=0.3, open=0.5, energy=0.5, terms=3, strain=30)
+        >>> clear = Grounds(share=0.99, left=0, excess=0, scatter=0.01, open=0, energy=1, terms=1, strain=1, sure=30)
+        >>> vague = Grounds(share=0.6, left=0.4, excess=9, scatter=0.3, open=0.5, energy=0.5, terms=3, strain=9, sure=1)
         >>> probability(clear) > 0.8 > probability(vague)
         True
     """
     weights = learnt("weights")
-    odds = weights["intercept"] + sum(weights[name] * x for name, x in grounds.features().items())
+    odds = weights["intercept"] + sum(weights.get(name, 0.0) * x for name, x in grounds.features().items())
     return float(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))))
 
 

@@ -18,7 +18,7 @@ from torchrl_athletic.diagnosis.checkpoint import Checkpoint, inputs_digest
 from torchrl_athletic.diagnosis.compare import harms, score
 from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml, write_atomically, write_json
 from torchrl_athletic.diagnosis.experiment import Experiment, next_experiment, write
-from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, fit, idle_terms, without
+from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, idle_terms, without
 from torchrl_athletic.diagnosis.gates import Evidence, judge_findings, summarise, verdict_of
 from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.locate import locate, regime_maps
@@ -35,6 +35,7 @@ from torchrl_athletic.diagnosis.screen import (
     Candidate,
     Key,
     candidates_for,
+    is_trim,
     trims_for,
 )
 from torchrl_athletic.diagnosis.search import Judge, keys, predictable_share, search
@@ -335,15 +336,15 @@ class _Work:
             direct = self.drive_evidence.best.fit.terms if self.drive_evidence else ()  # two channels show it
             seen = {a.candidate.key for a in direct}
             idle = [c for c in idle_terms(fitted, takes, self._rng("idle")) if c.key not in seen]
-            self._keep(k, fitted, idle)
+            self._keep(fitted, idle)
 
-    def _keep(self, k: int, fitted: Fitted, idle: Sequence[Candidate]) -> None:
-        """Take a fit over, without the terms that it does not need."""
-        self.fits.append(without(fitted, idle))
-        dropped = {c.key for c in idle}
-        options = list(self.options)
-        options[k] = options[k].without(dropped)
-        self.options = tuple(options)
+    def _keep(self, fitted: Fitted, idle: Sequence[Candidate]) -> None:
+        """Take a fit over, without the terms that it does not need; what is too small for a finding becomes a trim."""
+        assert self.train is not None
+        fitted = without(fitted, idle)
+        h, period = fitted.hypothesis, max(1.0 / r.rate for r in self.recordings)
+        small = [t for t in h.terms if is_trim(t, h.values_of(t, fitted.values), period)]
+        self.fits.append(as_trims(fitted, small))
 
     def _compare(self) -> None:
         assert self.train is not None

@@ -19,8 +19,12 @@ WINDOW = 0.5
 """Length of the windows that scores are stated for [s]."""
 DRIFT = 5.0
 """End-to-end error over a window's error up to which a take is fitted end to end."""
-IDLE = 0.01
-"""Share of the gained error energy below which a term is given up after the fit."""
+ACTS = 0.5
+"""Motion that a term makes, over the error that is left in a window, from which on the term acts there."""
+HELPS = 0.3
+"""Share of that motion which must be error without the term; of a true term all is."""
+TELLING = 4
+"""Windows of a fit in which a term acts most, beside those drawn at random."""
 SHOOTING = (0.2, WINDOW)
 """Window lengths of the successive fits [s]: short ones are nearly linear and forgive a poor start."""
 
@@ -122,6 +126,7 @@ def fit(
     if stepped:  # a hundred times dearer; the torque domain's start is good enough for one round
         max_windows, max_iter = max_windows // 2, max_iter // 2
     rounds = [draw_windows(takes, seconds, max_windows, rng) for seconds in (SHOOTING[1:] if stepped else SHOOTING)]
+    rounds[-1] = _with_telling(hypothesis, takes, x * unit, rounds[-1], rng, 2 * max_windows)
     for done, windows in enumerate(rounds):
         x = _solve(_Problem(hypothesis, windows, unit, x), x, low / unit, high / unit, max_iter)
         progress((done + 1) / (len(rounds) + 1))
@@ -135,6 +140,25 @@ def fit(
     samples, cost = _bootstrap(final, x, rng, low / unit, high / unit)
     progress(1.0)
     return Fitted(hypothesis, np.clip(x * unit, low, high), samples * unit, cost)
+
+
+def _with_telling(
+    h: Hypothesis, takes: Sequence[Take], values: Array, drawn: list[Windows], rng: np.random.Generator, most: int
+) -> list[Windows]:
+    """The windows that were drawn, and those in which each term acts most: chance would miss what happens seldom."""
+    if not h.terms:
+        return drawn
+    full = draw_windows(takes, WINDOW, most, rng)
+    moved, error, _ = _actions(h, full, values)
+    act = (moved / np.maximum(error, 1e-24)).max(2)
+    telling = {int(k) for row in act for k in np.argsort(row)[-TELLING:]}
+    starts: dict[Take, set[int]] = {w.take: {int(s) for s in w.start} for w in drawn}
+    first = 0
+    for w in full:
+        starts.setdefault(w.take, set()).update(int(s) for k, s in enumerate(w.start, first) if k in telling)
+        first += len(w.start)
+    length = {w.take: w.length for w in (*drawn, *full)}
+    return [Windows(take, np.array(sorted(s), dtype=np.intp), length[take]) for take, s in starts.items() if s]
 
 
 def _solve(problem: _Problem, x: Array, low: Array, high: Array, max_iter: int) -> Array:
@@ -171,30 +195,40 @@ def _follows(hypothesis: Hypothesis, whole: Windows, values: Array, typical: Arr
 
 
 def idle_terms(
-    fitted: Fitted, takes: Sequence[Take], rng: np.random.Generator, most: int = 60
+    fitted: Fitted, takes: Sequence[Take], rng: np.random.Generator, most: int = 200
 ) -> tuple[Candidate, ...]:
-    """Terms that the simulation does without: set back to the given model's numbers, the error hardly grows.
+    """Terms that the simulation does without: nowhere do they move it by what is left of the error, and to its good.
 
-    They were named for what another term, still coarse in the torque domain, left over.
+    They were named for what another term, still coarse in the torque domain, left over. A term that acts in two windows
+    of a hundred, as a joint's stop does, is not idle.
     """
     h, values = fitted.hypothesis, fitted.values
-    sets = [h.nominal, values]
-    for term in h.terms:
-        reset = values.copy()
-        h.values_of(term, reset)[:] = [p.nominal for p in term.parameters]
-        sets.append(reset)
     windows = draw_windows(takes, WINDOW, most, rng)
-    both = [simulate(w, h.build, np.stack(sets)) for w in windows]
-    energy = []
-    for k in range(len(sets)):
-        _, each = window_rmse(windows, [b[k] for b in both])
-        energy.append(np.minimum(each**2, np.quantile(each**2, 0.95, axis=0)).mean(0))
-    gain = energy[0] - energy[1]
-    closed = gain > 0.01 * energy[0]
-    if not closed.any():
-        return ()
-    losses = [(e - energy[1])[closed] for e in energy[2:]]
-    return tuple(t for t, loss in zip(h.terms, losses, strict=True) if (loss < IDLE * gain[closed]).all())
+    moved, error, without = _actions(h, windows, values)
+    acts = moved > ACTS**2 * error
+    helps = acts & (without - error > HELPS * moved)
+    needed = (helps.sum(1) >= np.maximum(2, 0.5 * acts.sum(1))).any(1)
+    return tuple(t for t, n in zip(h.terms, needed, strict=True) if not n)
+
+
+def _actions(h: Hypothesis, windows: Sequence[Windows], values: Array) -> tuple[Array, Array, Array]:
+    """What setting each term back to the given model's numbers does to every window.
+
+    Returns:
+        Mean square of the motion that the term makes, shape (terms, W, J); mean square error with all terms, shape
+        (W, J); and without the term, shape (terms, W, J).
+    """
+    sets = [values]
+    for term in h.terms:
+        sets.append(values.copy())
+        h.values_of(term, sets[-1])[:] = [p.nominal for p in term.parameters]
+    moved, error = [], []
+    for w in windows:
+        predicted = simulate(w, h.build, np.stack(sets))
+        moved.append(((predicted[1:] - predicted[:1]) ** 2).mean(2))
+        error.append(((predicted - w.measured) ** 2).mean(2))
+    errors = np.concatenate(error, axis=1)
+    return np.concatenate(moved, axis=1), errors[0], errors[1:]
 
 
 def without(fitted: Fitted, dropped: Sequence[Candidate]) -> Fitted:
@@ -205,6 +239,16 @@ def without(fitted: Fitted, dropped: Sequence[Candidate]) -> Fitted:
     values = np.concatenate([h.values_of(c, fitted.values) for c in kept]) if kept else np.zeros(0)
     samples = np.concatenate([h.values_of(c, fitted.samples) for c in kept], axis=1) if kept else fitted.samples[:, :0]
     return Fitted(smaller, values, samples, fitted.cost)
+
+
+def as_trims(fitted: Fitted, moved: Sequence[Candidate]) -> Fitted:
+    """The same fit in which some terms count as trims: their values stay, and they are no findings."""
+    h = fitted.hypothesis
+    terms = tuple(t for t in h.terms if t not in moved)
+    order = (*terms, *moved, *h.trims)
+    values = np.concatenate([h.values_of(c, fitted.values) for c in order]) if order else np.zeros(0)
+    samples = np.concatenate([h.values_of(c, fitted.samples) for c in order], axis=1) if order else fitted.samples
+    return Fitted(Hypothesis(terms, (*moved, *h.trims)), values, samples, fitted.cost)
 
 
 def draw_windows(takes: Sequence[Take], seconds: float, most: int, rng: np.random.Generator) -> list[Windows]:

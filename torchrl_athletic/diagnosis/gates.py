@@ -8,7 +8,7 @@ included, must pass the sensors' floor.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,11 +45,6 @@ class Evidence:
     simulated: Mapping[frozenset[Key], float] = field(default_factory=dict)
     """Combination -> twice the log odds that the simulation gives against it, for those that were fitted."""
 
-    def without(self, dropped: Collection[Key]) -> Evidence:
-        """The same without some terms."""
-        kept = [a for a in self.best.fit.terms if a.candidate.key not in dropped]
-        return self if len(kept) == self.best.fit.size else replace(self, best=self.judge.score(kept))
-
     def left_of(self, candidate: Candidate) -> float:
         """The same where an effect acts: on its joint, or on the joint that is explained worst."""
         left = self.left()
@@ -69,15 +64,13 @@ class Evidence:
 def judge_findings(evidence: Sequence[Evidence], fitted: Fitted, scores: Collection[Score] = ()) -> tuple[Finding, ...]:
     """State every term of the fitted hypothesis, most probable first."""
     still_open = max((open_share(s) for s in scores), default=1.0)
-    interval = fitted.interval()
-    out = []
-    for part in evidence:
-        for term in part.best.fit.terms:
-            chosen = next((c for c in fitted.hypothesis.terms if c.key == term.candidate.key), None)
-            if chosen is not None:
-                values = fitted.hypothesis.values_of(chosen, fitted.values)
-                band = fitted.hypothesis.values_of(chosen, interval.T).T
-                out.append(_finding(part, term, values, band, still_open))
+    stated = {c.key: c for c in fitted.hypothesis.terms}
+    out = [
+        _finding(part, term, fitted, stated[term.candidate.key], still_open)
+        for part in evidence
+        for term in part.best.fit.terms
+        if term.candidate.key in stated
+    ]
     return tuple(sorted(out, key=lambda f: (-round(f.probability, 2), -f.energy_share)))
 
 
@@ -137,8 +130,9 @@ def summarise(
     return tuple(out)
 
 
-def _finding(part: Evidence, term: Atom, values: Array, band: Array, still_open: float) -> Finding:
-    bank, candidate = part.judge.bank, term.candidate
+def _finding(part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, still_open: float) -> Finding:
+    bank, candidate, h = part.judge.bank, term.candidate, fitted.hypothesis
+    values, band = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.interval().T).T
     rated = list(zip(*_shares(part, term), strict=True))
     own = next(share for a, share in rated if a.candidate.key == candidate.key)
     grounds = Grounds(
@@ -148,8 +142,9 @@ def _finding(part: Evidence, term: Atom, values: Array, band: Array, still_open:
         scatter=scatter(bank, part.best.fit, term),
         open=still_open,
         energy=_energy_share(part, term),
-        terms=sum(a.candidate.joint_name == candidate.joint_name for a in part.best.fit.terms),
+        terms=sum(c.joint_name == candidate.joint_name for c in h.terms),
         strain=part.best.fit.strain,
+        sure=_certainty(chosen, values, h.values_of(chosen, fitted.samples)),
     )
     likely = min(probability(grounds), own)  # with equals it shares what there is
     per_share = min(likely / max(own, 1e-9), (1.0 - likely) / max(1.0 - own, 1e-9))
@@ -184,6 +179,13 @@ def _finding(part: Evidence, term: Atom, values: Array, band: Array, still_open:
     )
 
 
+def _certainty(candidate: Candidate, values: Array, samples: Array) -> float:
+    """Largest distance of a parameter from the given model's, in standard deviations of the bootstrap."""
+    change = np.abs(values - [p.nominal for p in candidate.parameters])
+    deviation = np.maximum(samples.std(0), 1e-3 * np.array([p.scale for p in candidate.parameters]))
+    return float((change / deviation).max(initial=0.0))
+
+
 def _within(parameter: Parameter, ends: tuple[float, float]) -> tuple[float, float]:
     """An interval within the parameter's physical bounds."""
     low, high = (min(max(end, parameter.lower), parameter.upper) for end in ends)
@@ -203,7 +205,8 @@ def _shares(part: Evidence, term: Atom) -> tuple[list[Atom], list[float]]:
     options = alternatives(part.judge, part.best, term)
     kept = {a.candidate.key for a in part.best.fit.terms if a is not term}
     atoms = [next(a for a in s.fit.terms if a.candidate.key not in kept) for s in options]
-    against = np.array([s.evidence + part.simulated.get(keys(s.fit.terms), 0.0) for s in options])
+    untried = part.simulated.get(keys(part.best.fit.terms), 0.0)  # by the simulation: no better than the best
+    against = np.array([s.evidence + part.simulated.get(keys(s.fit.terms), untried) for s in options])
     weights = np.exp(-0.5 * (against - against.min()))
     return atoms, [float(w) for w in weights / weights.sum()]
 

@@ -50,6 +50,12 @@ TRIMS: Mapping[Effect, float] = MappingProxyType(
 a link's size, 15 % of an inertia, 3 mrad, 1 ms or half a sample. A smaller change is a trim, no finding."""
 FIT_TRIMS: Mapping[Effect, float] = MappingProxyType({**TRIMS, TorqueScale(): 1.0})
 """The same once the findings are known: 5 % of a torque constant, too."""
+TOLERANCES: Mapping[str, float] = MappingProxyType(
+    {"link_mass": 1.0, "link_com": 0.6, "encoder_offset": 0.3, "torque_scale": 1.0, "gain_mismatch": 1.0,
+     "clock_offset": 0.2, "actuation_delay": 0.2, "actuation_lag": 0.2}
+)  # fmt: skip
+"""How far a number may be off without being a finding, in its parameters' units: the trims' tolerances, 5 % of a gain,
+and 1 ms or half a sample of a delay."""
 OWN_JOINT = frozenset({"friction", "presliding", "transmission", "timing", "torque", "elastic", "control", "change"})
 """Classes of effects that a joint which follows the model cannot have."""
 TORQUE_FLOOR = 1e-3
@@ -489,6 +495,22 @@ def trims_for(takes: Sequence[Signals], trust: Mapping[Effect, float]) -> list[C
         )
         out.append(replace(candidate, parameters=narrow))
     return out
+
+
+def is_trim(candidate: Candidate, values: Array, period: float) -> bool:
+    """Whether a fitted effect is no more than what every model and every log is off by.
+
+    Args:
+        candidate: The effect.
+        values: Its parameters. Shape (P,).
+        period: Of the recordings' samples [s]; half of it is nobody's fault.
+    """
+    if candidate.effect.name not in TOLERANCES:
+        return False
+    reach = TOLERANCES[candidate.effect.name] * np.array([p.scale for p in candidate.parameters])
+    if candidate.parameters[0].unit == "s":
+        reach = np.maximum(reach, 0.5 * period)
+    return bool((np.abs(values - [p.nominal for p in candidate.parameters]) <= reach).all())
 
 
 def _reach(effect: Effect, p: Parameter) -> float:

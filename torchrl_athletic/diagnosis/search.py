@@ -6,12 +6,13 @@ A beam, then exchange and pruning, then the rivals of every term.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.screen import Atom, Bank, Fit, Key
+from torchrl_athletic.diagnosis.screen import Atom, Bank, Candidate, Fit, Key
 
 Array = NDArray[np.float64]
 
@@ -189,7 +190,7 @@ def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: No
         finished.extend(beam)
     distinct = {keys(s.fit.terms): s for s in sorted(finished, key=lambda s: -s.evidence)}
     best = sorted(distinct.values(), key=lambda s: s.evidence)[:BEAM]
-    polished = [_invariant(judge, _prune(judge, _simplify(judge, _exchange(judge, s)))) for s in best]
+    polished = [_invariant(judge, _prune(judge, _simplify(judge, _merge(judge, _exchange(judge, s))))) for s in best]
     unique = {keys(s.fit.terms): s for s in sorted(polished, key=lambda s: -s.evidence)}
     return sorted(unique.values(), key=lambda s: s.evidence)
 
@@ -243,8 +244,11 @@ def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
     for atom in _promising(judge, kept, _shortlist(judge, kept), 2 * PROMISING):
         scored = judge.score([*rest, atom], independent, RIVAL_PRICE)
         key = atom.candidate.key
-        if _contains(atom, term) and judge.closes(best.fit, scored.fit) < RICHER:
-            continue  # the same statement with more numbers
+        if judge.closes(best.fit, scored.fit) < RICHER:
+            if _contains(atom, term):
+                continue  # the same statement with more numbers
+            if _is_richer(atom, term):  # it was given up for the simpler one: at most its equal
+                scored = replace(scored, evidence=max(scored.evidence, own.evidence))
         if key != term.candidate.key and (key not in out or scored.evidence < out[key].evidence):
             out[key] = scored
     return sorted(out.values(), key=lambda s: s.evidence)
@@ -294,14 +298,33 @@ def _refine(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
             here = scored.fit.terms[place]
             value = here.fixed[name]
             same = [a for a in judge.bank.atoms if a.candidate is here.candidate and _differs_in(a, here, name)]
-            grid = sorted({a.fixed[name] for a in same})
-            at = grid.index(value)
-            near = [(grid[k] + value) / 2 for k in (at - 1, at + 1) if 0 <= k < len(grid)]
-            near = [x for x in near if abs(x - value) > FINEST * abs(value)]
+            near = _between({a.fixed[name] for a in same}, value, *_range(here, name))
             for atom in judge.bank.add_all(here.candidate, [{**here.fixed, name: x} for x in near]):
                 terms = [*scored.fit.terms[:place], atom]
                 scored = min(scored, judge.score(terms), key=lambda s: s.evidence)
     return scored
+
+
+def _between(grid: Iterable[float], value: float, lower: float, upper: float) -> list[float]:
+    """Half-way from a grid point to its neighbours; as far beyond an end of the grid, within the parameter's bounds.
+
+    Example:
+        >>> _between({1.0, 2.0, 2.001, 4.0}, 2.0, 0.0, 10.0)
+        [1.5, 3.0]
+        >>> _between({1.0, 2.0}, 2.0, 0.0, 2.2)
+        [1.5, 2.2]
+    """
+    steps = [x - value for x in grid if abs(x - value) > FINEST * abs(value)]  # periods of samples lie beside the grid
+    down, up = (max((s for s in steps if s < 0), default=None), min((s for s in steps if s > 0), default=None))
+    down, up = down if down is not None or up is None else -up, up if up is not None or down is None else -down
+    near = [min(max(value + step / 2, lower), upper) for step in (down, up) if step is not None]
+    return [x for x in near if abs(x - value) > FINEST * abs(value)]
+
+
+def _range(atom: Atom, name: str) -> tuple[float, float]:
+    """Bounds of a parameter; none of a number that is no parameter is passed."""
+    known = {p.name: (p.lower, p.upper) for p in atom.candidate.parameters}
+    return known.get(name, (atom.fixed[name], atom.fixed[name]))
 
 
 def _differs_in(one: Atom, other: Atom, name: str) -> bool:
@@ -330,6 +353,38 @@ def _exchange(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
             break
         scored = better
     return scored
+
+
+def _merge(judge: Judge, scored: Scored) -> Scored:
+    """Replace two terms of a joint, or all that a cause of the whole robot excludes, by one that explains as much.
+
+    Gains that are off look like a weaker motor with more friction, a late clock like late motors on all joints.
+    """
+    everywhere = {a.candidate for a in judge.bank.atoms if a.candidate.joint_name is None}
+    while True:
+        terms = scored.fit.terms
+        pairs = [pair for pair in combinations(terms, 2) if pair[0].candidate.joint == pair[1].candidate.joint]
+        trials = [_merged(judge, terms, pair, None) for pair in pairs]
+        for candidate in sorted(everywhere, key=lambda c: c.effect.name):
+            parts = tuple(t for t in terms if not candidate.allows(t.candidate))
+            if len(parts) > 1:
+                trials.append(_merged(judge, terms, parts, candidate))
+        best = min([scored, *trials], key=lambda s: s.evidence)
+        if best is scored:
+            return scored
+        scored = best
+
+
+def _merged(judge: Judge, terms: Sequence[Atom], parts: Sequence[Atom], whole: Candidate | None) -> Scored:
+    """The combination with the best single term instead of some: one of their joint, or the given one."""
+    kept = judge.score([t for t in terms if t not in parts])
+    atoms = [
+        a
+        for a in _shortlist(judge, kept)
+        if (a.candidate.joint == parts[0].candidate.joint if whole is None else a.candidate is whole)
+    ]
+    trials = [judge.score([*kept.fit.terms, atom]) for atom in _promising(judge, kept, atoms, 3)]
+    return _refine(judge, min(trials, key=lambda s: s.evidence)) if trials else kept
 
 
 def _split(judge: Judge, kept: Scored, term: Atom) -> Scored:
@@ -439,10 +494,14 @@ def _doubt(atom: Atom) -> float:
     return 2 * np.log(3.0) if atom.candidate.effect.name in UNLIKELY else 0.0
 
 
+def _is_richer(one: Atom, other: Atom) -> bool:
+    """Whether an effect of the same joint has more parameters."""
+    return one.candidate.joint == other.candidate.joint and one.freedom > other.freedom
+
+
 def _contains(larger: Atom, smaller: Atom) -> bool:
     """Whether one effect is the other with more parameters."""
-    a, b = larger.candidate, smaller.candidate
-    return a.joint == b.joint and b.effect.name in a.effect.excludes and larger.freedom > smaller.freedom
+    return _is_richer(larger, smaller) and smaller.candidate.effect.name in larger.candidate.effect.excludes
 
 
 def keys(atoms: Iterable[Atom]) -> frozenset[Key]:
