@@ -12,26 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from torchrl_athletic.identification import comparison
+
 ARM = "arm"
 """Name of the world that is real."""
-NAMES = {
-    "reference": "by hand",
-    "default": "Default",
-    "dr": "DR",
-    "roa": "ROA",
-    "cem": "CEM",
-    "actuator_net": "Actuator Net",
-    "uan": "UAN",
-    "diagnosed": "Diagnosed",
-    "diagnosed_uan": "Diagnosed + UAN",
-}
+NAMES = {"reference": "by hand", "default": "Default", "dr": "DR", "roa": "ROA"} | comparison.NAMES
 """In the order of tables and figures; others follow under names of their own."""
 BASELINES = ("default", "dr", "roa", "cem", "actuator_net")
-COLOURS = {
-    **{"reference": "0.8", "default": "tab:gray", "dr": "tab:olive", "roa": "tab:brown", "cem": "tab:orange"},
-    **{"actuator_net": "tab:red", "uan": "tab:blue", "diagnosed": "tab:green", "diagnosed_uan": "tab:cyan"},
-}
-"""The same whatever else is in the figure."""
+COLOURS = comparison.COLOURS | {"reference": "#DDDDDD", "dr": "#A8DADC", "roa": "#E9C46A"}
+"""Those of the comparison of replays."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +72,7 @@ class Score:
 
 def label(method: str) -> str:
     """As it is written: ``"cem"`` is CEM."""
-    return NAMES.get(method) or method.replace("_", " ").replace("uan", "UAN").replace("diagnosed", "Diagnosed +")
+    return NAMES.get(method, method)
 
 
 def method_of(world: str) -> str:
@@ -244,7 +233,7 @@ def draw(scores: Sequence[Score], path: Path) -> None:
     groups = by_method(scores)
     figure, axes = pyplot.subplots(1, 2, figsize=(10, 4))
     place = np.arange(len(groups))
-    colours = [COLOURS.get(method, "tab:purple") for method in groups]
+    colours = [COLOURS.get(method, "#888888") for method in groups]
     for panel, which, title in (
         (axes[0], "difference", "simulated less real distance, absolute [m]"),
         (axes[1], "real", "real distance [m]"),

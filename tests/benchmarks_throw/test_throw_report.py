@@ -62,7 +62,7 @@ def test_methods_come_in_the_order_of_the_figure_and_unknown_ones_last():
     assert list(by_method(ALL)) == ["reference", "default", "uan"]
     assert in_order(["uan_seed1", "mine", "cem_seed0", "uan_seed0"]) == ["cem_seed0", "uan_seed0", "uan_seed1", "mine"]
     assert label("actuator_net") == "Actuator Net"
-    assert label("uan_per_joint") == "UAN per joint"
+    assert label("mine") == "mine"
 
 
 def test_the_table_of_methods_gives_means_and_spreads_over_policies():
