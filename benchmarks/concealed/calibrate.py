@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -25,17 +25,24 @@ from scipy.optimize import minimize
 
 sys.path.append(str(Path(__file__).parents[2]))
 
+from benchmarks.concealed.cases import CLASS_OF
 from benchmarks.concealed.run import program_digest
 from benchmarks.concealed.score import RIGHT, Row, load, reliability
 from torchrl_athletic.diagnosis.calibration import Grounds
 
 Array = NDArray[np.float64]
 
-SIGNS = {"share": 1, "left": -1, "excess": -1, "scatter": -1, "open": -1, "energy": 1, "terms": -1, "strain": -1}
+SIGNS = {
+    "share": 1, "left": -1, "excess": -1, "scatter": -1, "open": -1, "energy": 1, "terms": -1, "strain": -1, "sure": 1,
+}  # fmt: skip
 """Which way each feature may speak: more doubt never makes a finding more probable."""
+FEATURES = tuple(f for f in SIGNS if f in {field.name for field in fields(Grounds)})
+EFFECTS = tuple(sorted(CLASS_OF))
+"""Each has a weight beside the features: how often what bears its name is right, other things equal."""
 UNSIGNED = ("gravity_tilt", "disturbance")
 """Effects whose parameters have another convention in the key."""
-FOLDS, REPEATS = 5, 8
+WIDTH = len(FEATURES) + len(EFFECTS)
+FOLDS, REPEATS = 5, 4
 """Parts of the cases for cross-validation, and how often they are drawn."""
 RIDGES = (0.1, 0.5, 2.0, 8.0)
 """That are compared."""
@@ -61,7 +68,7 @@ class Config:
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """Every finding of the answers. F findings, K features."""
+    """Every finding of the answers. F findings, K features and effects."""
 
     features: Array
     """Shape (F, K)."""
@@ -92,7 +99,8 @@ def main(cfg: Config) -> None:
         "made_by": f"benchmarks/concealed/calibrate.py from {len(stated.right)} findings of {len(rows)} tuning cases, "
         f"{int(stated.right.sum())} of them right",
         "weights": {"intercept": round(float(weights[0]), 3)}
-        | {name: round(float(w), 3) for name, w in zip(SIGNS, weights[1:], strict=True)},
+        | {name: round(float(w), 3) for name, w in zip(FEATURES, weights[1:], strict=False)},
+        "effects": {name: round(float(w), 3) for name, w in zip(EFFECTS, weights[1 + len(FEATURES) :], strict=True)},
         "interval": {"widen": factor, "relative": cfg.relative},
     }
     if not cfg.dry:
@@ -113,16 +121,21 @@ def current(rows: Sequence[Row], program: str | None) -> list[Row]:
 
 
 def findings(rows: Sequence[Row]) -> Stated:
-    """Features and grade of every finding."""
-    of = [(number, row.grade(f), f["grounds"]) for number, row in enumerate(rows) for f in row.findings]
-    features = [Grounds(**grounds).features() for _, _, grounds in of]
+    """Features, effect and grade of every finding."""
+    of = [(number, row.grade(f), f) for number, row in enumerate(rows) for f in row.findings]
     return Stated(
-        np.array([[row[name] for name in SIGNS] for row in features]).reshape(-1, len(SIGNS)),
-        np.array([grounds["share"] for *_, grounds in of], dtype=np.float64),
+        np.array([columns(Grounds(**f["grounds"]), f["effect"]) for *_, f in of]).reshape(-1, WIDTH),
+        np.array([f["grounds"]["share"] for *_, f in of], dtype=np.float64),
         np.array([grade for _, grade, _ in of], dtype=np.str_),
         np.array([number for number, *_ in of], dtype=np.int64),
         len(rows),
     )
+
+
+def columns(grounds: Grounds, effect: str) -> list[float]:
+    """The features, and one for the effect. Length ``WIDTH``."""
+    features = grounds.features()
+    return [*(features[name] for name in FEATURES), *(float(effect == name) for name in EFFECTS)]
 
 
 # --- probabilities ----------------------------------------------------------------------------------------------------
@@ -144,7 +157,9 @@ def fit(features: Array, share: Array, right: Array, ridge: float) -> Array:
         p = np.clip(chance(w, features, cap), 1e-6, 1 - 1e-6)
         return float(-np.log(np.where(right > 0, p, 1 - p)).sum() + ridge * (w[1:] ** 2).sum())
 
-    bounds = [(None, None)] + [(0, None) if sign > 0 else (None, 0) for sign in SIGNS.values()]
+    bounds: list[tuple[float | None, float | None]] = [(None, None)] * (1 + WIDTH)
+    for k, name in enumerate(FEATURES):
+        bounds[1 + k] = (0, None) if SIGNS[name] > 0 else (None, 0)
     weights = np.zeros(1 + features.shape[1])
     for cap in (np.ones_like(share), share):
         weights = minimize(loss, weights, args=(cap,), bounds=bounds, method="L-BFGS-B").x

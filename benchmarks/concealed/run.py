@@ -53,7 +53,7 @@ COUNTS = {
 }  # fmt: skip
 """Cases of each block in the whole proof: every effect at least twelve times alone, 160 without anything."""
 KEY = Path("benchmarks/results/concealed_key.sha256")
-Method = Literal["diagnosis", "naive_bic", "sysid", "pace", "oracle"]
+Method = Literal["diagnosis", "naive_bic", "sysid", "pace", "oracle", "uan"]
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def program_digest(method: Method) -> str:
     """Digest of the files that make an answer; probabilities are learnt from answers, and left out."""
     package = Path(torchrl_athletic.__file__).parent
     files = [Path(__file__).parent / "baselines.py"]
-    if method in ("diagnosis", "oracle"):
+    if method in ("diagnosis", "oracle", "uan"):
         files = sorted(p for room in ("diagnosis", "effects") for p in (package / room).glob("*.py"))
     digest = hashlib.sha256()
     for path in files:
@@ -192,6 +192,8 @@ def answer(cfg: Config, case: Case, folder: Path) -> dict[str, Any]:
     command = [sys.executable, str(here / "diagnose_case.py"), str(folder)]
     if cfg.method == "oracle":
         command += ["--only", *({t.effect for t in case.truths} or {"none"})]
+    elif cfg.method == "uan":
+        command += ["--uan", "1"]
     elif cfg.method != "diagnosis":
         command = [sys.executable, str(here / "baselines.py"), str(folder), "--method", cfg.method]
     if case.removed:

@@ -458,12 +458,12 @@ def tables(rows: Sequence[Row], n: Mapping[str, Any]) -> list[str]:
 
 def comparison(content: Mapping[str, Any]) -> list[str]:
     """All methods side by side."""
-    out = ["| method | single: name | class | joint | wrong over 0.5 | false alarms | outside, left out | pairs | s |",
-           "|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
+    out = ["| method | single: name | class | joint | wrong over 0.5 | false alarms | outside, left out | pairs | "
+           "held-out gap closed | s |", "|---|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
     for method, n in content.items():
         s = n["single"]
         cells = [s["name"], s["class"], s["joint"], s["wrong_name_over_half"], n["quiet"]["false_alarm"],
-                 n["open_set"]["both"], n["pairs"]["both_named"]]  # fmt: skip
+                 n["open_set"]["both"], n["pairs"]["both_named"], n["share_closed_median"]]  # fmt: skip
         seconds = n["seconds"]["median"] if n["seconds"] else "-"
         out.append(f"| {method} | {' | '.join(_show(c) for c in cells)} | {seconds} |")
     return out

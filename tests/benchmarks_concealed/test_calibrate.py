@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
 from benchmarks.concealed import run
 from benchmarks.concealed.calibrate import (
-    SIGNS,
+    EFFECTS,
+    FEATURES,
+    WIDTH,
     Stated,
     bootstrap,
     chance,
+    columns,
     crossed,
     current,
     figures,
@@ -26,7 +30,7 @@ from benchmarks.concealed.hidden import Truth
 from benchmarks.concealed.score import Row, reliability
 from torchrl_athletic.diagnosis.calibration import Grounds, learnt, probability, widened
 
-GROUNDS = Grounds(share=0.9, left=0.1, excess=1.0, scatter=0.1, open=0.1, energy=0.8, terms=1, strain=2.0)
+GROUNDS = Grounds(**{field.name: 1 for field in fields(Grounds)} | {"share": 0.9, "left": 0.1, "energy": 0.8})
 
 
 FRICTION = Truth("coulomb_friction", "elbow", {"torque": 1.0})
@@ -45,7 +49,7 @@ def row(truth: Truth, *names: str, interval=(0.9, 1.1), tolerated: tuple[str, ..
 def drawn(count: int = 400, seed: int = 0) -> Stated:
     """Findings that are right as often as their first feature says, three to a case."""
     rng = np.random.default_rng(seed)
-    features = rng.normal(size=(count, len(SIGNS)))
+    features = rng.normal(size=(count, WIDTH))
     right = rng.random(count) < 1 / (1 + np.exp(-2 * features[:, 0]))
     grade = np.where(right, "right", "wrong")
     return Stated(features, np.full(count, 0.999), grade, np.arange(count) // 3, count // 3 + 1)
@@ -60,20 +64,31 @@ def test_a_name_that_is_true_of_a_part_only_does_not_count_as_right():
 
 
 def test_what_is_fitted_is_what_the_diagnosis_states():
-    weights = np.array([learnt("weights")[name] for name in ("intercept", *SIGNS)])
-    features = np.array([[GROUNDS.features()[name] for name in SIGNS]])
-    assert chance(weights, features, np.array([0.95]))[0] == pytest.approx(min(probability(GROUNDS), 0.95))
-    assert chance(weights, features, np.array([0.2]))[0] == 0.2
+    weights = [learnt("weights").get(name, 0.0) for name in ("intercept", *FEATURES)]
+    weights += [learnt("effects").get(name, 0.0) for name in EFFECTS]
+    features = np.array([columns(GROUNDS, "backlash")])
+    stated = min(probability(GROUNDS, "backlash"), 0.95)
+    assert chance(np.array(weights), features, np.array([0.95]))[0] == pytest.approx(stated)
+    assert chance(np.array(weights), features, np.array([0.2]))[0] == min(stated, 0.2)
 
 
 def test_findings_that_the_share_caps_teach_nothing_about_the_others():
     # half of them are capped at 0.3 and right so often; of the others nine in ten are right
     share = np.repeat([0.3, 0.999], 100)
     right = np.concatenate([np.arange(100) < 30, np.arange(100) < 90]).astype(float)
-    features = np.zeros((200, len(SIGNS)))
+    features = np.zeros((200, WIDTH))
     stated = chance(fit(features, share, right, 1.0), features, share)
     np.testing.assert_allclose(stated[:100], 0.3)
     np.testing.assert_allclose(stated[100:], 0.9, atol=0.005)
+
+
+def test_an_effect_that_often_stands_in_for_others_is_stated_less():
+    features = np.array([columns(GROUNDS, name) for name in ("backlash", "compliance")]).repeat(50, axis=0)
+    right = np.concatenate([np.arange(50) < 45, np.arange(50) < 5]).astype(float)
+    share = np.full(100, 0.999)
+    stated = chance(fit(features, share, right, 0.1), features, share)
+    assert stated[0] > 0.8
+    assert stated[-1] < 0.2
 
 
 def test_weights_have_their_signs_and_the_ridge_pulls_them_to_zero():
@@ -97,7 +112,7 @@ def test_no_case_is_judged_by_weights_that_have_seen_it():
 
 def test_wrong_names_are_counted_by_cases_those_without_findings_included():
     grade = np.array(["wrong", "wrong", "tolerated", "right"])
-    stated = Stated(np.zeros((4, len(SIGNS))), np.ones(4), grade, np.array([0, 0, 1, 2]), 10)
+    stated = Stated(np.zeros((4, WIDTH)), np.ones(4), grade, np.array([0, 0, 1, 2]), 10)
     told = figures(stated, np.array([0.9, 0.8, 0.7, 0.6]))
     assert told["cases with a wrong name over 0.5"] == pytest.approx(0.1)
     assert told["right findings over 0.5"] == 1.0

@@ -56,13 +56,17 @@ class Grounds:
 
 @cache
 def learnt(part: str) -> Mapping[str, float]:
-    """What is in force: ``"weights"`` of the features, or how an ``"interval"`` is widened."""
+    """What is in force: ``"weights"`` of the features, of the ``"effects"``, or how an ``"interval"`` is widened."""
     content = json.loads(files(__package__).joinpath("calibration.json").read_text(encoding="utf-8"))
-    return {name: float(value) for name, value in content[part].items()}
+    return {name: float(value) for name, value in content.get(part, {}).items()}
 
 
-def probability(grounds: Grounds) -> float:
+def probability(grounds: Grounds, effect: str = "") -> float:
     """That a finding with these grounds is true: a logistic regression's answer.
+
+    Args:
+        grounds: Of the finding.
+        effect: Its name: some stand in for other physics more often than others.
 
     Example:
         >>> clear = Grounds(share=0.99, left=0, excess=0, scatter=0.01, open=0, energy=1, terms=1, strain=1, sure=30)
@@ -72,6 +76,7 @@ def probability(grounds: Grounds) -> float:
     """
     weights = learnt("weights")
     odds = weights["intercept"] + sum(weights.get(name, 0.0) * x for name, x in grounds.features().items())
+    odds += learnt("effects").get(effect, 0.0)
     return float(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))))
 
 
