@@ -75,6 +75,11 @@ def label(method: str) -> str:
     return NAMES.get(method, method)
 
 
+def tick(method: str) -> str:
+    """A label in as many lines as it needs."""
+    return label(method).replace(", ", ",\n")
+
+
 def method_of(world: str) -> str:
     """Whatever it was identified with: ``"uan_seed1"`` is of ``"uan"``."""
     return re.sub(r"_seed\d+$", "", world)
@@ -242,7 +247,7 @@ def draw(scores: Sequence[Score], path: Path) -> None:
         panel.bar(place, [fmean(x) for x in values], yerr=[pstdev(x) for x in values], capsize=3, color=colours)
         for x, each in zip(place, values, strict=True):
             panel.plot(x + np.linspace(-0.15, 0.15, len(each)) * (len(each) > 1), each, "k.", markersize=4)
-        panel.set_xticks(place, [label(method) for method in groups], rotation=35, ha="right")
+        panel.set_xticks(place, [tick(method) for method in groups], rotation=35, ha="right")
         panel.set_ylim(bottom=0)
         panel.set_title(title, fontsize="medium")
         panel.grid(axis="y", alpha=0.3)
@@ -275,9 +280,9 @@ def draw_matrix(scores: Sequence[Score], path: Path) -> None:
         axes.text(len(worlds), row, f"{distance:.2f}", ha="center", va="center", fontsize=8, weight="bold")
     for column, error in enumerate(everyone):
         axes.text(column, len(groups), f"{error:.3f}", ha="center", va="center", fontsize=8, style="italic")
-    ticks = [label(method) for method in worlds]
+    ticks = [tick(method) for method in worlds]
     axes.set_xticks(range(len(ticks) + 1), [*ticks, "arm [m]"], rotation=35, ha="right")
-    axes.set_yticks(range(len(groups) + 1), [*(label(method) for method in groups), "root mean square"])
+    axes.set_yticks(range(len(groups) + 1), [*(tick(method) for method in groups), "root mean square"])
     axes.set_xlabel("thrown in")
     axes.set_ylabel("trained in")
     axes.tick_params(length=0)
