@@ -107,7 +107,7 @@ def make_learner(cfg: Config, given: Simulator, takes: Takes, net: nn.Sequential
     if cfg.method == "gradient":
         moved = robot.joint_groups.get("arm")
         base = training.DifferentiableTorqueEnv(robot, joints=moved, num_envs=rows, device=cfg.device, along=takes)
-        env = replay_env(robot, takes, chain=chain, unit=unit, base=base, max_steps=400, seed=cfg.seed)
+        env = replay_env(robot, takes, chain=chain, unit=unit, base=base, max_steps=1000, seed=cfg.seed)
         return training.GradientLearner(env, net, minutes=cfg.minutes)
     env = replay_env(robot, takes, chain=chain, unit=unit, num_envs=rows, device=cfg.device, seed=cfg.seed)
     ppo, on_gpu = replace(training.UAN, num_envs=rows, micro_batch=98_304), cfg.device == "cuda"
