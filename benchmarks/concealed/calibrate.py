@@ -28,7 +28,7 @@ sys.path.append(str(Path(__file__).parents[2]))
 from benchmarks.concealed.cases import CLASS_OF
 from benchmarks.concealed.run import program_digest
 from benchmarks.concealed.score import RIGHT, Row, load, reliability
-from torchrl_athletic.diagnosis.calibration import Grounds
+from torchrl_athletic.diagnosis.calibration import EQUALS, Grounds
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ class Config:
     output: Path = Path("torchrl_athletic/diagnosis/calibration.json")
     seeds: tuple[int, ...] = (0, 1)
     """Of the tuning cases."""
-    ridge: float = 2.0
+    ridge: float = 0.5
     """Strength of the pull of the weights to zero."""
     relative: float = 0.05
     """Of a parameter's value: the least that its interval reaches to either side."""
@@ -73,7 +73,7 @@ class Stated:
     features: Array
     """Shape (F, K)."""
     share: Array
-    """Of the evidence: no finding is stated above it. Shape (F,)."""
+    """Of the evidence: no finding is stated above it and above one half. Shape (F,)."""
     grade: NDArray[np.str_]
     """As the score's. Shape (F,)."""
     case: NDArray[np.int64]
@@ -142,9 +142,9 @@ def columns(grounds: Grounds, effect: str) -> list[float]:
 
 
 def chance(weights: Array, features: Array, share: Array) -> Array:
-    """What is stated: the regression's answer, and no more than the share of the evidence. Shape (F,)."""
+    """What is stated: :func:`~torchrl_athletic.diagnosis.calibration.probability` of each finding. Shape (F,)."""
     odds = np.clip(weights[0] + features @ weights[1:], -20, 20)
-    return np.minimum(1.0 / (1.0 + np.exp(-odds)), share)
+    return np.minimum(1.0 / (1.0 + np.exp(-odds)), np.maximum(share, EQUALS))
 
 
 def fit(features: Array, share: Array, right: Array, ridge: float) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -67,18 +67,26 @@ def test_what_is_fitted_is_what_the_diagnosis_states():
     weights = [learnt("weights").get(name, 0.0) for name in ("intercept", *FEATURES)]
     weights += [learnt("effects").get(name, 0.0) for name in EFFECTS]
     features = np.array([columns(GROUNDS, "backlash")])
-    stated = min(probability(GROUNDS, "backlash"), 0.95)
-    assert chance(np.array(weights), features, np.array([0.95]))[0] == pytest.approx(stated)
-    assert chance(np.array(weights), features, np.array([0.2]))[0] == min(stated, 0.2)
+    for share in (0.95, 0.7, 0.2):
+        stated = probability(replace(GROUNDS, share=share), "backlash")
+        features[0, FEATURES.index("share")] = replace(GROUNDS, share=share).features()["share"]
+        assert chance(np.array(weights), features, np.array([share]))[0] == pytest.approx(stated)
+
+
+def test_equals_share_what_there_is_and_one_with_all_the_evidence_may_have_it_all():
+    sure = np.full((1, WIDTH), 0.0)
+    weights = np.array([9.0] + [0.0] * WIDTH)
+    stated = [chance(weights, sure, np.array([share]))[0] for share in (0.01, 0.5, 0.8, 1.0)]
+    np.testing.assert_allclose(stated, [0.5, 0.5, 0.8, 1.0], atol=2e-4)
 
 
 def test_findings_that_the_share_caps_teach_nothing_about_the_others():
-    # half of them are capped at 0.3 and right so often; of the others nine in ten are right
-    share = np.repeat([0.3, 0.999], 100)
-    right = np.concatenate([np.arange(100) < 30, np.arange(100) < 90]).astype(float)
+    # half of them are capped at 0.5 and right so often; of the others nine in ten are right
+    share = np.repeat([0.5, 0.999], 100)
+    right = np.concatenate([np.arange(100) < 50, np.arange(100) < 90]).astype(float)
     features = np.zeros((200, WIDTH))
     stated = chance(fit(features, share, right, 1.0), features, share)
-    np.testing.assert_allclose(stated[:100], 0.3)
+    np.testing.assert_allclose(stated[:100], 0.5)
     np.testing.assert_allclose(stated[100:], 0.9, atol=0.005)
 
 
