@@ -193,7 +193,7 @@ def answer(cfg: Config, case: Case, folder: Path) -> dict[str, Any]:
     if cfg.method == "oracle":
         command += ["--only", *({t.effect for t in case.truths} or {"none"})]
     elif cfg.method == "uan":
-        command += ["--uan", "1"]
+        command += ["--uan", "2"]
     elif cfg.method != "diagnosis":
         command = [sys.executable, str(here / "baselines.py"), str(folder), "--method", cfg.method]
     if case.removed:

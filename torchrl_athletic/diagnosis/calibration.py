@@ -10,11 +10,11 @@ from importlib.resources import files
 
 import numpy as np
 
-
 EQUALS = 0.5
 """Of the probability, what a finding may have beside rivals with as much evidence or more.
 
-The evidence alone would say less: of 26 findings on tuning cases whose rivals had nine tenths of it a quarter was right.
+The evidence alone would say less: of 26 findings on tuning cases whose rivals had nine tenths of it, a quarter was
+right.
 """
 
 
