@@ -99,9 +99,9 @@ def make_policy(
     """That begins with the reference, but for what it explores."""
     if adapts_to:
         keys = ("observation", "randomization", "observation")
-        policy = roa_actor(seen, joints, adapts_to, seen, in_keys=keys, hidden=hidden, scale=0.3, device=device)
+        policy = roa_actor(seen, joints, adapts_to, seen, in_keys=keys, hidden=hidden, scale=0.15, device=device)
     else:
-        policy = actor(seen, joints, hidden=hidden, scale=0.3, device=device)
+        policy = actor(seen, joints, hidden=hidden, scale=0.15, device=device)
     outputs = [m for m in policy.modules() if isinstance(m, torch.nn.Linear) and m.out_features == joints]
     torch.nn.init.zeros_(outputs[-1].weight)
     return policy
