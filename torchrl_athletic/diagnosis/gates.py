@@ -146,7 +146,7 @@ def _finding(part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, stil
         strain=part.best.fit.strain,
         sure=_certainty(chosen, values, h.values_of(chosen, fitted.samples)),
     )
-    likely = min(probability(grounds, candidate.effect.name), own)  # with equals it shares what there is
+    likely = probability(grounds, candidate.effect.name)
     per_share = min(likely / max(own, 1e-9), (1.0 - likely) / max(1.0 - own, 1e-9))
     effect, joint = candidate.effect, candidate.where
     named = {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)}
