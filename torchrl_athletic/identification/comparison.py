@@ -132,7 +132,7 @@ def figure(
     for row, (title, rollouts) in enumerate(examples.items(), start=1):
         _traces(picture.add_subplot(grid[row, :]), title, rollouts, joint, seconds)
     handles = [_patch(method) for method in methods]
-    picture.legend(handles=handles, loc="outside lower center", ncols=len(methods), frameon=False)
+    picture.legend(handles=handles, loc="outside lower center", ncols=min(5, len(methods)), frameon=False)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     picture.savefig(path)
 
@@ -148,10 +148,17 @@ def _bars(axes: Any, results: Sequence[Result], methods: Sequence[str], column: 
         axes.plot([k] * len(values), values, ".", color="black", markersize=3)
         lost = "*" if _diverged(results, method, column) else ""
         axes.annotate(
-            f"{mean:.1e}{lost}", (k, mean), xytext=(0, 5), textcoords="offset points", ha="center", fontsize=6
+            f"{mean:.1e}{lost}",
+            (k, mean + spread),
+            xytext=(0, 4),
+            textcoords="offset points",
+            ha="center",
+            va="bottom",
+            fontsize=6,
+            rotation=90,
         )
     axes.set_yscale("log")
-    axes.margins(y=0.25)
+    axes.margins(y=0.3)
     axes.set_xticks([])
     axes.set_title(f"{column[0]} ({'whole takes' if column[1] == 'whole' else column[1]})", fontsize=9)
     if first:
