@@ -124,11 +124,12 @@ def identify_cem(
         if search.should_stop():
             break
     seconds = float(base.notes.get("training_seconds", 0.0)) + time.perf_counter() - started
+    seen = float(base.notes.get("data_seconds", 0.0))  # by what gave the base; of the windows some may be the same
     notes = {
         **base.notes,
         "seed": seed,
         "training_seconds": seconds,
-        "data_seconds": float(base.notes.get("data_seconds", 0.0)) + objective.seconds,
+        "data_seconds": min(seen + objective.seconds, sum(r.duration for r in recordings)),
         "fit_mse": least,
         "generations": generation + 1,
     }
