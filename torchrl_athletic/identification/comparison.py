@@ -158,7 +158,7 @@ def _bars(axes: Any, results: Sequence[Result], methods: Sequence[str], column: 
             rotation=90,
         )
     axes.set_yscale("log")
-    axes.margins(y=0.3)
+    axes.margins(y=0.45)
     axes.set_xticks([])
     axes.set_title(f"{column[0]} ({'whole takes' if column[1] == 'whole' else column[1]})", fontsize=9)
     if first:
