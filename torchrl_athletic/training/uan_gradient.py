@@ -25,8 +25,8 @@ from torchrl_athletic.training.checkpoint import env_state, restore_env
 from torchrl_athletic.training.rollout import control_step
 from torchrl_athletic.training.uan import MeanPolicy
 
-WINDOWS = (16, 32, 48)
-"""Steps that the gradient goes back, in the first, second and last third of the time. Over more it can explode."""
+WINDOWS = (32, 48)
+"""Steps that the gradient goes back, in the first and the second half of the time. Over more it can explode."""
 NUDGE = 1e-3
 """Of a position [rad] and a velocity [rad/s]; a torque is nudged as many N·m as its limit times this."""
 
