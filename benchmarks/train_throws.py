@@ -7,7 +7,7 @@ Each training is a process that runs ``recipes/throw_arm.py`` in a folder of its
 the simulator that it is trained in. Of a method that was identified with several seeds (``uan_seed0``, ``uan_seed1``)
 the policies' seeds take these in turn, so that each method has as many policies. Policies that have had their
 iterations are left as they are, others go on from their checkpoint: the command may be stopped and given again.
-A training that fails on a GPU is tried again without compiling, then on the CPU.
+A training that fails on a GPU is tried again on the CPU.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ class Config:
     """Of simulators."""
     output: Path = Path("outputs/throw")
     """Where folders of policies go."""
+    begin_with: Path | None = None
+    """Folder of policies to begin with, whose folders end in the same seeds; none begins with the reference."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Of the policies."""
     iterations: int = 120
@@ -75,14 +77,11 @@ class Job:
     seed: int
     output: Path
     device: str
-    fuse: bool = True
 
     @property
     def else_tried(self) -> Job | None:
         """What to do instead if it fails."""
-        if self.device == "cpu":
-            return None
-        return replace(self, fuse=False) if self.fuse else replace(self, device="cpu")
+        return None if self.device == "cpu" else replace(self, device="cpu")
 
 
 def main(cfg: Config) -> None:
@@ -147,6 +146,8 @@ def start(job: Job, cfg: Config, place: int, seconds: float) -> subprocess.Popen
         "ppo.actor-minibatches": max(4, cfg.num_envs * cfg.horizon // MINIBATCH),
         "ppo.critic-minibatches": 4,
     }
+    if cfg.begin_with is not None:
+        flags["begin-with"] = policy_of(job.seed, cfg.begin_with)
     words = [word for name, value in flags.items() for word in (f"--{name}", str(value))]
     cores = sorted(os.sched_getaffinity(0))
     own = {"OMP_NUM_THREADS": "1", "TORCHINDUCTOR_COMPILE_THREADS": str(max(1, len(cores) // cfg.jobs))}
@@ -156,13 +157,32 @@ def start(job: Job, cfg: Config, place: int, seconds: float) -> subprocess.Popen
         cores = cores[place :: cfg.jobs] or [cores[place % len(cores)]]
     with (job.output / "log.txt").open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, str(RECIPE), *words, *([] if job.fuse else ["--no-fuse"])],
+            [
+                sys.executable,
+                str(RECIPE),
+                *words,
+            ],
             stdout=log,
             stderr=subprocess.STDOUT,
             env=os.environ | own,
         )
     os.sched_setaffinity(process.pid, cores)
     return process
+
+
+def policy_of(seed: int, folder: Path) -> Path:
+    """The one policy of a seed that a folder holds.
+
+    Raises:
+        ValueError: If there is none, or several.
+    """
+    found = sorted(folder.glob(f"*-{seed}/policy.pt"))
+    if len(found) != 1:
+        raise ValueError(
+            f"{folder} holds {len(found)} policies of seed {seed}, so it is not known with which one to begin. Train "
+            "one simulator alone with --output there, in each of these seeds."
+        )
+    return found[0]
 
 
 def keep_simulator(folder: Path, copy: Path) -> None:

@@ -1,7 +1,6 @@
 """Teach a Z1 arm, bolted to the floor, to throw a ball from a bucket as far as it can, in an identified simulator.
 
 python recipes/throw_arm.py                     # the nominal model: 1.70 m after 0.5 M samples; by hand 1.26 m
-python recipes/throw_arm.py --device cuda --ppo.num-envs 4096 --iterations 120  # on a GPU
 python recipes/throw_arm.py --simulator outputs/identification/uan_seed0 --output outputs/throw/uan_seed0-0
 """
 
@@ -18,7 +17,7 @@ from torchrl.envs import EnvBase, RewardScaling
 from torchrl_athletic.envs import throw_env, throw_summary
 from torchrl_athletic.envs.throw import ARM_POWER, BUCKET, STEPS
 from torchrl_athletic.identification import Simulator
-from torchrl_athletic.networks import actor, critic, deploy, roa_actor, save_checkpoint
+from torchrl_athletic.networks import actor, critic, deploy, load_checkpoint, roa_actor, save_checkpoint
 from torchrl_athletic.robots import with_bucket, z1
 from torchrl_athletic.training import PPO, CapturedRollout, Checkpoints, Learner, make_logger, play, train
 
@@ -34,12 +33,11 @@ class Config:
     iterations: int | None = None
     seed: int = 0
     device: Literal["cpu", "cuda"] = "cpu"
-    fuse: bool = True
-    """On a GPU: compile what surrounds the physics, which takes a minute."""
+    begin_with: Path | None = None
+    """``policy.pt`` that was learnt in another simulator."""
     hidden: tuple[int, ...] = (128, 64)
     """Layers of both networks."""
     ppo: PPO = THROW
-    """What else is chosen by hand."""
     evaluate_every: int = 50
     """Iterations between measurements; with each, the policy and a checkpoint are written."""
     output: Path = Path("outputs/throw/default-0")
@@ -55,15 +53,17 @@ def main(cfg: Config) -> None:
     sizes["adapts_to"] = env.observation_spec["randomization"].shape[-1] if simulator.name == "roa" else 0
     policy = make_policy(**sizes, device=cfg.device)
     value = critic(sum(width.values()), in_keys=list(width), hidden=cfg.hidden, device=cfg.device)
+    if cfg.begin_with is not None:
+        load_checkpoint(cfg.begin_with, policy=policy, critic=value)
     watch, graph = ["reward_terms", "throw_failed"], cfg.device == "cuda"
-    rollout = CapturedRollout(env, policy, cfg.ppo.horizon, keys=[*value.in_keys, *watch], fuse=cfg.fuse)
+    rollout = CapturedRollout(env, policy, cfg.ppo.horizon, keys=[*value.in_keys, *watch])
     learner = Learner(env, policy, value, cfg.ppo, watch=watch, seed=cfg.seed, cuda_graph=graph, rollout=rollout)
     rollout.current["step_count"].random_(0, STEPS)  # so that episodes do not end all at once
 
     def evaluate() -> dict[str, float]:
         found = throw_summary(play(exam, deployed(policy, sizes["adapts_to"]), STEPS)[:, -1]["next"])
         about = {"sizes": sizes, "iterations": learner.iteration, "samples": learner.samples}
-        save_checkpoint(cfg.output / "policy.pt", about | found, policy=policy)
+        save_checkpoint(cfg.output / "policy.pt", about | found, policy=policy, critic=value)
         return found
 
     found = train(
@@ -86,9 +86,9 @@ def load_simulator(folder: Path | None) -> Simulator:
 
 
 def make_env(simulator: Simulator, num_envs: int, *, seed: int = 0, randomize: bool = True, **task: Any) -> EnvBase:
-    """The task in an identified simulator; the critic is told what was randomised."""
+    """The task in an identified simulator."""
     chain = simulator.chain(arm_power=ARM_POWER, randomize=randomize, seed=seed)
-    known = ["randomization"] if simulator.randomization is not None and randomize else []
+    known = ["randomization"] if simulator.name == "roa" and randomize else []
     env = throw_env(simulator.robot, num_envs=num_envs, chain=chain, privileged=known, seed=seed, **task)
     return env.append_transform(RewardScaling(loc=0.0, scale=0.1))  # returns of order one are soon learnt
 

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,7 @@ import tyro
 
 from benchmarks import train_throws
 from benchmarks.throw_transfer import load_recipe
-from benchmarks.train_throws import Config, Job, jobs_of, keep_simulator, last_line, main, start
+from benchmarks.train_throws import Config, Job, jobs_of, keep_simulator, last_line, main, policy_of, start
 
 
 @pytest.fixture
@@ -46,10 +45,10 @@ def started(monkeypatch):
     jobs, codes = [], {}
 
     def pretend(job, cfg, place, seconds):
-        jobs.append((job.output.name, job.device, job.fuse, place))
+        jobs.append((job.output.name, job.device, place))
         leave_policy(job.output, 0)
         (job.output / "log.txt").write_text("out of memory\n")
-        return subprocess.Popen([sys.executable, "-S", "-c", codes.get((job.device, job.fuse), "")])
+        return subprocess.Popen([sys.executable, "-S", "-c", codes.get(job.device, "")])
 
     monkeypatch.setattr(train_throws, "start", pretend)
     return jobs, codes
@@ -62,26 +61,20 @@ def test_policies_that_had_their_iterations_are_left_alone(simulators, tmp_path,
     assert [name for name, *_ in started[0]] == ["uan_seed0-0", "cem_seed0-0"]
 
 
-def test_what_fails_on_a_gpu_is_tried_without_compiling_and_then_on_the_cpu(simulators, tmp_path, started):
-    started[1].update({("cuda", True): "raise SystemExit(1)", ("cuda", False): "raise SystemExit(1)"})
+def test_what_fails_on_a_gpu_is_tried_on_the_cpu_once(simulators, tmp_path, started):
+    started[1].update(cuda="raise SystemExit(1)", cpu="raise SystemExit(1)")
     main(Config(simulators[:1], output=tmp_path / "out", seeds=(0,), device="cuda"))
-    assert [(device, fuse) for _, device, fuse, _ in started[0]] == [("cuda", True), ("cuda", False), ("cpu", False)]
-
-
-def test_what_fails_on_the_cpu_is_not_tried_again(simulators, tmp_path, started):
-    started[1]["cpu", True] = "raise SystemExit(1)"
-    main(Config(simulators[:1], output=tmp_path / "out", seeds=(0,)))
-    assert len(started[0]) == 1
+    assert [device for _, device, _ in started[0]] == ["cuda", "cpu"]
 
 
 def test_trainings_at_a_time_have_places_of_their_own(simulators, tmp_path, started):
-    started[1]["cpu", True] = "import time; time.sleep(0.3)"
+    started[1]["cpu"] = "import time; time.sleep(0.3)"
     main(Config(simulators, output=tmp_path / "out", seeds=(0,), jobs=3))
     assert sorted(place for *_, place in started[0]) == [0, 1, 2]
 
 
 def test_all_stops_when_the_budget_is_spent(simulators, tmp_path, started, monkeypatch):
-    started[1]["cpu", True] = "import time; time.sleep(100)"
+    started[1]["cpu"] = "import time; time.sleep(100)"
     ended, wait = [], subprocess.Popen.wait
     monkeypatch.setattr(subprocess.Popen, "wait", lambda self: ended.append(wait(self)))
     main(Config(simulators, output=tmp_path / "out", seeds=(0,), jobs=2, budget=0.2))
@@ -110,10 +103,10 @@ def call_of(monkeypatch, job, cfg, place=0, seconds=600.0):
 
 
 def test_a_training_is_told_all_that_it_needs(simulators, tmp_path, monkeypatch):
-    job = Job(simulators[1], 3, tmp_path / "uan_seed0-3", "cuda", fuse=False)
+    job = Job(simulators[1], 3, tmp_path / "uan_seed0-3", "cuda")
     cfg = Config(simulators, device="cuda", num_envs=2048, jobs=4, gpus=2, iterations=7)
     told, env, cores = call_of(monkeypatch, job, cfg, place=3)
-    assert (told.seed, told.iterations, told.device, told.fuse) == (3, 7, "cuda", False)
+    assert (told.seed, told.iterations, told.device, told.begin_with) == (3, 7, "cuda", None)
     assert (told.ppo.num_envs, told.ppo.actor_minibatches) == (2048, 8)
     assert told.simulator == tmp_path / "uan_seed0-3" / "simulator"
     assert (told.simulator / "simulator.json").read_text() == "uan_seed0"
@@ -157,7 +150,13 @@ def test_what_is_reported_of_a_training(tmp_path):
     assert last_line(tmp_path, failed=True) == "some warning"
 
 
-def test_a_job_keeps_its_policy_when_it_is_tried_otherwise():
-    job = Job(Path("uan"), 2, Path("uan-2"), "cuda")
-    assert replace(job.else_tried, fuse=True) == job
-    assert job.else_tried.else_tried.device == "cpu"
+def test_a_training_begins_with_the_policy_of_its_seed(simulators, tmp_path, monkeypatch):
+    base = tmp_path / "base"
+    for name in ("default-1", "default-2", "mine-2"):
+        leave_policy(base / name, 90)
+    cfg = Config(simulators, begin_with=base)
+    told = call_of(monkeypatch, Job(simulators[0], 1, tmp_path / "default-1", "cpu"), cfg)[0]
+    assert told.begin_with == base / "default-1" / "policy.pt"
+    for seed, count in ((0, 0), (2, 2)):
+        with pytest.raises(ValueError, match=f"holds {count} policies of seed {seed}"):
+            policy_of(seed, base)

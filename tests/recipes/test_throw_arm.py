@@ -46,6 +46,14 @@ def test_it_learns_measures_and_leaves_a_policy(trained, capsys):
     assert sum(p.numel() for p in policy.parameters()) == 340 * 16 + 16 + 16 * 6 + 6 + 6
 
 
+def test_what_was_learnt_elsewhere_is_where_it_begins(trained, tmp_path):
+    recipe.main(short(tmp_path / "again", begin_with=trained / "policy.pt", minutes=0.0, iterations=None))
+    states = [torch.load(folder / "policy.pt", weights_only=True)["state"] for folder in (trained, tmp_path / "again")]
+    for name in ("policy", "critic"):
+        for key, value in states[0][name].items():
+            torch.testing.assert_close(states[1][name][key], value, atol=0, rtol=0)
+
+
 def test_a_policy_that_adapts_throws_without_being_told_of_its_arm(tmp_path):
     ranges = RandomizationRanges(friction=None, restitution=None)
     simulator = Simulator("roa", recipe.z1(), randomization=ranges).save(tmp_path / "roa")
