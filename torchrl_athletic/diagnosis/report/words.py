@@ -79,7 +79,10 @@ def grounds_words(finding: Finding) -> list[str]:
         "scatter": "Its strength differs by {} from take to take; physics has one value on all of them.",
         "open": "Of the simulation's error above the noise floor {} stays.",
     }
-    return [text.format(percent(g[name])) for name, text in said.items() if name in g]
+    words = [text.format(percent(g[name])) for name, text in said.items() if name in g]
+    if "sure" in g:
+        words.append(f"Its numbers lie {g['sure']:.2g} standard deviations from the given model's.")
+    return words
 
 
 def same_as(finding: Finding, answer: Answer) -> list[str]:
