@@ -24,7 +24,7 @@ from torchrl_athletic.effects import Effect, Parameter
 
 Array = NDArray[np.float64]
 
-EXPLAINED = 0.15
+EXPLAINED = 0.05
 """Share of the error energy above the floor that may be left by an explanation."""
 LIKELY = 0.5
 """An explanation may not rest on a finding that is less probable than this and has no rivals to share with."""

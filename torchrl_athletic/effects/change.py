@@ -30,6 +30,8 @@ _OF_TAKE = (0.08, 0.2, 0.5, 1.5)
 """Time constants to try, per the length of the longest take."""
 _LONG_ENOUGH = 10.0
 """A take in which something may warm up [s]."""
+_QUICKEST = 3.0
+"""Nothing that a motor turns warms up faster [s]; what changes sooner is another law of friction."""
 _DURATIONS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
 """Of a disturbance, to start the search from [s]."""
 _PER_TAKE, _IN_ALL = 3, 8
@@ -44,7 +46,7 @@ class ThermalDrift(Effect):
     own first stamp, as if the robot had rested before it.
 
     Fingerprint: -z w and -q̇ w with w = 1 - exp(-t/T) and the direction of sliding z of Coulomb friction, at time
-    constants T from 8 to 150 % of the longest take.
+    constants T of 3 s or more, from 8 to 150 % of the longest take.
 
     Simulation: bristles and a damper beside the motor, as strong as the time in the take says.
     """
@@ -67,7 +69,7 @@ class ThermalDrift(Effect):
         return (
             Parameter("amplitude", torque_unit(model, address, joint), 0.0, -bound, bound, 0.02 * scale),
             Parameter("damping", per_speed_unit(model, address, joint), 0.0, -bound, bound, 0.01 * scale),
-            Parameter("time_constant", "s", 1.0, 1.0, 1e4, 2.0),
+            Parameter("time_constant", "s", _QUICKEST, _QUICKEST, 1e4, 2.0),
         )
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
@@ -81,7 +83,7 @@ class ThermalDrift(Effect):
         return [
             {"time_constant": share * longest, **form}
             for share in _OF_TAKE
-            if share * longest > 1.0
+            if share * longest >= _QUICKEST
             for form in forms(takes[0], joint)
         ]
 
