@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-import torch
 import tyro
 from tqdm import tqdm
 
@@ -56,7 +55,7 @@ class Config:
     """Of each training."""
     horizon: int = 16
     """Steps of each environment per iteration."""
-    evaluate_every: int = 40
+    evaluate_every: int = 10
     """Iterations between measurements, each of which takes as long as some tens of iterations."""
     jobs: int = 2
     """Trainings at a time, which share the cores."""
@@ -122,23 +121,30 @@ def jobs_of(cfg: Config) -> list[Job]:
 
 
 def iterations_of(output: Path) -> int:
-    """That its policy has had; 0 without a policy."""
-    path = output / "policy.pt"
-    if not path.exists():
-        return 0
-    return int(torch.load(path, map_location="cpu", weights_only=True)["metadata"].get("iterations", 0))
+    """That a training has had; 0 without a policy."""
+    return int(most(output, "step")) if (output / "policy.pt").exists() else 0
+
+
+def most(output: Path, column: str) -> float:
+    """Greatest number of a column of a training's log; 0 where it has none."""
+    log = output / "progress.csv"
+    if not log.exists():
+        return 0.0
+    with log.open(newline="", encoding="utf-8") as file:
+        return max((float(row[column] or 0) for row in csv.DictReader(file)), default=0.0)
 
 
 def start(job: Job, cfg: Config, place: int, seconds: float) -> subprocess.Popen[bytes]:
     """A training as a process of its own, which ends within so many seconds, at one of ``cfg.jobs`` places."""
     keep_simulator(job.folder, job.output / "simulator")
     left = seconds - STARTING
+    spent = most(job.output, "seconds") if (job.output / "checkpoints").exists() else 0.0  # by earlier runs
     flags = {
         "simulator": job.output / "simulator",
         "seed": job.seed,
         "output": job.output,
         "iterations": cfg.iterations,
-        "minutes": (max(10.0, left) + seconds_spent(job.output)) / 60,
+        "minutes": (max(10.0, left) + spent) / 60,
         "device": job.device,
         "evaluate-every": cfg.evaluate_every,
         "ppo.num-envs": cfg.num_envs,
@@ -204,15 +210,6 @@ def keep_simulator(folder: Path, copy: Path) -> None:
             f"{copy.parent} was begun in another simulator than {folder} is now: {', '.join(differing)} differ. A "
             "policy of two simulators would tell about neither. Remove that folder, or give another --output."
         )
-
-
-def seconds_spent(output: Path) -> float:
-    """By earlier runs of this training [s]."""
-    log = output / "progress.csv"
-    if not log.exists() or not (output / "checkpoints").exists():
-        return 0.0
-    with log.open(newline="", encoding="utf-8") as file:
-        return max((float(row["seconds"] or 0) for row in csv.DictReader(file)), default=0.0)
 
 
 def last_line(output: Path, failed: bool = False) -> str:

@@ -46,6 +46,15 @@ def test_it_learns_measures_and_leaves_a_policy(trained, capsys):
     assert sum(p.numel() for p in policy.parameters()) == 340 * 16 + 16 + 16 * 6 + 6 + 6
 
 
+def test_the_policy_that_threw_farthest_is_kept(tmp_path, monkeypatch):
+    distances = iter((1.0, 3.0, 2.0))
+    summary = lambda step: {"distance_m": next(distances), "spread_m": 0.0, "failed": 0.0}  # noqa: E731
+    monkeypatch.setattr(recipe, "throw_summary", summary)
+    recipe.main(short(tmp_path, iterations=3, evaluate_every=1))
+    metadata = torch.load(tmp_path / "policy.pt", weights_only=True)["metadata"]
+    assert (metadata["iterations"], metadata["distance_m"]) == (2, 3.0)
+
+
 def test_what_was_learnt_elsewhere_is_where_it_begins(trained, tmp_path):
     recipe.main(short(tmp_path / "again", begin_with=trained / "policy.pt", minutes=0.0, iterations=None))
     states = [torch.load(folder / "policy.pt", weights_only=True)["state"] for folder in (trained, tmp_path / "again")]
