@@ -46,7 +46,7 @@ class Config:
     minutes: float = 3.0
     """When to stop [min]."""
     iterations: int | None = None
-    """When to stop in any case."""
+    """When to stop in any case. The gradient method then plans by them, however busy the machine is."""
     seed: int = 0
     """Of weights, starts and exploration."""
     device: Literal["cpu", "cuda"] = "cuda" if torch.cuda.is_available() else "cpu"
@@ -108,7 +108,7 @@ def make_learner(cfg: Config, given: Simulator, takes: Takes, net: nn.Sequential
         moved = robot.joint_groups.get("arm")
         base = training.DifferentiableTorqueEnv(robot, joints=moved, num_envs=rows, device=cfg.device, along=takes)
         env = replay_env(robot, takes, chain=chain, unit=unit, base=base, max_steps=1000, seed=cfg.seed)
-        return training.GradientLearner(env, net, minutes=cfg.minutes)
+        return training.GradientLearner(env, net, minutes=cfg.minutes, iterations=cfg.iterations)
     env = replay_env(robot, takes, chain=chain, unit=unit, num_envs=rows, device=cfg.device, seed=cfg.seed)
     ppo, on_gpu = replace(training.UAN, num_envs=rows, micro_batch=98_304), cfg.device == "cuda"
     return training.uan_learner(env, net, ppo, credit=cfg.credit, seed=cfg.seed, cuda_graph=on_gpu)

@@ -169,6 +169,19 @@ def test_windows_grow_and_the_rate_falls_with_the_time():
     assert learner.samples == 8 * (4 + 8 + 16)
 
 
+def test_planned_by_iterations_a_run_does_not_depend_on_the_time():
+    planned = learner_of(uan())
+    planned.windows, planned.iterations = (4, 8), 4
+    seen = []
+    for seconds in (0.0, 59.0, 1.0, 30.0):
+        planned.seconds = seconds
+        report = descend(planned)
+        seen.append((report["window"].item(), report["rate"].item() / planned.rate))
+    assert [window for window, _ in seen] == [4, 4, 8, 8]
+    expected = [0.5 * (1 + math.cos(math.pi * share)) for share in (0.0, 0.25, 0.5, 0.75)]
+    assert [rate for _, rate in seen] == pytest.approx(expected)
+
+
 def test_a_net_whose_gradient_explodes_is_taken_back_and_goes_on_at_half_the_rate():
     learner = learner_of(uan())
     kept = deepcopy(learner.kept[0])

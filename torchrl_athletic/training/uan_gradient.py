@@ -188,6 +188,7 @@ class GradientLearner:
             ``unit=torque_unit(net)``.
         net: Of :func:`~torchrl_athletic.networks.uan`, trained in place.
         minutes: That training will take, by which windows grow and the learning rate falls to zero [min].
+        iterations: That it will take instead, for runs that shall not depend on how busy the machine is.
         rate: First learning rate of Adam.
         windows: Steps that the gradient goes back, one after the other.
         max_grad_norm: Longest gradient, of the error in squared hundredths of a radian.
@@ -199,6 +200,7 @@ class GradientLearner:
         net: nn.Sequential,
         *,
         minutes: float,
+        iterations: int | None = None,
         rate: float = 1e-3,
         windows: tuple[int, ...] = WINDOWS,
         max_grad_norm: float = 1.0,
@@ -207,6 +209,7 @@ class GradientLearner:
             raise ValueError(
                 f"minutes is {minutes}: windows and learning rate follow the share of it. Give more than 0."
             )
+        self.iterations = iterations
         self.env, self.net, self.minutes, self.rate, self.windows = env, net, minutes, rate, windows
         self.max_grad_norm = max_grad_norm
         self.policy = MeanPolicy(net)
@@ -234,8 +237,9 @@ class GradientLearner:
 
     @property
     def share(self) -> float:
-        """Of the time that has gone."""
-        return min(1.0, self.seconds / (60 * self.minutes))
+        """Of the training that has gone."""
+        gone = self.seconds / (60 * self.minutes) if self.iterations is None else self.iteration / self.iterations
+        return min(1.0, gone)
 
     @property
     def window(self) -> int:
