@@ -147,8 +147,7 @@ class TorqueSaturation(Effect):
     shows_in = "load"
     equation = "τ = clip(u, -L, L)"
     source = "Siciliano et al. 2009, Robotics, section 5.2 (drive limits)"
-    # a scale beside a limit is a motor that always pushes alike, which can pass for any law of friction
-    excludes = frozenset({"speed_torque_limit", "torque_scale"})
+    excludes = frozenset({"speed_torque_limit"})
     experiments: ClassVar[Mapping[str, str]] = {
         "speed_torque_limit": "push {joint} against a stop, or against a heavy load at standstill, with rising torque, "
         "and repeat at speed: a current limit is the same at both",
