@@ -7,7 +7,7 @@ from diagnosis.columns import STEP, Given, Shifted, candidate, judge, shifted, s
 from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis.screen import Bank
-from torchrl_athletic.diagnosis.search import BEAM, TERM, Judge, _merge, alternatives, search
+from torchrl_athletic.diagnosis.search import BEAM, TERM, Judge, _merge, _simplify, alternatives, search
 from torchrl_athletic.effects import Fingerprint
 
 N = 1000
@@ -128,6 +128,20 @@ def test_the_larger_effect_is_named_when_its_second_number_matters():
     larger = Given("asymmetric", np.stack([a, b], -1), excludes=("symmetric",))
     found = search(judge(take, candidate(larger), candidate(Given("symmetric", a))))
     assert names(found[0]) == {("asymmetric", "shoulder")}
+
+
+@pytest.mark.parametrize(("second", "expected"), [(0.3, {"dry", "viscous"}), (6.0, {"warming"})])
+def test_friction_that_changes_little_is_dry_and_viscous(second, expected):
+    """The columns of a drift are those of dry and viscous friction, but for the first seconds of a take."""
+    rng = np.random.default_rng(0)
+    dry, viscous, later = smooth(rng, (3, N))
+    both = np.stack([dry + 0.1 * second * later, viscous], -1)
+    take = on_shoulder(6 * both[:, 0] + 5 * viscous, 2 * rng.normal(size=(N, 2)))
+    drift = Given("warming", both, excludes=("dry", "viscous"))
+    drift.special_cases = frozenset({"dry", "viscous"})  # type: ignore[misc]
+    weigh = judge(take, candidate(drift), candidate(Given("dry", dry)), candidate(Given("viscous", viscous)))
+    found = _simplify(weigh, weigh.score(weigh.bank.atoms[:1]))
+    assert names(found) == {(name, "shoulder") for name in expected}
 
 
 def test_a_stand_in_for_two_effects_is_given_up_for_the_two():

@@ -406,9 +406,9 @@ def _split(judge: Judge, kept: Scored, term: Atom) -> Scored:
 
 
 def _simplify(judge: Judge, scored: Scored) -> Scored:
-    """Give up an effect for a simpler one, unless it closes a material share more.
+    """Give up an effect for a simpler one or its special cases, unless it closes a material share more.
 
-    A superset always wins by a little.
+    A superset always wins by a little: friction by direction or over time, where it is neither.
     """
     for term in scored.fit.terms:
         rest = [a for a in scored.fit.terms if a is not term]
@@ -419,11 +419,28 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
             if atom.candidate.joint == term.candidate.joint and atom.freedom < term.freedom
         ]
         simpler = [judge.score([*rest, atom]) for atom in _promising(judge, kept, smaller, 4)]
+        if term.candidate.effect.special_cases:
+            simpler.append(_with_special_cases(judge, kept, term))
         if simpler:
             best = min(simpler, key=lambda s: s.evidence)
             if judge.closes(best.fit, scored.fit) < RICHER:
                 scored = best
     return scored
+
+
+def _with_special_cases(judge: Judge, kept: Scored, term: Atom) -> Scored:
+    """A combination without a term, with the effects instead that are the term but for what makes it special."""
+    best = kept
+    for name in sorted(term.candidate.effect.special_cases):
+        beside = [a.candidate for a in best.fit.terms]
+        atoms = [
+            a
+            for a in judge.bank.atoms
+            if a.candidate.key == (name, term.candidate.joint_name) and all(a.candidate.allows(c) for c in beside)
+        ]
+        trials = [judge.score([*best.fit.terms, atom]) for atom in _promising(judge, best, atoms, 1)]
+        best = min([best, *trials], key=lambda s: s.evidence)
+    return best
 
 
 def scatter(bank: Bank, fit: Fit, term: Atom) -> float:

@@ -56,6 +56,7 @@ class ThermalDrift(Effect):
     shows_in = "time"
     equation = "τ = -(A sign(q̇) + B q̇) (1 - exp(-t/T))"
     source = "Simoni, Beschi, Legnani, Visioli 2015, Friction modeling with temperature effects for industrial robots"
+    special_cases = frozenset({"coulomb_friction", "viscous_friction"})
     experiments: ClassVar[Mapping[str, str]] = {
         "coulomb_friction": "repeat one slow motion of {joint} from cold for several minutes: a drift changes from "
         "period to period",

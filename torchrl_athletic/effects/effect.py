@@ -70,6 +70,8 @@ class Effect(ABC):
     """Whether it belongs to no joint, as a tilt does. It is asked for joint 0 only; its finding names none."""
     identical_to: ClassVar[tuple[frozenset[str], ...]] = ()
     """Sets of other effects that together state the same physics, so that no recording can tell which it is."""
+    special_cases: ClassVar[frozenset[str]] = frozenset()
+    """Effects that together are this one but for what makes it special; they win unless it explains a quarter more."""
     experiments: ClassVar[Mapping[str, str]] = {}
     """Rival -> the experiment that separates the two; ``{joint}`` is filled in."""
 

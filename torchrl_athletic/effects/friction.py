@@ -177,6 +177,7 @@ class AsymmetricFriction(Effect):
     family = "friction"
     equation = "τ = -(Fc± + b± |q̇|) sign(q̇)"
     source = "Janot, Gautier, Brunot 2019, nonlinearbenchmark.org (EMPS), section 2.3"
+    special_cases = frozenset({"coulomb_friction", "viscous_friction"})
     excludes = frozenset(
         {"coulomb_friction", "viscous_friction", "torque_offset", "stribeck_friction", "load_dependent_friction"}
     )
