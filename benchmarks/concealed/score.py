@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import tyro
@@ -26,7 +26,7 @@ sys.path.append(str(Path(__file__).parents[2]))
 
 from benchmarks.concealed.cases import CLASS_OF, DETECTABLE, Case, Split, key_json, prepare, source_digest
 from benchmarks.concealed.hidden import Truth
-from benchmarks.concealed.run import COUNTS, digest_of
+from benchmarks.concealed.run import COUNTS, Method, digest_of
 
 SUPERSETS: dict[str, tuple[str, ...]] = {
     "coulomb_friction": ("stribeck_friction", "load_dependent_friction", "asymmetric_friction"),
@@ -116,7 +116,7 @@ def main(cfg: Config) -> None:
     if cfg.split == "sealed":
         lines += [_checked_key(cfg), ""]
     content: dict[str, Any] = {}
-    for method in sorted(p.name for p in cfg.folder.iterdir() if p.is_dir()) if cfg.folder.exists() else ():
+    for method in (m for m in get_args(Method) if (cfg.folder / m).is_dir()):
         rows = load(cfg.folder / method, cfg.split, cfg.seed)
         if rows:
             content[method] = numbers(rows)
