@@ -108,6 +108,19 @@ def test_a_link_without_a_motor_limit_may_have_friction_beyond_its_weight():
     assert torque.scale == pytest.approx(0.02 * weight)
 
 
+@pytest.mark.parametrize("kind", ["slide", "hinge"])
+def test_a_joint_that_crawls_at_full_torque_is_within_the_bounds_of_viscous_friction(kind):
+    """A lift that needs 200 of its 225 N at 0.45 m/s, and a gear that turns at one radian in ten seconds."""
+    model = mujoco.MjModel.from_xml_string(f"""
+<mujoco><worldbody><body><joint name="joint" type="{kind}"/><geom size="0.1"/></body></worldbody>
+  <actuator><motor joint="joint" ctrlrange="-225 225"/></actuator></mujoco>""")
+    speed = 0.45 if kind == "slide" else 0.1
+    for effect in (ViscousFriction(), AsymmetricFriction()):
+        for p in effect.parameters(model, JointAddress.of(model, ("joint",)), 0):
+            if "N·m·s" in p.unit or "N·s" in p.unit:
+                assert p.upper > 200.0 / speed
+
+
 # --- MuJoCo's own form ---
 
 SWING = 4.0 * np.sin(2 * np.pi * 2.0 * STEP * np.arange(1500))

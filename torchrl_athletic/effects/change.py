@@ -15,6 +15,7 @@ from torchrl_athletic.effects.effect import (
     Effect,
     Fingerprint,
     Parameter,
+    damping_bound,
     local,
     per_speed_unit,
     torque_bound,
@@ -67,9 +68,10 @@ class ThermalDrift(Effect):
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
         scale, bound = torque_scale(model, address, joint), torque_bound(model, address, joint)
+        most = damping_bound(model, address, joint)
         return (
             Parameter("amplitude", torque_unit(model, address, joint), 0.0, -bound, bound, 0.02 * scale),
-            Parameter("damping", per_speed_unit(model, address, joint), 0.0, -bound, bound, 0.01 * scale),
+            Parameter("damping", per_speed_unit(model, address, joint), 0.0, -most, most, 0.01 * scale),
             Parameter("time_constant", "s", _QUICKEST, _QUICKEST, 1e4, 2.0),
         )
 

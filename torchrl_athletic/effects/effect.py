@@ -170,6 +170,12 @@ def torque_bound(model: mujoco.MjModel, address: JointAddress, joint: int) -> fl
     return float(limit) if np.isfinite(limit) and limit > 0 else 100.0 * torque_scale(model, address, joint)
 
 
+def damping_bound(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
+    """A linear damping that no joint has [N·m·s/rad]: it would take all of the motor at 0.05 rad/s, or 0.01 m/s."""
+    crawl = 0.01 if is_slide(model, address, joint) else 0.05
+    return max(torque_bound(model, address, joint) / crawl, 5 * damping(model, address, joint))
+
+
 def torque_scale(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
     """A torque typical of the joint, to scale the optimiser [N·m].
 

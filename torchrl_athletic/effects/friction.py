@@ -14,6 +14,7 @@ from torchrl_athletic.effects.effect import (
     Fingerprint,
     Parameter,
     damping,
+    damping_bound,
     is_slide,
     local,
     per_speed_unit,
@@ -138,9 +139,8 @@ class ViscousFriction(Effect):
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
         limit, nominal = torque_scale(model, address, joint), damping(model, address, joint)
-        bound = torque_bound(model, address, joint)
         unit = per_speed_unit(model, address, joint)
-        return (Parameter("damping", unit, nominal, 0.0, max(bound, 5 * nominal), 0.01 * limit),)
+        return (Parameter("damping", unit, nominal, 0.0, damping_bound(model, address, joint), 0.01 * limit),)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         return [{}]
