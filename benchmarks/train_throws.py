@@ -1,7 +1,7 @@
 """Train throwing policies in identified simulators, several at a time; ``throw_transfer.py`` then throws with them.
 
-    python benchmarks/train_throws.py outputs/identification/*                                  # on two cores
-    python benchmarks/train_throws.py outputs/identification/* --device cuda --gpus 2 --jobs 27 --num-envs 2048
+    python benchmarks/train_throws.py outputs/identification/default --output outputs/throw_base --iterations 100
+    python benchmarks/train_throws.py outputs/identification/* --begin-with outputs/throw_base --iterations 40
 
 Each training is a process that runs ``recipes/throw_arm.py`` in a folder of its own under ``--output``, with a copy of
 the simulator that it is trained in. Of a method that was identified with several seeds (``uan_seed0``, ``uan_seed1``)
