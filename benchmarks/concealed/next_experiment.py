@@ -210,7 +210,7 @@ def grade(case: Case, result: Mapping[str, Any]) -> Grade:
         return "lost"
     shares = max(about, key=lambda s: sum(p for name, p in s.items() if name in same))
     if shares.get(right, 0.0) >= LEFT:
-        return "one"
+        return "one" if result["experiments"] else "not proposed"  # another finding had rivals
     if sum(p for name, p in shares.items() if name in same) >= LEFT:
         return "identical"
     if max(shares.values()) >= LEFT:

@@ -190,9 +190,15 @@ def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: No
         finished.extend(beam)
     distinct = {keys(s.fit.terms): s for s in sorted(finished, key=lambda s: -s.evidence)}
     best = sorted(distinct.values(), key=lambda s: s.evidence)[:BEAM]
-    polished = [_invariant(judge, _prune(judge, _simplify(judge, _merge(judge, _exchange(judge, s))))) for s in best]
+    polished = [_polish(judge, s) for s in best]
     unique = {keys(s.fit.terms): s for s in sorted(polished, key=lambda s: -s.evidence)}
     return sorted(unique.values(), key=lambda s: s.evidence)
+
+
+def _polish(judge: Judge, scored: Scored) -> Scored:
+    """Exchange, drop, merge, simplify, drop again: what is superfluous must not be merged into a false whole."""
+    needed = _prune(judge, _exchange(judge, scored))
+    return _invariant(judge, _prune(judge, _simplify(judge, _merge(judge, needed))))
 
 
 def noise_level(bank: Bank) -> Array:
@@ -363,7 +369,9 @@ def _merge(judge: Judge, scored: Scored) -> Scored:
     everywhere = {a.candidate for a in judge.bank.atoms if a.candidate.joint_name is None}
     while True:
         terms = scored.fit.terms
-        pairs = [pair for pair in combinations(terms, 2) if pair[0].candidate.joint == pair[1].candidate.joint]
+        pairs = [
+            pair for pair in combinations(terms, 2) if pair[0].candidate.joint_name == pair[1].candidate.joint_name
+        ]
         trials = [_merged(judge, terms, pair, None) for pair in pairs]
         for candidate in sorted(everywhere, key=lambda c: c.effect.name):
             parts = tuple(t for t in terms if not candidate.allows(t.candidate))
@@ -381,7 +389,7 @@ def _merged(judge: Judge, terms: Sequence[Atom], parts: Sequence[Atom], whole: C
     atoms = [
         a
         for a in _shortlist(judge, kept)
-        if (a.candidate.joint == parts[0].candidate.joint if whole is None else a.candidate is whole)
+        if (a.candidate.joint_name == parts[0].candidate.joint_name if whole is None else a.candidate is whole)
     ]
     trials = [judge.score([*kept.fit.terms, atom]) for atom in _promising(judge, kept, atoms, 3)]
     return _refine(judge, min(trials, key=lambda s: s.evidence)) if trials else kept
@@ -392,7 +400,7 @@ def _split(judge: Judge, kept: Scored, term: Atom) -> Scored:
     parts = [
         atom
         for atom in judge.bank.atoms
-        if atom.candidate.joint == term.candidate.joint
+        if atom.candidate.joint_name == term.candidate.joint_name
         and atom.candidate.effect.name in term.candidate.effect.excludes
         and atom.freedom < term.freedom
     ]
@@ -416,7 +424,7 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
         smaller = [
             atom
             for atom in _shortlist(judge, kept)
-            if atom.candidate.joint == term.candidate.joint and atom.freedom < term.freedom
+            if atom.candidate.joint_name == term.candidate.joint_name and atom.freedom < term.freedom
         ]
         simpler = [judge.score([*rest, atom]) for atom in _promising(judge, kept, smaller, 4)]
         if term.candidate.effect.special_cases:
@@ -513,7 +521,7 @@ def _doubt(atom: Atom) -> float:
 
 def _is_richer(one: Atom, other: Atom) -> bool:
     """Whether an effect of the same joint has more parameters."""
-    return one.candidate.joint == other.candidate.joint and one.freedom > other.freedom
+    return one.candidate.joint_name == other.candidate.joint_name and one.freedom > other.freedom
 
 
 def _contains(larger: Atom, smaller: Atom) -> bool:
