@@ -340,7 +340,6 @@ class _Work:
 
     def _keep(self, fitted: Fitted, idle: Sequence[Candidate]) -> None:
         """Take a fit over, without the terms that it does not need; what is too small for a finding becomes a trim."""
-        assert self.train is not None
         fitted = without(fitted, idle)
         h, period = fitted.hypothesis, max(1.0 / r.rate for r in self.recordings)
         small = [t for t in h.terms if is_trim(t, h.values_of(t, fitted.values), period)]

@@ -204,9 +204,9 @@ def idle_terms(
     """
     h, values = fitted.hypothesis, fitted.values
     windows = draw_windows(takes, WINDOW, most, rng)
-    moved, error, without = _actions(h, windows, values)
+    moved, error, error_without = _actions(h, windows, values)
     acts = moved > ACTS**2 * error
-    helps = acts & (without - error > HELPS * moved)
+    helps = acts & (error_without - error > HELPS * moved)
     needed = (helps.sum(1) >= np.maximum(2, 0.5 * acts.sum(1))).any(1)
     return tuple(t for t, n in zip(h.terms, needed, strict=True) if not n)
 
@@ -234,21 +234,21 @@ def _actions(h: Hypothesis, windows: Sequence[Windows], values: Array) -> tuple[
 def without(fitted: Fitted, dropped: Sequence[Candidate]) -> Fitted:
     """The same fit with some terms left out."""
     h = fitted.hypothesis
-    kept = [c for c in (*h.terms, *h.trims) if c not in dropped]
-    smaller = Hypothesis(tuple(t for t in h.terms if t not in dropped), h.trims)
-    values = np.concatenate([h.values_of(c, fitted.values) for c in kept]) if kept else np.zeros(0)
-    samples = np.concatenate([h.values_of(c, fitted.samples) for c in kept], axis=1) if kept else fitted.samples[:, :0]
-    return Fitted(smaller, values, samples, fitted.cost)
+    return _regrouped(fitted, Hypothesis(tuple(t for t in h.terms if t not in dropped), h.trims))
 
 
 def as_trims(fitted: Fitted, moved: Sequence[Candidate]) -> Fitted:
     """The same fit in which some terms count as trims: their values stay, and they are no findings."""
     h = fitted.hypothesis
-    terms = tuple(t for t in h.terms if t not in moved)
-    order = (*terms, *moved, *h.trims)
-    values = np.concatenate([h.values_of(c, fitted.values) for c in order]) if order else np.zeros(0)
-    samples = np.concatenate([h.values_of(c, fitted.samples) for c in order], axis=1) if order else fitted.samples
-    return Fitted(Hypothesis(terms, (*moved, *h.trims)), values, samples, fitted.cost)
+    return _regrouped(fitted, Hypothesis(tuple(t for t in h.terms if t not in moved), (*moved, *h.trims)))
+
+
+def _regrouped(fitted: Fitted, smaller: Hypothesis) -> Fitted:
+    """The values of a fit, in the order of a hypothesis of the same candidates or fewer."""
+    h, kept = fitted.hypothesis, (*smaller.terms, *smaller.trims)
+    values = np.concatenate([h.values_of(c, fitted.values) for c in kept]) if kept else np.zeros(0)
+    samples = np.concatenate([h.values_of(c, fitted.samples) for c in kept], axis=1) if kept else fitted.samples[:, :0]
+    return Fitted(smaller, values, samples, fitted.cost)
 
 
 def draw_windows(takes: Sequence[Take], seconds: float, most: int, rng: np.random.Generator) -> list[Windows]:

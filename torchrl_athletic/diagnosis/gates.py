@@ -132,7 +132,8 @@ def summarise(
 
 def _finding(part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, still_open: float) -> Finding:
     bank, candidate, h = part.judge.bank, term.candidate, fitted.hypothesis
-    values, band = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.interval().T).T
+    values, samples = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.samples)
+    band = np.quantile(samples, [0.025, 0.975], axis=0).T
     rated = list(zip(*_shares(part, term), strict=True))
     own = next(share for a, share in rated if a.candidate.key == candidate.key)
     grounds = Grounds(
@@ -144,7 +145,7 @@ def _finding(part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, stil
         energy=_energy_share(part, term),
         terms=sum(c.joint_name == candidate.joint_name for c in h.terms),
         strain=part.best.fit.strain,
-        sure=_certainty(chosen, values, h.values_of(chosen, fitted.samples)),
+        sure=_certainty(chosen, values, samples),
     )
     likely = probability(grounds, candidate.effect.name)
     per_share = min(likely / max(own, 1e-9), (1.0 - likely) / max(1.0 - own, 1e-9))
