@@ -133,7 +133,7 @@ def summarise(
 def _finding(part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, still_open: float) -> Finding:
     bank, candidate, h = part.judge.bank, term.candidate, fitted.hypothesis
     values, samples = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.samples)
-    band = np.quantile(samples, [0.025, 0.975], axis=0).T
+    band = h.values_of(chosen, fitted.interval().T).T
     rated = list(zip(*_shares(part, term), strict=True))
     own = next(share for a, share in rated if a.candidate.key == candidate.key)
     grounds = Grounds(

@@ -5,7 +5,7 @@ A beam, then exchange and pruning, then the rivals of every term.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -352,7 +352,7 @@ def _exchange(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
                 trial = judge.score([*rest, atom])
                 if trial.evidence < better.evidence - 1.0:
                     better = trial
-            parts = _split(judge, kept, term)
+            parts = _split(judge, kept, term, term.candidate.effect.excludes)
             if parts.evidence < better.evidence - 1.0:
                 better = parts
         if better is scored:
@@ -395,13 +395,13 @@ def _merged(judge: Judge, terms: Sequence[Atom], parts: Sequence[Atom], whole: C
     return _refine(judge, min(trials, key=lambda s: s.evidence)) if trials else kept
 
 
-def _split(judge: Judge, kept: Scored, term: Atom) -> Scored:
-    """A combination without a term, with two of the simpler effects that the term contains instead."""
+def _split(judge: Judge, kept: Scored, term: Atom, names: Collection[str]) -> Scored:
+    """A combination without a term, with two of the named simpler effects of its joint instead."""
     parts = [
         atom
         for atom in judge.bank.atoms
         if atom.candidate.joint_name == term.candidate.joint_name
-        and atom.candidate.effect.name in term.candidate.effect.excludes
+        and atom.candidate.effect.name in names
         and atom.freedom < term.freedom
     ]
     best = kept
@@ -428,27 +428,12 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
         ]
         simpler = [judge.score([*rest, atom]) for atom in _promising(judge, kept, smaller, 4)]
         if term.candidate.effect.special_cases:
-            simpler.append(_with_special_cases(judge, kept, term))
+            simpler.append(_split(judge, kept, term, term.candidate.effect.special_cases))
         if simpler:
             best = min(simpler, key=lambda s: s.evidence)
             if judge.closes(best.fit, scored.fit) < RICHER:
                 scored = best
     return scored
-
-
-def _with_special_cases(judge: Judge, kept: Scored, term: Atom) -> Scored:
-    """A combination without a term, with the effects instead that are the term but for what makes it special."""
-    best = kept
-    for name in sorted(term.candidate.effect.special_cases):
-        beside = [a.candidate for a in best.fit.terms]
-        atoms = [
-            a
-            for a in judge.bank.atoms
-            if a.candidate.key == (name, term.candidate.joint_name) and all(a.candidate.allows(c) for c in beside)
-        ]
-        trials = [judge.score([*best.fit.terms, atom]) for atom in _promising(judge, best, atoms, 1)]
-        best = min([best, *trials], key=lambda s: s.evidence)
-    return best
 
 
 def scatter(bank: Bank, fit: Fit, term: Atom) -> float:
