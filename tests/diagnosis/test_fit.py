@@ -25,6 +25,9 @@ from torchrl_athletic.effects import (
     CoulombFriction,
     JointAddress,
     JointStop,
+    LinkMass,
+    Payload,
+    Plant,
     ReflectedInertia,
     TorqueOffset,
     TorqueScale,
@@ -48,6 +51,22 @@ def test_parameters_of_data_made_by_mujoco_come_back():
     fitted = fit_one(true, [ViscousFriction(), ReflectedInertia()], seconds=6.0)
     # its semi-implicit steps are half a step ahead of what a reading would be
     assert fitted.values == pytest.approx([0.12, 0.03], rel=0.03)
+
+
+def test_a_payload_hangs_on_the_link_as_its_other_terms_and_trims_make_it():
+    """Whatever the order: a heavier link, its inertia with it, does not weigh what hangs on it a second time."""
+    r = record(pendulum(), smooth_torque(1.0))
+    hung, link = candidate(Payload(), r, pendulum()), candidate(LinkMass(), r, pendulum())
+    model = mujoco.MjModel.from_xml_string(pendulum())
+    fields = []
+    for h, values in ((Hypothesis((hung, link)), [0.3, 1.2]), (Hypothesis((link,), (hung,)), [1.2, 0.3])):
+        plant = Plant(model, JointAddress.of(model, r.joint_names), 1)
+        h.build(plant, np.array([values]))
+        fields.append(plant.fields)
+    body = int(plant.address.body[0])
+    assert fields[0]["body_mass"][0, body] == pytest.approx(1.2 + 0.3)
+    for name, value in fields[1].items():
+        np.testing.assert_array_equal(fields[0][name], value, err_msg=name)
 
 
 def test_several_takes_are_fitted_together():

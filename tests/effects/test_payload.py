@@ -20,10 +20,11 @@ def carrier(hand: str = "") -> tuple[mujoco.MjModel, JointAddress]:
 
 @pytest.mark.parametrize(
     ("hand", "end"),
-    [("", [0, 0, -0.32]), (HAND, [0.05, 0, -0.36]), (HAND + SITE, [0.1, 0, -0.6])],
+    [("", [0, 0, -0.3]), (HAND, [0.05, 0, -0.36]), (HAND + SITE, [0.1, 0, -0.6])],
     ids=["rod", "hand", "tool"],
 )
 def test_a_payload_sits_at_the_end_farthest_from_the_joint(hand, end):
+    """A capsule's is the point that its modeller named, not the cap about it."""
     model, at = carrier(hand)
     np.testing.assert_allclose(far_end(model, at, 0), end, atol=1e-6)
 

@@ -59,11 +59,9 @@ class Hypothesis:
 
     def build(self, plant: Plant, values: Array) -> None:
         """Put values (rows, P) into a plant."""
-        at = 0
-        for candidate in (*self.terms, *self.trims):
-            count = len(candidate.parameters)
-            candidate.effect.apply(plant, candidate.joint, values[:, at : at + count])
-            at += count
+        parts = [(c, self.values_of(c, values)) for c in (*self.terms, *self.trims)]
+        for candidate, own in sorted(parts, key=lambda part: part[0].effect.adds_to_link):
+            candidate.effect.apply(plant, candidate.joint, own)
 
     def values_of(self, candidate: Candidate, values: Array) -> Array:
         """The part of a value vector that belongs to one candidate. Shape (..., its P)."""

@@ -68,6 +68,8 @@ class Effect(ABC):
     'control' or 'change'."""
     whole_robot: ClassVar[bool] = False
     """Whether it belongs to no joint, as a tilt does. It is asked for joint 0 only; its finding names none."""
+    adds_to_link: ClassVar[bool] = False
+    """Whether its simulation adds to a link, whatever other effects made of that; it is put in after them."""
     identical_to: ClassVar[tuple[frozenset[str], ...]] = ()
     """Sets of other effects that together state the same physics, so that no recording can tell which it is."""
     special_cases: ClassVar[frozenset[str]] = frozenset()
@@ -174,6 +176,13 @@ def damping_bound(model: mujoco.MjModel, address: JointAddress, joint: int) -> f
     """A linear damping that no joint has [N·m·s/rad]: it would take all of the motor at 0.05 rad/s, or 0.01 m/s."""
     crawl = 0.01 if is_slide(model, address, joint) else 0.05
     return max(torque_bound(model, address, joint) / crawl, 5 * damping(model, address, joint))
+
+
+def dry_friction(name: str, model: mujoco.MjModel, address: JointAddress, joint: int) -> Parameter:
+    """A level of dry friction, of which the model may have some."""
+    limit, unit = torque_scale(model, address, joint), torque_unit(model, address, joint)
+    nominal = float(model.dof_frictionloss[address.dof[joint]])
+    return Parameter(name, unit, nominal, 0.0, max(torque_bound(model, address, joint), 3 * nominal), 0.02 * limit)
 
 
 def torque_scale(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:

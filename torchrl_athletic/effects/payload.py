@@ -19,8 +19,8 @@ class Payload(Effect):
     """Something heavy sits at the end of the arm: a tool, a gripper, a workpiece.
 
     Parameters: ``mass`` [kg] of a point at the far end of the last link: the site or end of a geom farthest from its
-    joint or, on a link without either, twice as far from it as its centre of mass. Only the last link of a chain has
-    one.
+    joint (a capsule's cap does not count) or, on a link without either, twice as far from it as its centre of mass.
+    Only the last link of a chain has one.
 
     Fingerprint: -∂ID/∂m on every joint, from the inverse dynamics with the point mass.
 
@@ -30,6 +30,7 @@ class Payload(Effect):
     name = "payload"
     family = "inertia"
     shows_in = "load"
+    adds_to_link = True
     equation = "τ = -m J(q)ᵀ (a - g) of the end point"
     source = "Khalil, Gautier, Lemoine 2007, Identification of the payload inertial parameters, ICRA"
     experiments: ClassVar[Mapping[str, str]] = {
@@ -89,6 +90,8 @@ def far_end(model: mujoco.MjModel, address: JointAddress, joint: int) -> Array:
     for k in range(model.ngeom):
         if model.geom_bodyid[k] in rigid:
             turn, centre, half = data.geom_xmat[k].reshape(3, 3), model.geom_aabb[k, :3], model.geom_aabb[k, 3:]
+            if model.geom_type[k] == mujoco.mjtGeom.mjGEOM_CAPSULE:  # from one point to another, with caps about both
+                half = half - model.geom_size[k, 0]
             along = half * (half > half.max() - 1e-9) * (half > 1.01 * half.min())  # a ball has no end but its middle
             points += [data.geom_xpos[k] + turn @ (centre + side * along) for side in (1, -1)]
     turn = data.xmat[body].reshape(3, 3)
