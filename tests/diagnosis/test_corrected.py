@@ -30,6 +30,7 @@ PART_TERMS = {
     "asymmetric_friction": [0.1, 0.05, 0.02, 0.01],
     "stribeck_friction": [0.1, 0.05, 0.1],
     "load_dependent_friction": [0.1, 0.1],
+    "thermal_drift": [0.1, 0.1, 0.1, 20.0],
 }
 MEMORY_TERMS = {
     "actuation_delay": [0.02],
@@ -48,7 +49,6 @@ MEMORY_TERMS = {
     "clock_offset": [0.01],
     "clock_shift": [0.001],
     "gain_mismatch": [1.1, 0.9],
-    "thermal_drift": [0.1, 0.1, 20.0],
     "disturbance": [0.2, 0.5, 0.1, 0.0],
 }
 

@@ -62,6 +62,18 @@ def test_an_effect_that_reaches_an_open_joint_through_coupling_is_found():
     assert names(found[0]) == {("a", "elbow")}
 
 
+def test_what_stops_at_a_physical_bound_is_a_stand_in_and_no_finding():
+    """With ten times the torque that it may have, an effect leaves most of what is missing; at zero it would be one."""
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    take = on_shoulder(50 * a + 5 * b, rng.normal(size=(N, 2)))
+    bounded = candidate(Given("a", a, upper=5.0))
+    (found,) = search(judge(take, bounded))
+    assert names(found) == set()
+    found = search(judge(take, bounded, candidate(Given("wide", a, upper=100.0)), candidate(Given("b", b))))[0]
+    assert names(found) == {("wide", "shoulder"), ("b", "shoulder")}
+
+
 def test_white_noise_opens_no_question():
     for seed in range(5):
         rng = np.random.default_rng(seed)

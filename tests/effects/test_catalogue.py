@@ -54,7 +54,7 @@ CHANGE = {  # true value less the given one: shoulder, elbow
     "joint_stop": ([-0.3, -2.0, 20.0], [0.3, 0.0, 10.0]),
     "encoder_scale": ([0.03], [-0.04]),
     "clock_offset": ([0.01], [-0.01]),
-    "thermal_drift": ([0.3, 0.2, 2.0], [0.1, 0.1, 2.0]),
+    "thermal_drift": ([0.2, 0.3, 0.2, 2.0], [0.1, 0.1, 0.1, 2.0]),
     "disturbance": ([2.0, -0.5, 0.6, 0.0], [2.0, -0.5, 0.2, 0.0]),
     "viscous_friction": ([0.15], [0.15]),
     "asymmetric_friction": ([0.3, 0.1, 0.05, 0.2], [0.1, 0.03, 0.05, 0.2]),

@@ -24,12 +24,21 @@ def test_friction_approaches_its_final_level_with_the_time_constant():
     force, amplitude, constant = np.full(1500, 5.0), 2.0, 0.4
     time = STEP * np.arange(2, 1500)
     expected = (force[2:] - amplitude * (1 - np.exp(-time / constant))) / MASS
-    np.testing.assert_allclose(acceleration(force, (ThermalDrift(), [amplitude, 0.0, constant])), expected, atol=2e-3)
+    np.testing.assert_allclose(
+        acceleration(force, (ThermalDrift(), [0.0, amplitude, 0.0, constant])), expected, atol=2e-3
+    )
+
+
+def test_cold_friction_that_goes_is_that_of_the_start_at_first_and_nothing_in_the_end():
+    force, cold, constant = np.full(3000, 5.0), 2.0, 0.4
+    time = STEP * np.arange(2, 3000)
+    expected = (force[2:] - cold * np.exp(-time / constant)) / MASS
+    np.testing.assert_allclose(acceleration(force, (ThermalDrift(), [cold, -cold, 0.0, constant])), expected, atol=5e-3)
 
 
 def test_grease_that_thins_gives_back_what_a_damper_takes():
     force, constant = np.full(1500, 5.0), 0.4
-    (position,) = push(force, (ThermalDrift(), [0.0, -1.5, constant]))
+    (position,) = push(force, (ThermalDrift(), [0.0, 0.0, -1.5, constant]))
     v = speed(position)
     time = STEP * np.arange(2, 1500)
     expected = (5.0 + 1.5 * (1 - np.exp(-time / constant)) * v[:-1]) / MASS
@@ -38,25 +47,25 @@ def test_grease_that_thins_gives_back_what_a_damper_takes():
 
 def test_a_warm_joint_stands_against_what_pushes_less_than_its_friction():
     force = np.where(np.arange(3000) < 1000, 0.0, 1.0)
-    (position,) = push(force, (ThermalDrift(), [2.0, 0.0, 0.1]))
+    (position,) = push(force, (ThermalDrift(), [0.0, 2.0, 0.0, 0.1]))
     assert np.abs(position).max() < 2e-3  # a cold one moves 1 m
 
 
 def test_a_window_in_the_middle_is_as_warm_as_the_take():
-    values = np.array([0.4, 0.1, 2.0])
+    values = np.array([0.0, 0.4, 0.1, 2.0])
     take = take_of(record(ThermalDrift(), 0, values, seconds=6.0), arm(), np.zeros(2))
     windows = windows_of(take, 0.4)
 
     def build(plant, rows):
         ThermalDrift().apply(plant, 0, rows)
 
-    warm, cold = simulate(windows, build, np.array([values, 0 * values + [0, 0, 1]]))
+    warm, cold = simulate(windows, build, np.array([values, 0 * values + [0, 0, 0, 1]]))
     late = slice(len(windows.start) // 2, None)
     error = [np.sqrt(((x - windows.measured)[late] ** 2).mean()) for x in (warm, cold)]
     assert error[0] < 0.1 * error[1]
 
 
-@pytest.mark.parametrize(("joint", "values"), [(0, (0.3, 0.2, 2.0)), (1, (0.1, 0.1, 4.0))], ids=JOINTS)
+@pytest.mark.parametrize(("joint", "values"), [(0, (0.1, 0.3, 0.2, 2.0)), (1, (0.15, -0.1, 0.1, 4.0))], ids=JOINTS)
 def test_the_fingerprint_of_a_drift_is_what_the_simulation_misses(joint, values):
     share, factor = explained(ThermalDrift(), joint, values, projected(ThermalDrift(), joint, values, seconds=12.0))
     assert share > 0.97
@@ -151,7 +160,9 @@ def test_the_pushes_of_all_takes_are_proposed_and_no_more_than_a_few():
 
 def test_the_sentences_say_when_and_how_much():
     drift = ThermalDrift().parameters(arm(), address(), 0)
-    text = ThermalDrift().sentence("shoulder", {"amplitude": -0.2, "damping": 0.03, "time_constant": 40.0}, drift)
+    text = ThermalDrift().sentence(
+        "shoulder", {"coulomb": 0.3, "amplitude": -0.2, "damping": 0.03, "time_constant": 40.0}, drift
+    )
     assert "time constant of 40 s" in text
     assert "-0.2 N·m" in text
     once = Disturbance().parameters(arm(), address(), 0)

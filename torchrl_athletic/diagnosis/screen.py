@@ -142,6 +142,22 @@ class Fit:
         """Number of parameters of the combination."""
         return sum(atom.freedom for atom in self.terms)
 
+    @property
+    def at_bound(self) -> bool:
+        """Whether a parameter of the combination stops at a physical bound, zero excepted: no estimate, but a stand-in.
+
+        A motor three times too strong is one, whose torque something else then takes away.
+        """
+        at = 0
+        for atom, values in zip(self.terms, self.values(), strict=False):
+            for k, parameter in enumerate(atom.linear, at):
+                low, high, x = self.bounds[0][k], self.bounds[1][k], self.coefficients[k]
+                stops = parameter >= 0 and min(x - low, high - x) <= 1e-6 * (high - low)
+                if stops and values[parameter] not in (0.0, atom.candidate.parameters[parameter].nominal):
+                    return True
+            at += len(atom.linear)
+        return False
+
     def values(self) -> list[Array]:
         """Parameters of each atom in physical units. A list of (P,)."""
         out, at = [], 0

@@ -113,7 +113,8 @@ class Judge:
         count = self.independent if independent is None else independent
         penalty = (np.log(max(count.sum(), 3.0)) if price is None else price) * fit.freedom + TERM * fit.size
         evidence = float((count * np.log(self.level(fit))).sum())
-        scored = Scored(fit, evidence + float(penalty) + fit.strain + sum(_doubt(a) for a in fit.terms))
+        doubt = sum(_doubt(a) for a in fit.terms) if not fit.at_bound else np.inf
+        scored = Scored(fit, evidence + float(penalty) + fit.strain + doubt)
         if independent is None:
             self._scores[key] = scored
         return scored

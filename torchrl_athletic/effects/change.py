@@ -16,6 +16,7 @@ from torchrl_athletic.effects.effect import (
     Fingerprint,
     Parameter,
     damping_bound,
+    dry_friction,
     local,
     per_speed_unit,
     torque_bound,
@@ -40,23 +41,26 @@ _PER_TAKE, _IN_ALL = 3, 8
 
 
 class ThermalDrift(Effect):
-    """Friction that changes while the joint warms up: thinner grease, tighter bearings.
+    """Friction that is not the same at the end of a take as at its start: thinner grease, tighter bearings.
 
-    Parameters: ``amplitude`` [N·m, N for slides] and ``damping`` [N·m·s/rad, N·s/m], by which the dry and the viscous
-    friction end up higher (or lower) than at the start of a take, and ``time_constant`` [s]. Every take counts from its
-    own first stamp, as if the robot had rested before it.
+    Parameters: ``coulomb`` [N·m, N for slides], the dry friction at the start of a take, in total, in the corrected
+    model; ``amplitude`` [N·m, N] and ``damping`` [N·m·s/rad, N·s/m], by which the dry and the viscous friction end up
+    higher (or lower); and ``time_constant`` [s]. Every take counts from its own first stamp, as if the robot had rested
+    before it.
 
-    Fingerprint: -z w and -q̇ w with w = 1 - exp(-t/T) and the direction of sliding z of Coulomb friction, at time
+    Fingerprint: -z, -z w and -q̇ w with w = 1 - exp(-t/T) and the direction of sliding z of Coulomb friction, at time
     constants T of 3 s or more, from 8 to 150 % of the longest take.
 
-    Simulation: bristles and a damper beside the motor, as strong as the time in the take says.
+    Simulation: MuJoCo's ``frictionloss`` of the lower of both levels; for the rest, bristles and a damper beside the
+    motor, as strong as the time in the take says.
     """
 
     name = "thermal_drift"
     family = "change"
     shows_in = "time"
-    equation = "τ = -(A sign(q̇) + B q̇) (1 - exp(-t/T))"
+    equation = "τ = -Fc sign(q̇) - (A sign(q̇) + B q̇) (1 - exp(-t/T))"
     source = "Simoni, Beschi, Legnani, Visioli 2015, Friction modeling with temperature effects for industrial robots"
+    excludes = frozenset({"coulomb_friction", "stribeck_friction", "load_dependent_friction", "asymmetric_friction"})
     special_cases = frozenset({"coulomb_friction", "viscous_friction"})
     experiments: ClassVar[Mapping[str, str]] = {
         "coulomb_friction": "repeat one slow motion of {joint} from cold for several minutes: a drift changes from "
@@ -70,6 +74,7 @@ class ThermalDrift(Effect):
         scale, bound = torque_scale(model, address, joint), torque_bound(model, address, joint)
         most = damping_bound(model, address, joint)
         return (
+            dry_friction("coulomb", model, address, joint),
             Parameter("amplitude", torque_unit(model, address, joint), 0.0, -bound, bound, 0.02 * scale),
             Parameter("damping", per_speed_unit(model, address, joint), 0.0, -most, most, 0.01 * scale),
             Parameter("time_constant", "s", _QUICKEST, _QUICKEST, 1e4, 2.0),
@@ -96,30 +101,34 @@ class ThermalDrift(Effect):
     def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
         dry, viscous = s.project(directions(s, joint, grid)), s.velocity[:, joint]
         passed = s.time - s.recording.time[0]
-        warmth = [_warmth(passed, fixed["time_constant"])[:, None] for fixed in grid]
-        return [  # slow against the kernel, so that it may come after the projection
-            Fingerprint(local(-np.stack([dry[:, k], viscous], -1) * warmth[k], s, joint), fixed)
-            for k, fixed in enumerate(grid)
-        ]
+        out = []
+        for k, fixed in enumerate(grid):  # slow against the kernel, so that warmth may come after the projection
+            warmth = _warmth(passed, fixed["time_constant"])
+            columns = np.stack([dry[:, k], dry[:, k] * warmth, viscous * warmth], -1)
+            out.append(Fingerprint(local(-columns, s, joint), fixed))
+        return out
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
-        amplitude, damping, time_constant = values.T
-        plant.laws.append(_Warming(joint, amplitude, damping, time_constant, plant))
+        coulomb, amplitude, damping, time_constant = values.T
+        plant.set_dry_friction(joint, np.minimum(coulomb, np.maximum(coulomb + amplitude, 0.0)))
+        plant.laws.append(_Warming(joint, np.maximum(amplitude, -coulomb), damping, time_constant, plant))
 
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
-        amplitude, viscous, _ = parameters
+        coulomb, _, viscous, _ = parameters
         return (
             f"Friction at {joint} changes during a take, with a time constant of {values['time_constant']:.3g} s "
-            f"({1e3 * values['time_constant']:.4g} ms), by {values['amplitude']:+.3g} {amplitude.unit} and "
-            f"{values['damping']:+.3g} {viscous.unit} in the end; the model has none of this."
+            f"({1e3 * values['time_constant']:.4g} ms): dry friction from {values['coulomb']:.3g} by "
+            f"{values['amplitude']:+.3g} {coulomb.unit}, viscous friction by {values['damping']:+.3g} {viscous.unit} "
+            "in the end; the model has none of this."
         )
 
 
 class _Warming(Bristle):
-    """Bristles and a damper whose strength approaches its final value."""
+    """Bristles that go or come with time, and a damper that comes: what the colder or the warmer joint has more."""
 
     def __init__(self, joint: int, amplitude: Array, damping: Array, time_constant: Array, plant: Plant) -> None:
-        super().__init__(joint, np.full(plant.rows, 1.5e-3), amplitude, plant)
+        super().__init__(joint, np.full(plant.rows, 1.5e-3), np.abs(amplitude), plant)
+        self.goes = amplitude < 0
         self.damping, self.time_constant, self.first = damping, time_constant, 0.0
 
     def begin(self, start: Start) -> None:
@@ -129,7 +138,8 @@ class _Warming(Bristle):
         super().begin(start)
 
     def level_of(self, now: Now) -> Array:
-        return self.level * _warmth(now.time - self.first, self.time_constant)
+        warmth = _warmth(now.time - self.first, self.time_constant)
+        return self.level * np.where(self.goes, 1.0 - warmth, warmth)
 
     def __call__(self, now: Now) -> Array:
         torque = super().__call__(now)

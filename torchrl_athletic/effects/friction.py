@@ -15,6 +15,7 @@ from torchrl_athletic.effects.effect import (
     Parameter,
     damping,
     damping_bound,
+    dry_friction,
     is_slide,
     local,
     per_speed_unit,
@@ -25,7 +26,6 @@ from torchrl_athletic.effects.effect import (
 from torchrl_athletic.effects.plant import Now, Plant, Start
 from torchrl_athletic.effects.presliding import Bristle, directions, forms
 from torchrl_athletic.effects.signals import JointAddress, Signals, presliding_width, sliding_direction
-from torchrl_athletic.effects.torque import fine_torque
 
 _TURNOVER = (0.5, 1.0)
 """Turnovers to try, per the one of the model's time constant."""
@@ -71,7 +71,7 @@ class CoulombFriction(Effect):
         nominal = float(model.dof_frictionloss[address.dof[joint]])
         turnover = _turnover(model, address, joint) if nominal else 0.0
         return (
-            _dry("torque", model, address, joint),
+            dry_friction("torque", model, address, joint),
             Parameter("turnover", "s", turnover, 0.0, max(0.05, 2 * turnover), 0.002),
         )
 
@@ -189,7 +189,7 @@ class AsymmetricFriction(Effect):
     }
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
-        coulomb = _dry("torque", model, address, joint)
+        coulomb = dry_friction("torque", model, address, joint)
         (viscous,) = ViscousFriction().parameters(model, address, joint)
         return tuple(
             Parameter(f"{kind}_{side}", p.unit, p.nominal, p.lower, p.upper, p.scale)
@@ -267,7 +267,7 @@ class StribeckFriction(Effect):
         bound, scale = torque_bound(model, address, joint), torque_scale(model, address, joint)
         speed = "m/s" if is_slide(model, address, joint) else "rad/s"
         return (
-            _dry("coulomb", model, address, joint),
+            dry_friction("coulomb", model, address, joint),
             Parameter("stribeck", torque_unit(model, address, joint), 0.0, 0.0, bound, 0.02 * scale),
             Parameter("stribeck_speed", speed, 1.0, 1e-9, 20.0, 0.02),  # any will do where nothing depends on it
         )
@@ -312,19 +312,23 @@ class StribeckFriction(Effect):
 class LoadDependentFriction(Effect):
     """Dry friction that grows with the torque that passes through the gear, whose teeth it presses together.
 
+    What passes is what the motor gives less the friction itself: T = u - F. A motor that drives its load therefore
+    loses less than one that brakes it, and from a ``coefficient`` of 1 on the load cannot turn the motor.
+
     Parameters, in total, in the corrected model: ``coulomb`` [N·m, N for slides] without load, and ``coefficient`` [1],
     the friction per transmitted torque.
 
-    Fingerprint: -z and -z |u|, with the direction of sliding z of Coulomb friction and the raw commanded torque u.
+    Fingerprint: -z and -z |ID|, with the direction of sliding z of Coulomb friction and the torque ID that the motion
+    asks for.
 
-    Simulation: MuJoCo's ``frictionloss`` of the part without load; for the rest, bristles beside the motor, in
-    proportion to the motor's torque.
+    Simulation: MuJoCo's ``frictionloss`` of the part without load; for the rest, bristles beside the motor, of the
+    strength that solves the law for the motor's torque.
     """
 
     name = "load_dependent_friction"
     family = "friction"
     shows_in = "load"
-    equation = "τ = -(Fc + μ |u|) sign(q̇)"
+    equation = "τ = -(Fc + μ |u + τ|) sign(q̇)"
     source = "Hamon, Gautier, Garrec 2010, Dynamic identification of robots with a dry friction model, IROS"
     excludes = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction"})
     experiments: ClassVar[Mapping[str, str]] = {
@@ -337,7 +341,7 @@ class LoadDependentFriction(Effect):
     }
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
-        return _dry("coulomb", model, address, joint), Parameter("coefficient", "1", 0.0, 0.0, 0.9, 0.02)
+        return dry_friction("coulomb", model, address, joint), Parameter("coefficient", "1", 0.0, 0.0, 0.9, 0.02)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         return [*forms(s, joint)]
@@ -347,46 +351,56 @@ class LoadDependentFriction(Effect):
 
     def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
         z = directions(s, joint, grid)
-        dry, loaded = -s.project(z), -s.project_command(z * np.abs(fine_torque(s, joint))[:, None])
+        load = np.interp(s.fine_time, s.time, np.abs(s.rigid[:, joint]))
+        dry, loaded = -s.project(z), -s.project(z * load[:, None])
         return [
             Fingerprint(local(np.stack([dry[:, k], loaded[:, k]], -1), s, joint), fixed) for k, fixed in enumerate(grid)
         ]
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         plant.set_dry_friction(joint, values[:, 0])
-        plant.laws.append(_Loaded(joint, values[:, 1], plant))
+        plant.laws.append(_Loaded(joint, *values.T, plant))
 
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
         coulomb, _ = parameters
         return (
             f"Dry friction at {joint} grows with the load: {values['coulomb']:.3g} {coulomb.unit} and "
-            f"{values['coefficient']:.3g} times the torque of its motor; {_has(coulomb.nominal, coulomb.unit)}."
+            f"{values['coefficient']:.3g} times the torque that passes through its gear; "
+            f"{_has(coulomb.nominal, coulomb.unit)}."
         )
 
 
 class _Loaded(Bristle):
-    """Bristles that the motor's torque presses down."""
+    """Bristles that the torque through the gear presses down."""
 
-    def __init__(self, joint: int, coefficient: Array, plant: Plant) -> None:
-        self.coefficient = coefficient
+    def __init__(self, joint: int, coulomb: Array, coefficient: Array, plant: Plant) -> None:
+        self.coulomb, self.coefficient = coulomb, coefficient
         level = coefficient * torque_scale(plant.model, plant.address, joint)
         super().__init__(joint, np.full(plant.rows, 1.5e-3), level, plant)
 
     def begin(self, start: Start) -> None:
         travel = float(np.ptp(start.position[:, self.joint]))
-        most = self.coefficient * float(np.abs(start.command[:, self.joint]).max())
+        most = _pressed(float(np.abs(start.command[:, self.joint]).max()), -1.0, self.coulomb, self.coefficient)
         self.width = self._stable(np.full(len(most), max(1.5e-3 * min(travel, 1.0), 1e-9)), most)
         super().begin(start)
 
     def level_of(self, now: Now) -> Array:
-        return self.coefficient * np.abs(now.torque[:, self.joint])
+        torque = now.torque[:, self.joint]
+        return _pressed(np.abs(torque), np.sign(torque) * self.direction, self.coulomb, self.coefficient)
 
 
-def _dry(name: str, model: mujoco.MjModel, address: JointAddress, joint: int) -> Parameter:
-    """A level of dry friction, of which the model may have some."""
-    limit, unit = torque_scale(model, address, joint), torque_unit(model, address, joint)
-    nominal = float(model.dof_frictionloss[address.dof[joint]])
-    return Parameter(name, unit, nominal, 0.0, max(torque_bound(model, address, joint), 3 * nominal), 0.02 * limit)
+def _pressed(torque: Array | float, driving: Array | float, coulomb: Array, coefficient: Array) -> Array:
+    """Friction F beyond ``coulomb`` that solves F = coulomb + coefficient * |u - F z|.
+
+    Args:
+        torque: |u| [N·m, N].
+        driving: Direction of sliding z in that of u: 1 if the motor drives its load, -1 if it brakes it.
+        coulomb: [N·m, N].
+        coefficient: [1].
+    """
+    passes = torque - driving * coulomb  # through the gear, if nothing but dry friction were there
+    turned = np.where(passes > 0, driving, -driving)
+    return np.asarray(coefficient * np.abs(passes) / np.maximum(1.0 + coefficient * turned, 0.1))
 
 
 def _turnover(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:

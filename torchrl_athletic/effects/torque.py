@@ -23,10 +23,11 @@ from torchrl_athletic.effects.plant import Now, Plant
 from torchrl_athletic.effects.signals import JointAddress, Signals, sliding_direction, torque_range
 
 _SHARES = (
-    *(0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.74, 0.78, 0.82, 0.85, 0.88, 0.9),
+    *(0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.74, 0.78, 0.82, 0.85, 0.88, 0.9),
     *(0.92, 0.94, 0.955, 0.97, 0.98, 0.99),
 )
-"""Of the greatest command: limits to try."""
+"""Of the greatest command: limits to try. Under a lower one nobody would have commanded so much, and a motor that gives
+next to nothing, on a link that weighs next to nothing, explains any motion."""
 _STALL = (0.5, 0.7, 1.0, 1.4, 2.0, 3.0)
 """Of the greatest command: limits at standstill to try."""
 _NO_LOAD = (0.8, 1.0, 1.15, 1.35, 1.7, 2.4, 4.0)
@@ -136,8 +137,8 @@ class TorqueSaturation(Effect):
 
     Parameters: ``limit`` [N·m, N for slides] of the torque, in total, in the corrected model.
 
-    Fingerprint: clip(u, -L, L) - u of the raw command, at limits L from a tenth of the greatest command to just below
-    it, closer together near the top, since a limit is mostly met in rare peaks.
+    Fingerprint: clip(u, -L, L) - u of the raw command, at limits L from three tenths of the greatest command to just
+    below it, closer together near the top, since a limit is mostly met in rare peaks.
 
     Simulation: the motor's torque, clipped.
     """
