@@ -39,6 +39,8 @@ def verdict(findings=(FINDING,), train=0.0, heldout=None, torque_left=0.0, is_op
         (dict(train=EXPLAINED + 0.01), "partly_explained"),
         (dict(train=PARTLY - 0.01), "partly_explained"),
         (dict(train=PARTLY + 0.01), "unexplained"),
+        (dict(train=0.01, before=70.0), "explained"),
+        (dict(train=0.01, before=90.0), "partly_explained"),  # little of much is left, and still nine times the noise
         (dict(train=0.0, heldout=EXPLAINED + 0.01), "partly_explained"),  # the worse of the two decides
         (dict(train=0.0, heldout=0.9), "unexplained"),
         (dict(train=0.5, heldout=0.0), "partly_explained"),

@@ -31,7 +31,8 @@ LIKELY = 0.5
 PARTLY = 0.80
 """Above this share nothing worth the name is explained."""
 NEAR_FLOOR = 8.0
-"""Window error over the floor up to which a model without predictable missing torque is called complete."""
+"""Window error over the floor up to which a model without predictable missing torque is called complete, and one with
+findings explained: whatever was gross before, what is left beyond it shows that a law is another."""
 LEAST_PROBABILITY = 0.03
 """Rivals below are not printed."""
 
@@ -81,13 +82,13 @@ def verdict_of(
     deciding = [s for s in (heldout, train) if s is not None]
     if not deciding:
         return ("partly_explained" if findings else "unexplained"), float(bool(is_open))
-    share = max(open_share(s) for s in deciding)
+    share, near = max(open_share(s) for s in deciding), all(_near_floor(s) for s in deciding)
     if not findings:
-        nothing = not is_open and all(_near_floor(s) for s in deciding)  # within the tolerances of the trims
+        nothing = not is_open and near  # within the tolerances of the trims
         return ("nothing_missing", 0.0) if nothing else ("unexplained", share)
     torque_left = max((float(part.left().max(initial=0.0)) for part in evidence), default=0.0)
     likely = all(f.probability >= LIKELY or f.rivals for f in findings)
-    if share <= EXPLAINED and torque_left <= 2 * EXPLAINED and likely:
+    if near and share <= EXPLAINED and torque_left <= 2 * EXPLAINED and likely:
         return "explained", share
     return ("partly_explained" if share <= PARTLY else "unexplained"), share
 
