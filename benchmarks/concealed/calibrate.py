@@ -27,7 +27,7 @@ sys.path.append(str(Path(__file__).parents[2]))
 
 from benchmarks.concealed.cases import CLASS_OF
 from benchmarks.concealed.run import program_digest
-from benchmarks.concealed.score import RIGHT, Row, load, reliability
+from benchmarks.concealed.score import RIGHT, Row, known_parameters, load, reliability
 from torchrl_athletic.diagnosis.calibration import EQUALS, Grounds
 
 Array = NDArray[np.float64]
@@ -39,8 +39,6 @@ SIGNS = {
 FEATURES = tuple(f for f in SIGNS if f in {field.name for field in fields(Grounds)})
 EFFECTS = tuple(sorted(CLASS_OF))
 """Each has a weight beside the features: how often what bears its name is right, other things equal."""
-UNSIGNED = ("gravity_tilt", "disturbance")
-"""Effects whose parameters have another convention in the key."""
 WIDTH = len(FEATURES) + len(EFFECTS)
 FOLDS, REPEATS = 5, 4
 """Parts of the cases for cross-validation, and how often they are drawn."""
@@ -218,9 +216,7 @@ def intervals(rows: Sequence[Row]) -> Array:
         widened_by = row.result["calibration"]["interval"]
         for truth in row.case.truths:
             for f in row.findings:
-                if (f["effect"], f["joint"]) == (truth.effect, truth.joint) and truth.effect not in UNSIGNED:
-                    known = sorted(truth.parameters.keys() & f["parameters"].keys())
-                    out += [[*bootstrap(f["parameters"][name], widened_by), truth.parameters[name]] for name in known]
+                out += [[*bootstrap(estimate, widened_by), value] for estimate, value in known_parameters(truth, f)]
     return np.array(out).reshape(-1, 4)
 
 

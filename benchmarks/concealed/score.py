@@ -308,20 +308,24 @@ def _intervals(rows: Sequence[Row]) -> list[tuple[str, bool]]:
     for r in rows:
         for truth in r.case.truths:
             for f in r.findings:
-                if (f["effect"], f["joint"]) == (truth.effect, truth.joint):
-                    out += [(truth.effect, held) for held in _held(truth, f["parameters"])]
+                for estimate, value in known_parameters(truth, f):
+                    low, high = estimate["ci95"]
+                    out.append((truth.effect, bool(low <= value <= high)))
     return out
 
 
-def _held(truth: Truth, parameters: Mapping[str, Mapping[str, Any]]) -> list[bool]:
-    held = []
-    for name, value in truth.parameters.items():
-        if name not in parameters or name in ("phase",):
-            continue
-        low, high = parameters[name]["ci95"]
-        values = (value, -value) if truth.effect in UNSIGNED else (value,)
-        held.append(any(low <= v <= high for v in values))
-    return held
+def known_parameters(truth: Truth, finding: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], float]]:
+    """Estimates of a right finding's parameters that the key knows, each with the true value; none of another one's.
+
+    Where the sign is a convention that the generator does not know, the true value takes the estimate's.
+    """
+    if (finding["effect"], finding["joint"]) != (truth.effect, truth.joint):
+        return []
+    out = []
+    for name in sorted(truth.parameters.keys() & finding["parameters"].keys() - {"phase"}):
+        estimate, value = finding["parameters"][name], truth.parameters[name]
+        out.append((estimate, float(np.copysign(value, estimate["value"])) if truth.effect in UNSIGNED else value))
+    return out
 
 
 def _coverage(rows: Sequence[Row]) -> list[float | int | None]:

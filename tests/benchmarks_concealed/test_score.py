@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks.concealed.cases import Case
 from benchmarks.concealed.hidden import Truth
-from benchmarks.concealed.score import Row, numbers, tables
+from benchmarks.concealed.score import Row, known_parameters, numbers, tables
 
 FRICTION = Truth("coulomb_friction", "elbow", {"torque": 1.0})
 OFFSET = Truth("torque_offset", "wrist", {"torque": 0.5})
@@ -109,3 +109,12 @@ def test_an_answer_that_failed_is_no_right_one():
     assert n["failed"] == [0.5, 2]
     assert n["single"]["name"] == [0.5, 2]
     assert any("| failed | 0.500 (2) |" in text for text in tables([failed], n))
+
+
+def test_the_key_knows_no_phase_and_no_sign_of_a_drift():
+    drift = Truth("thermal_drift", "arm", {"amplitude": 0.2, "time_constant": 9.0})
+    ripple = Truth("torque_ripple", "arm", {"amplitude": 0.2, "phase": 1.0})
+    found = {"joint": "arm", "parameters": {name: {"value": -0.3} for name in ("amplitude", "coulomb", "phase")}}
+    assert known_parameters(drift, {**found, "effect": "thermal_drift"}) == [({"value": -0.3}, -0.2)]
+    assert known_parameters(ripple, {**found, "effect": "torque_ripple"}) == [({"value": -0.3}, 0.2)]
+    assert known_parameters(drift, {**found, "effect": "torque_ripple"}) == []
