@@ -107,6 +107,19 @@ class Shifted(Given):
         return Fingerprint(np.zeros((*out.shape, 0)), fixed, out)
 
 
+class Curved(Given):
+    """Grows with its parameter's square beside the parameter."""
+
+    def near(self, parameters: Sequence[Parameter], values: Array) -> Mapping[str, float]:
+        return {"near": float(np.round(values[0], 1))}
+
+    def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
+        linear, square = self.columns.T
+        out = np.zeros((len(s.time), s.num_joints, 1))
+        out[:, joint, 0] = linear + fixed.get("near", 0.0) * square
+        return Fingerprint(out, fixed)
+
+
 def shifted(time: Array, delay: float) -> Array:
     return 40 * (np.sin(3 * (time - delay)) - np.sin(3 * time))
 

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from torchrl_athletic.diagnosis.screen import (
     FIT_TRIMS,
     TORQUE_FLOOR,
+    TRIMS,
     Bank,
     bounded_least_squares,
     candidates_for,
@@ -17,7 +18,16 @@ from torchrl_athletic.diagnosis.screen import (
     row_noise,
     trims_for,
 )
-from torchrl_athletic.effects import CATALOGUE, ClockOffset, CoulombFriction, GainMismatch
+from torchrl_athletic.effects import (
+    CATALOGUE,
+    ClockOffset,
+    CoulombFriction,
+    GainMismatch,
+    LinkCom,
+    LinkMass,
+    Payload,
+    TorqueScale,
+)
 
 N = 450  # four and a half blocks
 NOISE = np.array([0.5, 2.0])
@@ -167,11 +177,11 @@ def test_what_the_recording_cannot_show_is_no_candidate(take):
     assert Bank([take], [candidate(Blind("blind", np.ones(N)))], noise=NOISE).atoms == []
 
 
-def test_trims_are_fitted_beside_a_combination_that_allows_them(rng, take):
+def test_trims_are_fitted_beside_a_combination_unless_they_exclude_it(rng, take):
     a, b = rng.normal(size=(2, N))
     take = replace(take, missing=np.stack([2 * a + 5 * b, 0 * a], -1))
-    main, rival = Given("a", a), Given("c", rng.normal(size=N), excludes=("trim",))
-    trim = candidate(Given("trim", b, lower=-1, upper=1))
+    main, rival = Given("a", a), Given("c", rng.normal(size=N))
+    trim = candidate(Given("trim", b, lower=-1, upper=1, excludes=("c",)))
     bank = Bank([take], [candidate(main), candidate(rival)], [trim], noise=NOISE)
     fit = bank.fit(bank.atoms[:1])
     np.testing.assert_allclose(fit.coefficients[1], 1.0)  # at its bound
@@ -180,6 +190,14 @@ def test_trims_are_fitted_beside_a_combination_that_allows_them(rng, take):
     assert fit.freedom == 1
     assert len(bank.fit(bank.atoms[1:]).atoms) == 1
     assert len(bank.fit(()).atoms) == 1
+
+
+def test_every_term_of_a_link_leaves_the_trims_the_same_freedom(take):
+    """But for its own number: a shifted centre is not worse off than a payload, which excludes nothing."""
+    of_link = [t for t in trims_for([take], TRIMS) if t.joint == 1 and t.effect.family == "inertia"]
+    for effect in (Payload(), LinkCom(), LinkMass(), TorqueScale(), GainMismatch()):
+        kept = {t.effect.name for t in of_link if t.moves_beside(candidate(effect, 1))}
+        assert kept == {"link_mass", "link_com_shift", "link_inertia"} - {effect.name}
 
 
 def test_trims_lie_within_a_share_of_the_given_numbers(take):

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis.columns import STEP, Given, Shifted, candidate, judge, shifted, signals
+from diagnosis.columns import STEP, Curved, Given, Shifted, candidate, judge, shifted, signals
 from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis.screen import Bank
@@ -244,6 +244,19 @@ def test_a_delay_between_two_grid_points_is_found():
         found = search(judge(take, candidate(Shifted("late", np.empty((0, 1))))))
         assert names(found[0]) == {("late", "shoulder")}
         assert value_of(found[0], "late")[0] == pytest.approx(true, abs=0.2 / 8)
+
+
+def test_an_effect_that_is_not_linear_is_weighed_near_the_value_that_it_has():
+    """An inertia grows with the square of a distance: told from one that does not by that alone."""
+    rng = np.random.default_rng(0)
+    linear, square = 5 * smooth(rng, N), 2 * smooth(rng, N)
+    curved = Curved("curved", np.stack([linear, square], -1))
+    for true in (-1.3, 0.4, 2.0):
+        take = on_shoulder(true * linear + true**2 * square, rng.normal(size=(N, 2)))
+        weigh = judge(take, candidate(curved))
+        found = weigh.score(weigh.bank.atoms)
+        assert value_of(found, "curved")[0] == pytest.approx(true, abs=0.05)
+        assert weigh.excess(found.fit).max() < 0.1 * weigh.excess(weigh.bare).max()
 
 
 # --- weighing ---

@@ -73,6 +73,22 @@ def test_a_centre_of_mass_moves_along_the_lever_and_keeps_its_own_inertia(joint)
     np.testing.assert_allclose(straight_down(changed(LinkCom(), joint, 1.3 * distance)), steiner(*links), rtol=1e-9)
 
 
+@pytest.mark.parametrize("share", [0.4, 1.3, 2.5])
+def test_a_centre_that_moved_far_is_predicted_with_the_square_of_its_distance(share):
+    time = 0.004 * np.arange(500)
+    swing = np.stack([np.sin(5 * time), np.sin(9 * time)], -1)
+    s = project_recording(Recording(time, JOINTS, swing, torque_command=np.zeros((500, 2))), arm(), np.zeros(2))
+    given = LinkCom().parameters(arm(), address(), 1)
+    value = share * given[0].nominal
+    fixed = LinkCom().near(given, np.array([value]))
+    assert fixed["near"] == pytest.approx(share, rel=0.03)
+    moved = arm()
+    moved.body_ipos[2] = changed(LinkCom(), 1, value).body_ipos[2]
+    exact = s.rigid - s.inverse(moved)
+    (column,) = np.moveaxis(LinkCom().fingerprint(s, 1, {"near": share}).columns, -1, 0)
+    np.testing.assert_allclose(column * (value - given[0].nominal), exact, atol=1e-9)
+
+
 @pytest.mark.parametrize("joint", [0, 1], ids=JOINTS)
 def test_a_links_own_inertia_scales_without_its_mass(joint):
     links = [dict(UPPER), dict(LOWER)]

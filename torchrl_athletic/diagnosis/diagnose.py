@@ -494,7 +494,7 @@ def _hypothesis(option: Evidence, drive: Evidence | None) -> tuple[Hypothesis, A
     trims = [
         t
         for t in trims_for(option.judge.bank.takes, FIT_TRIMS)
-        if all(t.allows(c) for c in terms) and _moved(t, known.get(t.key))
+        if all(t.moves_beside(c) for c in terms) and _moved(t, known.get(t.key))
     ]
     start += [known.get(t.key, np.array([p.nominal for p in t.parameters])) for t in trims]
     return Hypothesis(tuple(terms), tuple(trims)), np.concatenate(start) if start else np.zeros(0)

@@ -95,6 +95,17 @@ class Candidate:
         names = self.effect.name, other.effect.name
         return names[0] != names[1] and names[1] not in self.effect.excludes and names[0] not in other.effect.excludes
 
+    def moves_beside(self, term: Candidate) -> bool:
+        """Whether this, within its tolerance, may move beside a term of an explanation.
+
+        What every model is a little wrong in, it is wherever something else is wrong, too: only what the trim itself
+        excludes stops it, or terms would be weighed with unlike freedom.
+        """
+        everywhere = self.joint_name is None or term.joint_name is None
+        if self.joint != term.joint and not everywhere:
+            return True
+        return term.effect.name != self.effect.name and term.effect.name not in self.effect.excludes
+
 
 @dataclass(frozen=True, eq=False)
 class Atom:
@@ -198,6 +209,8 @@ class Bank:
         """Columns of shelved atoms that reach other joints: too dear to predict again."""
         self._shelves: list[_Shelf] = []
         """Atoms of nonlinear grids, of which a search takes few."""
+        self._near: dict[tuple[Candidate, frozenset[tuple[str, float]]], Atom] = {}
+        """Atoms whose fingerprints hold near values that some fit gave them."""
         self.atoms: list[Atom] = []
         for trim in trims:
             self.add(trim, {})
@@ -334,7 +347,7 @@ class Bank:
                 Shape (J, S); ones if None.
             trimmed: Whether trims are fitted beside it.
         """
-        trims = [t for t in self.trims if all(t.candidate.allows(a.candidate) for a in atoms)] if trimmed else []
+        trims = [t for t in self.trims if all(t.candidate.moves_beside(a.candidate) for a in atoms)] if trimmed else []
         together = (*atoms, *trims)
         gram = self.products.gram([0, *(n for atom in together for n in self.numbers(atom))])
         low, high = _bounds(together)
@@ -360,6 +373,16 @@ class Bank:
         if count:
             out[-count:] = (4.0 / (high[-count:] - low[-count:])) ** 2
         return out
+
+    def near(self, fit: Fit) -> tuple[Atom, ...]:
+        """The terms of a fit, with fingerprints that hold near its values."""
+        out = []
+        for atom, values in zip(fit.terms, fit.values(), strict=False):
+            candidate = atom.candidate
+            fixed = {**atom.fixed, **candidate.effect.near(candidate.parameters, values)}
+            moved = atom if fixed == atom.fixed else replace(atom, fixed=fixed)
+            out.append(self._near.setdefault((candidate, frozenset(fixed.items())), moved))
+        return tuple(out)
 
     def gains(self, fit: Fit, level: Array) -> dict[Atom, float]:
         """How much each shelved atom would lower the weighted sum of squares beside a fit, on its own joint alone.

@@ -109,7 +109,7 @@ class Judge:
             return self._scores[key]
         fit = self.bank.fit(atoms)
         for _ in range(REWEIGHTED):
-            fit = self.bank.fit(atoms, self.level(fit))
+            fit = self.bank.fit(self.bank.near(fit), self.level(fit))
         count = self.independent if independent is None else independent
         penalty = (np.log(max(count.sum(), 3.0)) if price is None else price) * fit.freedom + TERM * fit.size
         evidence = float((count * np.log(self.level(fit))).sum())

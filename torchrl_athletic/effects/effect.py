@@ -103,6 +103,10 @@ class Effect(ABC):
         """:meth:`fingerprint` at each point of a grid; override it where the points share work."""
         return [self.fingerprint(s, joint, fixed) for fixed in grid]
 
+    def near(self, parameters: Sequence[Parameter], values: Array) -> Mapping[str, float]:
+        """What to add to ``fixed`` of a fingerprint that is not quite linear, so that it holds near values (P,)."""
+        return {}
+
     def change(self, parameter: Parameter, value: float) -> float:
         """Coefficient of the fingerprint's column at a value of the parameter; zero at the nominal one."""
         return value - parameter.nominal

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import mujoco
@@ -11,6 +11,9 @@ import numpy as np
 from torchrl_athletic.effects.effect import Array, Effect, Fingerprint, Parameter, is_slide, local
 from torchrl_athletic.effects.plant import Plant
 from torchrl_athletic.effects.signals import JointAddress, Signals, inertia_matrix
+
+_STEP = 1.05
+"""Between distances of a centre of mass at which a fingerprint is taken."""
 
 
 class ReflectedInertia(Effect):
@@ -116,7 +119,8 @@ class LinkCom(Effect):
     Parameters: ``distance`` [m] of the centre of mass from the joint's axis, in total, in the corrected model, along
     the given direction.
 
-    Fingerprint: -∂ID/∂d on every joint, from the inverse dynamics with a lever 1 % longer.
+    Fingerprint: -ΔID/Δd on every joint, from the inverse dynamics with half the lever and one and a half; since inertia
+    grows with the distance squared, of a change near the one that was found.
 
     Simulation: the position of the body's centre of mass.
     """
@@ -143,12 +147,20 @@ class LinkCom(Effect):
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         return [{}] if self.parameters(s.nominal, s.address, joint) else []
 
+    def near(self, parameters: Sequence[Parameter], values: Array) -> Mapping[str, float]:
+        (share,) = values / [p.nominal for p in parameters]
+        return {"near": float(_STEP ** np.round(np.log(share) / np.log(_STEP)))}
+
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
-        lever, model = _lever(s.model, s.address, joint), s.model.__copy__()
-        model.body_ipos[s.address.body[joint]] += 0.01 * lever
-        recompute_constants(model)
-        step = max(0.01 * float(np.linalg.norm(lever)), 1e-6)  # without a lever nothing moves, and nothing is predicted
-        return Fingerprint(-((s.inverse(model) - s.rigid) / step)[:, :, None], fixed)
+        lever, torques = _lever(s.model, s.address, joint), []
+        for share in (0.5, -0.5):  # the torque is a parabola of the distance
+            model = s.model.__copy__()
+            model.body_ipos[s.address.body[joint]] += share * lever
+            recompute_constants(model)
+            torques.append(s.inverse(model) - s.rigid)
+        secant = torques[0] - torques[1] + 2 * (fixed.get("near", 1.0) - 1.0) * (torques[0] + torques[1])
+        distance = max(float(np.linalg.norm(lever)), 1e-4)  # without a lever nothing moves, and nothing is predicted
+        return Fingerprint(-(secant / distance)[:, :, None], fixed)
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         lever = _lever(plant.model, plant.address, joint)

@@ -29,7 +29,6 @@ class LinkComShift(Effect):
     family = "inertia"
     shows_in = "load"
     equation = "c → c + Δc"
-    excludes = frozenset({"link_com"})
     source = "Atkeson, An, Hollerbach 1986, doi:10.1177/027836498600500306"
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
