@@ -183,11 +183,11 @@ def test_a_hypothesis_hands_out_the_numbers_of_each_candidate():
         h.values_of(candidate(TorqueOffset(), r, pendulum()), values)
 
 
-def stopped(seconds=40.0):
-    """A pendulum that meets a stop twice in 40 s, when a push carries it there."""
+def stopped(*pushes, seconds=40.0):
+    """A pendulum that meets a stop once or twice in 40 s, when a push carries it there."""
     torque = 0.3 * smooth_torque(seconds)
-    torque[2000:2040] += 3.0
-    torque[3000:3040] += 3.0
+    for push in pushes:
+        torque[push : push + 40] += 3.0
     free = pendulum()
     model = mujoco.MjModel.from_xml_string(free)
     data, position = mujoco.MjData(model), []
@@ -201,8 +201,9 @@ def stopped(seconds=40.0):
     return free, r
 
 
-def test_a_stop_that_is_met_twice_is_not_idle_and_a_spring_that_does_nothing_is():
-    free, r = stopped()
+@pytest.mark.parametrize("pushes", [(2000, 3000), (2000,)], ids=["twice", "once"])
+def test_a_stop_that_is_seldom_met_is_not_idle_and_a_spring_that_does_nothing_is(pushes):
+    free, r = stopped(*pushes)
     stop, friction = candidate(JointStop(), r, free), candidate(ViscousFriction(), r, free)
     h = Hypothesis((stop, friction))
     values = np.array([0.7, 1.0, 100.0, 0.05001])  # the friction is that of the given model
@@ -220,7 +221,7 @@ def test_a_term_that_moves_the_simulation_away_from_the_recording_is_idle():
 
 
 def test_windows_in_which_a_term_acts_are_always_fitted():
-    free, r = stopped()
+    free, r = stopped(2000, 3000)
     t = take(free, r, 1e-4)
     h = Hypothesis((candidate(JointStop(), r, free),))
     drawn = draw_windows([t], 0.5, 3, np.random.default_rng(0))

@@ -3,6 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis.columns import NAMES, STEP, Given, Shifted, candidate, shifted, signals
+from effects.arm import arm, record
+from scipy.interpolate import CubicSpline
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
@@ -20,13 +22,16 @@ from torchrl_athletic.diagnosis.screen import (
 )
 from torchrl_athletic.effects import (
     CATALOGUE,
+    ActuationDelay,
     ClockOffset,
+    ClockShift,
     CoulombFriction,
     GainMismatch,
     LinkCom,
     LinkMass,
     Payload,
     TorqueScale,
+    project_recording,
 )
 
 N = 450  # four and a half blocks
@@ -210,19 +215,33 @@ def test_trims_lie_within_a_share_of_the_given_numbers(take):
             assert p.nominal - p.lower == pytest.approx(reach)
 
 
+def test_one_joint_may_be_late_on_a_clock_that_is_a_little_off():
+    r = record(ActuationDelay(), 1, [0.006])
+    early = CubicSpline(r.time, r.position)(r.time + 0.0015)
+    s = project_recording(replace(r, position=early), arm(), np.zeros(2), kernel=0.012)
+    bank = Bank([s], candidates_for([s], [ActuationDelay()]), trims_for([s], {ClockShift(): 2.0}))
+    (late,) = bank.add_all(bank.atoms[-1].candidate, [{"delay": 0.006}])
+    fit = bank.fit([late])
+    np.testing.assert_allclose(fit.values(), [[0.006], [-0.0015]], atol=3e-4)
+    assert fit.residual.sum() < 0.01 * bank.fit((), trimmed=False).residual.sum()
+
+
 @pytest.mark.parametrize(
-    ("effect", "values", "period", "expected"),
+    ("effect", "values", "period", "joints", "expected"),
     [
-        (GainMismatch(), (1.014, 1.024), 0.005, True),
-        (GainMismatch(), (1.014, 1.2), 0.005, False),
-        (ClockOffset(), (-0.0005,), 0.001, True),
-        (ClockOffset(), (-0.002,), 0.001, False),
-        (ClockOffset(), (-0.002,), 0.005, True),  # half a sample is nobody's fault
-        (CoulombFriction(), (1e-6,), 0.005, False),  # there is no friction that every model has
+        (GainMismatch(), (1.014, 1.024), 0.005, 2, True),
+        (GainMismatch(), (1.014, 1.2), 0.005, 2, False),
+        (ClockOffset(), (-0.0005,), 0.001, 2, True),
+        (ClockOffset(), (-0.002,), 0.001, 2, False),
+        (ClockOffset(), (-0.002,), 0.005, 2, True),  # half a sample is nobody's fault
+        (ActuationDelay(), (0.002,), 0.005, 1, True),
+        (ActuationDelay(), (0.002,), 0.005, 2, False),  # but the clock's, which makes the other joint as late
+        (CoulombFriction(), (1e-6,), 0.005, 2, False),  # there is no friction that every model has
     ],
 )
-def test_what_every_log_is_off_by_is_a_trim(effect, values, period, expected):
-    assert is_trim(candidate(effect), np.array(values), period) is expected
+def test_what_every_log_is_off_by_is_a_trim(effect, values, period, joints, expected):
+    whole = replace(candidate(effect), joint_name=None) if effect.whole_robot else candidate(effect)
+    assert is_trim(whole, np.array(values), period, joints) is expected
 
 
 def test_every_effect_is_a_candidate_on_every_joint(take):

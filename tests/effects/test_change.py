@@ -137,6 +137,12 @@ def test_the_matched_filter_finds_the_interval_under_noise(start, duration, torq
     assert column @ s.missing[:, 1] / (column @ column) == pytest.approx(torque, rel=0.1)
 
 
+def test_a_push_that_throws_the_joint_does_not_bend_what_it_is_seen_against():
+    first = Disturbance().grid(pushed(4.0, 1.5, 4.0, noise=1e-4), 1)[0]  # sixteen times the commanded torque
+    assert first["start"] == pytest.approx(4.0, abs=0.04)
+    assert first["duration"] == pytest.approx(1.5, abs=0.06)
+
+
 def test_the_fingerprint_of_a_push_is_what_the_simulation_misses_in_its_take_alone():
     s, another = pushed(3.0, 0.4, 0.3), pushed(5.0, 0.3, 0.3, seed=1)
     own = Disturbance().grid(s, 1)[0]["take"]

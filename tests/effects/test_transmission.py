@@ -33,12 +33,12 @@ def pendulum() -> mujoco.MjModel:
 
 
 @cache
-def two_inertias(stiffness: float, damping: float, gap: float) -> Recording:
-    """Encoder on the rotor, from rest under six sines that fade in; torques hold between the samples."""
+def two_inertias(stiffness: float, damping: float, gap: float, bias: float = 0.0) -> Recording:
+    """Encoder on the rotor, from rest under six sines and a bias that fade in; torques hold between the samples."""
     time = np.arange(0.0, 12.0, 1 / RATE)
     frequency = np.geomspace(0.3, 5.0, 6)
     phase = np.random.default_rng(1).uniform(0, 2 * np.pi, 6)
-    command = 1.1 * np.minimum(time, 1) * np.sin(2 * np.pi * frequency * time[:, None] + phase).sum(1)
+    command = np.minimum(time, 1) * (bias + 1.1 * np.sin(2 * np.pi * frequency * time[:, None] + phase).sum(1))
 
     def passed(x: float, rate: float) -> float:
         bend = max(abs(x) - gap / 2, 0.0)
@@ -108,6 +108,13 @@ def test_play_is_found_within_fifteen_percent_of_its_width():
     width = TEETH[2] * np.linspace(0.5, 1.5, 11)
     windows = [error(two_inertias(*TEETH), (gap, TEETH[0]), Backlash()) for gap in width[::2]]
     assert width[::2][int(np.argmin(windows))] == pytest.approx(TEETH[2], rel=0.15)
+
+
+def test_play_of_a_link_whose_weight_leans_on_stiff_teeth_is_recognised():
+    s = project_recording(two_inertias(4000.0, 15.0, 0.01, bias=4.0), pendulum(), np.full(1, 1e-6), kernel=0.01)
+    points = [(left(s, f), f.fixed["gap"]) for f in Backlash().fingerprints(s, 0, Backlash().grid(s, 0))]
+    assert min(points)[0] < 0.2
+    assert min(points)[1] == pytest.approx(0.01, rel=0.1)
 
 
 def test_the_true_play_follows_the_recording_far_closer_than_none():

@@ -342,7 +342,8 @@ class _Work:
         """Take a fit over, without the terms that it does not need; what is too small for a finding becomes a trim."""
         fitted = without(fitted, idle)
         h, period = fitted.hypothesis, max(1.0 / r.rate for r in self.recordings)
-        small = [t for t in h.terms if is_trim(t, h.values_of(t, fitted.values), period)]
+        joints = len(self.recordings[0].joint_names)
+        small = [t for t in h.terms if is_trim(t, h.values_of(t, fitted.values), period, joints)]
         self.fits.append(as_trims(fitted, small))
 
     def _compare(self) -> None:

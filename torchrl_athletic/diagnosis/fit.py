@@ -23,8 +23,12 @@ ACTS = 0.5
 """Motion that a term makes, over the error that is left in a window, from which on the term acts there."""
 HELPS = 0.3
 """Share of that motion which must be error without the term; of a true term all is."""
+LEAVES = 0.3
+"""Share of a window's error that a term may leave to be needed for that window alone."""
 TELLING = 4
 """Windows of a fit in which a term acts most, beside those drawn at random."""
+MOST_LOOKED_AT = 400
+"""Windows among which those are looked for in which a term acts."""
 SHOOTING = (0.2, WINDOW)
 """Window lengths of the successive fits [s]: short ones are nearly linear and forgive a poor start."""
 
@@ -124,7 +128,7 @@ def fit(
     if stepped:  # a hundred times dearer; the torque domain's start is good enough for one round
         max_windows, max_iter = max_windows // 2, max_iter // 2
     rounds = [draw_windows(takes, seconds, max_windows, rng) for seconds in (SHOOTING[1:] if stepped else SHOOTING)]
-    rounds[-1] = _with_telling(hypothesis, takes, x * unit, rounds[-1], rng, 2 * max_windows)
+    rounds[-1] = _with_telling(hypothesis, takes, x * unit, rounds[-1], rng)
     for done, windows in enumerate(rounds):
         x = _solve(_Problem(hypothesis, windows, unit, x), x, low / unit, high / unit, max_iter)
         progress((done + 1) / (len(rounds) + 1))
@@ -141,7 +145,12 @@ def fit(
 
 
 def _with_telling(
-    h: Hypothesis, takes: Sequence[Take], values: Array, drawn: list[Windows], rng: np.random.Generator, most: int
+    h: Hypothesis,
+    takes: Sequence[Take],
+    values: Array,
+    drawn: list[Windows],
+    rng: np.random.Generator,
+    most: int = MOST_LOOKED_AT,
 ) -> list[Windows]:
     """The windows that were drawn, and those in which each term acts most: chance would miss what happens seldom."""
     if not h.terms:
@@ -193,7 +202,7 @@ def _follows(hypothesis: Hypothesis, whole: Windows, values: Array, typical: Arr
 
 
 def idle_terms(
-    fitted: Fitted, takes: Sequence[Take], rng: np.random.Generator, most: int = 200
+    fitted: Fitted, takes: Sequence[Take], rng: np.random.Generator, most: int = MOST_LOOKED_AT
 ) -> tuple[Candidate, ...]:
     """Terms that the simulation does without: nowhere do they move it by what is left of the error, and to its good.
 
@@ -205,7 +214,8 @@ def idle_terms(
     moved, error, error_without = _actions(h, windows, values)
     acts = moved > ACTS**2 * error
     helps = acts & (error_without - error > HELPS * moved)
-    needed = (helps.sum(1) >= np.maximum(2, 0.5 * acts.sum(1))).any(1)
+    once = (helps & (error < LEAVES**2 * error_without)).any(1)  # a push comes once; no accident explains so much
+    needed = ((helps.sum(1) >= np.where(once, 1, 2)) & (helps.sum(1) >= 0.5 * acts.sum(1))).any(1)
     return tuple(t for t, n in zip(h.terms, needed, strict=True) if not n)
 
 

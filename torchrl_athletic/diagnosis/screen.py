@@ -536,18 +536,19 @@ def trims_for(takes: Sequence[Signals], trust: Mapping[Effect, float]) -> list[C
     return out
 
 
-def is_trim(candidate: Candidate, values: Array, period: float) -> bool:
+def is_trim(candidate: Candidate, values: Array, period: float, joints: int) -> bool:
     """Whether a fitted effect is no more than what every model and every log is off by.
 
     Args:
         candidate: The effect.
         values: Its parameters. Shape (P,).
-        period: Of the recordings' samples [s]; half of it is nobody's fault.
+        period: Of the recordings' samples [s]; the clock is off by half of it through nobody's fault.
+        joints: Of the recordings. The clock makes them all late alike, so that of several not one alone.
     """
     if candidate.effect.name not in TOLERANCES:
         return False
     reach = TOLERANCES[candidate.effect.name] * np.array([p.scale for p in candidate.parameters])
-    if candidate.parameters[0].unit == "s":
+    if candidate.parameters[0].unit == "s" and (candidate.joint_name is None or joints == 1):
         reach = np.maximum(reach, 0.5 * period)
     return bool((np.abs(values - [p.nominal for p in candidate.parameters]) <= reach).all())
 

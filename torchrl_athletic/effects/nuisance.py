@@ -75,7 +75,7 @@ class ClockShift(Effect):
     whole_robot = True
     shows_in = "acceleration"
     equation = "τ(t) = u(t - o)"
-    excludes = frozenset({"actuation_delay", "actuation_lag", "clock_offset"})
+    excludes = frozenset({"clock_offset"})
     source = "Gautier, Janot, Vandanjon 2013, doi:10.1109/TCST.2012.2185697"
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:

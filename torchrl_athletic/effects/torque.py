@@ -36,6 +36,7 @@ _NO_LIMIT = 1e3
 """No-load speed beyond reach [rad/s, m/s]."""
 _PERIODS = (*range(2, 31), 36, 40, 48, 60)
 """A revolution, of a joint that travels a radian or more."""
+_ROBUST_ROUNDS = 5
 _BINS = 4096
 
 
@@ -358,7 +359,9 @@ def fine_torque(s: Signals, joint: int) -> Array:
 def leftover(s: Signals, joint: int) -> Array:
     """Missing torque beyond dry and viscous friction, inertia, scale, offset and gravity; zero where invalid.
 
-    What is confined in time or in position stands out of it before anything else is known. Shape (N,).
+    What is confined in time or in position stands out of it before anything else is known, as those are fitted with
+    Cauchy weights (Holland, Welsch 1977): a push that is a hundred times what else is missing must not bend them.
+    Shape (N,).
     """
     q, v, a = s.position[:, joint], s.velocity[:, joint], s.acceleration[:, joint]
     basis = np.stack(
@@ -368,8 +371,13 @@ def leftover(s: Signals, joint: int) -> Array:
     if good.sum() < 2 * basis.shape[1]:
         return np.zeros_like(q)
     basis = basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
-    explained = basis @ np.linalg.lstsq(basis[good], s.missing[good, joint], rcond=1e-9)[0]
-    return np.where(good, s.missing[:, joint] - explained, 0.0)
+    missing = left = s.missing[:, joint]
+    for _ in range(_ROBUST_ROUNDS):
+        usual = 1.4826 * float(np.median(np.abs(left[good])))
+        weight = 1.0 / np.hypot(1.0, left / max(2.385 * usual, 1e-300))
+        explained = np.linalg.lstsq(basis[good] * weight[good, None], (missing * weight)[good], rcond=1e-9)[0]
+        left = missing - basis @ explained
+    return np.where(good, left, 0.0)
 
 
 def _spectral_peaks(takes: Sequence[Signals], joint: int, travel: float, count: int = 6) -> list[float]:

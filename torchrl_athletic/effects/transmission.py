@@ -167,7 +167,7 @@ class Backlash(_Transmission):
         return [
             {"gap": float(gap) * unit, "stiffness": stiffness}
             for gap in np.geomspace(0.004, 0.15, 13)
-            for stiffness in _stiffnesses(s, joint, 4.5, 9.0, 2)
+            for stiffness in _stiffnesses(s, joint, 4.5, 36.0, 4)
         ]
 
     def spring(self, values: Mapping[str, Array], inertia: float) -> Spring:
