@@ -66,11 +66,13 @@ def test_a_mass_scales_its_links_whole_inertia(joint):
 def test_a_centre_of_mass_moves_along_the_lever_and_keeps_its_own_inertia(joint):
     links = [dict(UPPER), dict(LOWER)]
     x, z = links[joint]["c"]
-    distance = np.hypot(x, z)
+    y = arm().body_ipos[joint + 1, 1]  # along the axis: no inertia about it, but about the axes of other joints
+    distance = np.sqrt(x**2 + y**2 + z**2)
     (parameter,) = LinkCom().parameters(arm(), address(), joint)
-    assert parameter.nominal == pytest.approx(distance)  # y is along the axis and counts for nothing
+    assert parameter.nominal == pytest.approx(distance)
     links[joint]["c"] = (1.3 * x, 1.3 * z)
     np.testing.assert_allclose(straight_down(changed(LinkCom(), joint, 1.3 * distance)), steiner(*links), rtol=1e-9)
+    assert changed(LinkCom(), joint, 1.3 * distance).body_ipos[joint + 1, 1] == pytest.approx(1.3 * y)
 
 
 @pytest.mark.parametrize("share", [0.4, 1.3, 2.5])
@@ -104,7 +106,8 @@ def test_a_links_own_inertia_scales_without_its_mass(joint):
 
 def test_mass_centre_and_inertia_of_one_link_compose():
     plant = Plant(arm(), address(), 1)
-    for effect, value in ((LinkMass(), 1.2), (LinkCom(), 0.18), (LinkInertia(), 1.5)):
+    far = 1.2 * float(np.linalg.norm(arm().body_ipos[2]))
+    for effect, value in ((LinkMass(), 1.2), (LinkCom(), far), (LinkInertia(), 1.5)):
         effect.apply(plant, 1, np.array([[value]]))
     model = arm()
     for name, rows in plant.fields.items():
@@ -169,7 +172,7 @@ def test_the_batch_steps_as_a_model_that_was_compiled_with_the_change(effect, va
         body.inertia = body.inertia * value / body.mass
         body.mass = value
     elif isinstance(effect, LinkCom):
-        body.ipos = np.array([0, 0.005, -value])
+        body.ipos = body.ipos * value / np.linalg.norm(body.ipos)
     else:
         body.inertia = body.inertia * value
     model = spec.compile()

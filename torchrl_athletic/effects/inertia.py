@@ -116,8 +116,8 @@ class LinkMass(Effect):
 class LinkCom(Effect):
     """The link's centre of mass lies nearer to its joint or farther than in the model; its inertia about itself stays.
 
-    Parameters: ``distance`` [m] of the centre of mass from the joint's axis, in total, in the corrected model, along
-    the given direction.
+    Parameters: ``distance`` [m] of the centre of mass from the joint, in total, in the corrected model, along the given
+    direction. What of it lies along the axis, only the joints before feel.
 
     Fingerprint: -ΔID/Δd on every joint, from the inverse dynamics with half the lever and one and a half; since inertia
     grows with the distance squared, of a change near the one that was found.
@@ -129,7 +129,7 @@ class LinkCom(Effect):
     family = "inertia"
     excludes = frozenset({"link_mass", "torque_scale"})  # one joint shows ratios of the three only
     shows_in = "load"
-    equation = "c → c (1 + Δd/d), perpendicular to the axis"
+    equation = "c → c (1 + Δd/d), from the joint"
     source = "Atkeson, An, Hollerbach 1986, doi:10.1177/027836498600500306"
     experiments: ClassVar[Mapping[str, str]] = {
         "link_mass": "weigh the link, or hold {joint} still in several poses and shake it fast: mass and distance "
@@ -170,7 +170,7 @@ class LinkCom(Effect):
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
         (distance,) = parameters
         return (
-            f"The centre of mass of the link moved by {joint} is {1e3 * values['distance']:.3g} mm from its axis; "
+            f"The centre of mass of the link moved by {joint} is {1e3 * values['distance']:.3g} mm from it; "
             f"the model says {1e3 * distance.nominal:.3g} mm."
         )
 
@@ -198,11 +198,8 @@ def free_of_simple_bodies(model: mujoco.MjModel) -> None:
 
 
 def _lever(model: mujoco.MjModel, address: JointAddress, joint: int) -> Array:
-    """From the joint's axis to the centre of mass, in the body's frame [m]. Shape (3,)."""
-    index, body = address.joint[joint], address.body[joint]
-    axis = model.jnt_axis[index]
-    offset = model.body_ipos[body] - model.jnt_pos[index]
-    return np.asarray(offset - axis * (axis @ offset), dtype=np.float64)
+    """From the joint to the centre of mass, in the body's frame [m]. Shape (3,)."""
+    return np.asarray(model.body_ipos[address.body[joint]] - model.jnt_pos[address.joint[joint]], dtype=np.float64)
 
 
 class LinkInertia(Effect):
