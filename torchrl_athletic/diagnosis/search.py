@@ -140,7 +140,16 @@ class Judge:
         """
         if before.strain - after.strain > DECISIVE / 2:
             return True
-        joint, share = self._closed(before, after)
+        _, share = self._closed(before, after)
+        if share <= MATERIAL or not self.within_misfit(before, after):
+            return share > MATERIAL
+        known = keys(before.terms)
+        newest = [term for term in after.terms if term.candidate.key not in known]
+        return share > RICHER and all(scatter(self.bank, after, term) < STEADY for term in newest)
+
+    def within_misfit(self, before: Fit, after: Fit) -> bool:
+        """Whether the step closes no more than what the terms may leave, being simpler than nature."""
+        joint, _ = self._closed(before, after)
         bare, total = float(self.excess(self.bare)[joint]), float(self.total[joint].sum())
         misfit = max(
             (
@@ -150,12 +159,7 @@ class Judge:
             ),
             default=0.0,
         )
-        gained = float(self.excess(before)[joint] - self.excess(after)[joint])
-        if share <= MATERIAL or gained >= misfit:
-            return share > MATERIAL
-        known = keys(before.terms)
-        newest = [term for term in after.terms if term.candidate.key not in known]
-        return share > RICHER and all(scatter(self.bank, after, term) < STEADY for term in newest)
+        return float(self.excess(before)[joint] - self.excess(after)[joint]) < misfit
 
     def closes(self, before: Fit, after: Fit) -> float:
         """Share of what was open that the step closes, on the joint where it does most."""
@@ -428,12 +432,15 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
             if atom.candidate.joint_name == term.candidate.joint_name and atom.freedom < term.freedom
         ]
         simpler = [judge.score([*rest, atom]) for atom in _promising(judge, kept, smaller, 4)]
-        if term.candidate.effect.special_cases:
-            simpler.append(_split(judge, kept, term, term.candidate.effect.special_cases))
         if simpler:
             best = min(simpler, key=lambda s: s.evidence)
             if judge.closes(best.fit, scored.fit) < RICHER:
                 scored = best
+                continue
+        if term.candidate.effect.special_cases:
+            parts = _split(judge, kept, term, term.candidate.effect.special_cases)
+            if judge.closes(parts.fit, scored.fit) < RICHER or judge.within_misfit(parts.fit, scored.fit):
+                scored = parts
     return scored
 
 
