@@ -143,22 +143,24 @@ def test_the_larger_effect_is_named_when_its_second_number_matters():
 
 
 @pytest.mark.parametrize(
-    ("second", "noise", "expected"),
+    ("strength", "second", "expected"),
     [
-        (0.3, 2.0, {"dry", "viscous"}),
-        (6.0, 2.0, {"warming"}),
-        (0.3, 0.05, {"dry", "viscous"}),  # far above the noise, and less than what a bearing differs from its formula
+        (6.0, 0.3, {"dry", "viscous"}),
+        (6.0, 6.0, {"warming"}),
+        (100.0, 0.3, {"dry", "viscous"}),  # above the noise, and less than what a bearing differs from its formula
     ],
 )
-def test_friction_that_changes_little_is_dry_and_viscous(second, noise, expected):
+def test_friction_that_changes_little_is_dry_and_viscous(strength, second, expected):
     """The columns of a drift are those of dry and viscous friction, but for the first seconds of a take."""
     rng = np.random.default_rng(0)
     dry, viscous, later = smooth(rng, (3, N))
     both = np.stack([dry + 0.1 * second * later, viscous], -1)
-    take = on_shoulder(6 * both[:, 0] + 5 * viscous, noise * rng.normal(size=(N, 2)))
-    drift = Given("warming", both, excludes=("dry", "viscous"))
+    take = on_shoulder(strength * (both[:, 0] + 0.8 * viscous), 2 * rng.normal(size=(N, 2)))
+    wide = {"lower": -1e3, "upper": 1e3}
+    drift = Given("warming", both, excludes=("dry", "viscous"), **wide)
     drift.special_cases = frozenset({"dry", "viscous"})  # type: ignore[misc]
-    weigh = judge(take, candidate(drift), candidate(Given("dry", dry)), candidate(Given("viscous", viscous)))
+    parts = (Given(name, column, **wide) for name, column in (("dry", dry), ("viscous", viscous)))
+    weigh = judge(take, candidate(drift), *map(candidate, parts))
     found = _simplify(weigh, weigh.score(weigh.bank.atoms[:1]))
     assert names(found) == {(name, "shoulder") for name in expected}
 
