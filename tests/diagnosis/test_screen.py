@@ -141,6 +141,21 @@ def test_the_gain_of_a_grid_point_is_what_a_fit_with_it_closes(rng, take, joint)
         assert gain == pytest.approx(float(((before.residual - after.residual) / even).sum()), rel=1e-5, abs=1e-5)
 
 
+def test_no_gain_rests_on_a_trim_that_leaves_its_tolerance(take):
+    """Else a limit of half a platform's weight looked good, since the platform could be lighter by as much."""
+    time, seen = STEP * np.arange(N), take.valid[:, 0]
+    early, between = shifted(time, 0.1), shifted(time, 0.4) - shifted(time, 0.1)
+    missing = early - between * (early[seen] @ between[seen]) / (between[seen] @ between[seen])  # no trim is asked for
+    take = replace(take, missing=np.stack([missing, 0 * time], -1))
+    trim = candidate(Given("trim", between, lower=-0.02, upper=0.02))
+    bank = Bank([take], [candidate(Shifted("late", np.empty((0, 1))))], [trim], noise=NOISE)
+    before = bank.fit(())
+    for atom, gain in bank.gains(before, np.ones(2)).items():
+        after = bank.fit([atom])
+        closed = before.residual.sum() - after.residual.sum() - bank.correlation * after.strain
+        assert gain == pytest.approx(closed, rel=0.01)
+
+
 def test_predictions_and_the_rest_are_the_missing_torque(rng, take):
     bank = Bank([take], [candidate(Given(name, both(rng, 2))) for name in "ab"], noise=NOISE)
     fit = bank.fit(bank.atoms)

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+SWEEPS = 3
+"""Rounds in which active coefficients make up for those that reached a bound."""
+
 
 class Products:
     """Grows with the columns that were asked for; time and memory are linear in the number of rows.
@@ -99,7 +102,9 @@ class Library:
         return self._cross[number]
 
 
-def gains(gram: Array, cross: Array, active: Array, right: Array, low: Array, high: Array) -> Array:
+def gains(
+    gram: Array, cross: Array, active: Array, right: Array, low: Array, high: Array, room: tuple[Array, Array]
+) -> Array:
     """How much groups of columns would lower a least-squares sum, each group alone beside the active columns.
 
     Args:
@@ -109,6 +114,7 @@ def gains(gram: Array, cross: Array, active: Array, right: Array, low: Array, hi
         right: With what is left now. Shape (G, k).
         low: Least coefficient. Shape (G, k).
         high: Greatest coefficient. Shape (G, k).
+        room: How far the active coefficients may move, down and up. Shapes (A,).
 
     Returns:
         Shape (G,), not below what zero coefficients give if the bounds allow those.
@@ -126,4 +132,12 @@ def gains(gram: Array, cross: Array, active: Array, right: Array, low: Array, hi
         for k in range(right.shape[1]):
             rest = right[:, k] - np.einsum("gk,gk->g", schur[:, k], x) + schur[:, k, k] * x[:, k]
             x[:, k] = np.clip(rest / diagonal[:, k], low[:, k], high[:, k])
-    return np.asarray(2 * np.einsum("gk,gk->g", right, x) - np.einsum("gk,gkl,gl->g", x, schur, x))
+    closed = 2 * np.einsum("gk,gk->g", right, x) - np.einsum("gk,gkl,gl->g", x, gram, x)
+    if not active.size:
+        return np.asarray(closed)
+    asked = -np.einsum("gk,gka->ga", x, cross)
+    move = np.clip(np.linalg.solve(inner, (asked * scale).T).T * scale, *room)
+    for _ in range(SWEEPS):  # what one may not do, the others do
+        for k, own in enumerate(active):
+            move[:, k] = np.clip(move[:, k] + (asked[:, k] - move @ own) / max(own[k], 1e-300), room[0][k], room[1][k])
+    return np.asarray(closed + 2 * (asked * move).sum(1) - np.einsum("ga,ab,gb->g", move, active, move))

@@ -399,6 +399,7 @@ class Bank:
         doubt = self.correlation * self._doubt(fit.atoms[fit.size :], low, high)[free]
         active = np.tensordot(1.0 / level, self.products.gram(moving).sum(1), 1) if moving else np.zeros((0, 0))
         active = active + np.diag(doubt)
+        room = (low - fit.coefficients)[free], (high - fit.coefficients)[free]
         out: dict[Atom, float] = {}
         for shelf in self._shelves:
             j = shelf.joint
@@ -409,7 +410,7 @@ class Bank:
             cross = [shelf.cross(self.products, n).reshape(shape) for n in moving]
             beside = np.stack(cross, -1) if cross else np.zeros((*left.reshape(shape).shape, 0))
             gained = gains(
-                shelf.gram / level[j], beside / level[j], active, left.reshape(shape) / level[j], *shelf.bounds
+                shelf.gram / level[j], beside / level[j], active, left.reshape(shape) / level[j], *shelf.bounds, room
             )
             out.update(zip(shelf.atoms, gained.tolist(), strict=True))
         return out
