@@ -225,3 +225,17 @@ def test_only_one_gear_a_joint():
     Compliance().apply(plant, 1, np.array([[50.0, 0.1]]))
     assert [type(gear) for gear in plant.gears] == [Gear]
     assert plant.gears[0].joint == 1
+
+
+def test_rows_that_start_alike_are_looked_at_once_and_start_as_they_would_alone():
+    w = windows_of(take_of(two_inertias(*SOFT), pendulum(), np.full(1, 1e-6)), 2.0)
+
+    def build(plant, rows):
+        Compliance().apply(plant, 0, rows[:, :2])
+        plant.torque_scale[:, 0] = rows[:, 2]
+
+    rows = np.array([[60.0, 0.3, 1.0], [60.0, 0.3, 1.1], [40.0, 0.3, 1.0]])
+    together = simulate(w, build, rows)
+    assert len(w.take.link.starts) == 2 * len(w.start)
+    alone = windows_of(take_of(two_inertias(*SOFT), pendulum(), np.full(1, 1e-6)), 2.0)
+    np.testing.assert_allclose(together[2], simulate(alone, build, rows[2:])[0], atol=1e-9)

@@ -44,6 +44,8 @@ CONTACT_STEP = 0.001
 """Time step of teeth that touch and part [s]."""
 ROTOR_FLOOR = 0.02
 """Least inertia of a rotor in simulation, per that of its link: a model without armature gives it none [1]."""
+STARTS = 100_000
+"""Starts that are remembered at most."""
 COARSE = 0.02
 """Step at which the derivatives of the dynamics are found; between, they are interpolated [s]."""
 
@@ -61,6 +63,8 @@ class LinkMotion:
     """Shape (S, J)."""
     derivatives: dict[int, Array] = field(default_factory=dict)
     """Of :meth:`slopes`, by joint."""
+    starts: dict[tuple[int, bool, bytes], Array] = field(default_factory=dict)
+    """Of :meth:`Gear.begin`, by joint, play, and what else decides them."""
 
     @cached_property
     def acceleration(self) -> Array:
@@ -301,24 +305,16 @@ class Gear:
         """
         link, j, dof = start.link, self.joint, plant.address.dof[self.joint]
         assert link is not None
-        back = np.arange(-max(1, int(WARM_UP[int(self.spring.play)] / link.period)), 1)[:, None]
-        before = np.maximum(start.sample + back, 0)
-        load = link.load[before, j]
+        more = np.zeros((2, plant.rows))
         if "dof_frictionloss" in plant.fields:
-            more = plant.fields["dof_frictionloss"][:, dof] - plant.model.dof_frictionloss[dof]
-            load = load + more * link.sliding(j)[before]
+            more[0] = plant.fields["dof_frictionloss"][:, dof] - plant.model.dof_frictionloss[dof]
         if "dof_damping" in plant.fields:
-            more = (
+            more[1] = (
                 plant.fields["dof_damping"][:, dof].reshape(plant.rows, -1)[:, 0]
                 - np.ravel(plant.model.dof_damping[dof])[0]
             )
-            load = load + more * link.velocity[before, j]
         rotor = np.maximum(plant.of("dof_armature")[:, dof], ROTOR_FLOOR * link.free_inertia[:, j].mean())
-        passed = start.command[before, j] - rotor * link.acceleration[before, j]
-        held = start.sample + back < 0
-        x, rate, its_rate, torque = observed(
-            load, link.slopes(j)[:, before, j], self.spring, link.period, passed, rotor, held
-        )
+        x, rate, its_rate, torque = self._behind(start, more, rotor)
 
         armature = plant.of("dof_armature")
         self._link_inertia = link.free_inertia[:, j]
@@ -329,6 +325,36 @@ class Gear:
         self._own = link.acceleration[start.sample, j] - its_rate - torque / self._link_inertia[start.sample]
         self.deflection, self.velocity = x, velocity.copy()
         return x, rate
+
+    def _behind(self, start: Start, more: Array, rotor: Array) -> Array:
+        """What :func:`observed` finds at each row's start, once for rows that start alike.
+
+        The rows of a gradient mostly do: few of its parameters belong to the gear. Shape (4, rows).
+        """
+        link, j, spring = start.link, self.joint, self.spring
+        assert link is not None
+        alike = np.stack(
+            np.broadcast_arrays(start.sample, spring.stiffness, spring.damping, spring.gap, *more, rotor), -1
+        )
+        _, some, row = np.unique(alike, axis=0, return_index=True, return_inverse=True)
+        names = [(j, spring.play, alike[k].tobytes()) for k in some]
+        if len(link.starts) > STARTS:
+            link.starts.clear()
+        new = some[[name not in link.starts for name in names]]
+        if len(new):
+            back = np.arange(-max(1, int(WARM_UP[int(spring.play)] / link.period)), 1)[:, None]
+            before = np.maximum(start.sample[new] + back, 0)
+            load = link.load[before, j] + more[1, new] * link.velocity[before, j]
+            if more[0].any():
+                load += more[0, new] * link.sliding(j)[before]
+            passed = start.command[before, j] - rotor[new] * link.acceleration[before, j]
+            its_own = Spring(*alike[new, 1:4].T)
+            found = observed(
+                load, link.slopes(j)[:, before, j], its_own, link.period, passed, rotor[new],
+                start.sample[new] + back < 0,
+            )  # fmt: skip
+            link.starts.update(zip((n for n in names if n not in link.starts), found.T, strict=True))
+        return np.stack([link.starts[name] for name in names], -1)[:, row.ravel()]
 
     def step(self, torque: Array, link_velocity: Array, now: Now) -> Array:
         """Move the motors by one step; return the torque on the links [N·m, N]. Shapes (rows,)."""
