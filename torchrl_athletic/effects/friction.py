@@ -359,7 +359,7 @@ class LoadDependentFriction(Effect):
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         plant.set_dry_friction(joint, values[:, 0])
-        plant.laws.append(_Loaded(joint, *values.T, plant))
+        plant.laws.append(_Loaded(joint, values[:, 0], values[:, 1], plant))
 
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
         coulomb, _ = parameters
