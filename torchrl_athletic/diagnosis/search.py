@@ -439,7 +439,8 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
                 continue
         if term.candidate.effect.special_cases:
             parts = _split(judge, kept, term, term.candidate.effect.special_cases)
-            if judge.closes(parts.fit, scored.fit) < RICHER or judge.within_misfit(parts.fit, scored.fit):
+            seen = judge.is_open(parts.fit)[term.candidate.joint]  # if not, both are good to the noise: evidence decides
+            if judge.closes(parts.fit, scored.fit) < RICHER or (seen and judge.within_misfit(parts.fit, scored.fit)):
                 scored = parts
     return scored
 
