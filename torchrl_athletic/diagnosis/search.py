@@ -439,7 +439,7 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
                 continue
         if term.candidate.effect.special_cases:
             parts = _split(judge, kept, term, term.candidate.effect.special_cases)
-            seen = judge.is_open(parts.fit)[term.candidate.joint]  # if not, both are good to the noise: evidence decides
+            seen = judge.is_open(parts.fit)[term.candidate.joint]  # else both are good to the noise
             if judge.closes(parts.fit, scored.fit) < RICHER or (seen and judge.within_misfit(parts.fit, scored.fit)):
                 scored = parts
     return scored
