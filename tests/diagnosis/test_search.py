@@ -74,6 +74,16 @@ def test_what_stops_at_a_physical_bound_is_a_stand_in_and_no_finding():
     assert names(found) == {("wide", "shoulder"), ("b", "shoulder")}
 
 
+@pytest.mark.parametrize(("share", "expected"), [(0.005, {"a"}), (0.05, {"a", "b"})])
+def test_what_a_gross_effect_leaves_below_one_per_cent_is_given_no_name(share, expected):
+    """No law is right to a hundredth, however far above the noise that is."""
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    take = on_shoulder(400 * (a + share * b), rng.normal(size=(N, 2)))
+    found = search(judge(take, *(candidate(Given(n, c, -1e3, 1e3)) for n, c in (("a", a), ("b", b)))))[0]
+    assert names(found) == {(name, "shoulder") for name in expected}
+
+
 def test_white_noise_opens_no_question():
     for seed in range(5):
         rng = np.random.default_rng(seed)
@@ -119,7 +129,7 @@ def test_noise_alone_of_a_level_that_smoothing_explains_is_no_question():
     take = signals(bent + rng.normal(size=(N, 2)), bias=bent)
     weigh = judge(take)
     expected = [[1 + (bent[weigh.bank.stretch == k, j] ** 2).mean() for k in range(5)] for j in range(2)]
-    np.testing.assert_allclose(weigh.floor, expected)
+    np.testing.assert_allclose(weigh.floor, expected, rtol=1e-3)  # and a ten-thousandth of what is missing
     (found,) = search(judge(take, candidate(Given("a", column))))
     assert names(found) == set()
 
@@ -297,14 +307,14 @@ def test_evidence_is_the_likelihood_of_independent_samples():
 
 def test_below_the_floor_nothing_is_gained():
     take, quieter = (signals(np.full((N, 2), level)) for level in (0.9, 0.1))
-    assert judge(take).score(()).evidence == judge(quieter).score(()).evidence
+    assert judge(take).score(()).evidence == pytest.approx(judge(quieter).score(()).evidence, abs=0.2)
 
 
 def test_the_share_closed_is_that_of_what_was_open():
     column = np.where(np.arange(N) % 2, 1.0, -1.0)
     weigh = judge(on_shoulder(5 * column + 3.0), candidate(Given("a", column)))
     before, after = weigh.bank.fit(()), weigh.bank.fit(weigh.bank.atoms)
-    assert weigh.closes(before, after) == pytest.approx(25 / (25 + 9 - 1))
+    assert weigh.closes(before, after) == pytest.approx(25 / (25 + 9 - 1), rel=1e-3)
     assert weigh.closes(before, before) == 0
 
 

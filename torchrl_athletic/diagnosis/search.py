@@ -37,6 +37,8 @@ MISFIT = {"friction": 0.02, "presliding": 0.02, "change": 0.02, "transmission": 
 """Share of the torque of a right name of a class that it may get wrong, its law being simpler than nature's."""
 EXACT = 0.005
 """The same of the other classes."""
+ACCURACY = 0.01
+"""Error of a right law, of the torque that is missing without it: below, evidence speaks of tangents and time steps."""
 RICHER = 0.25
 """Share of what is open that an effect must close beyond a simpler one that it contains."""
 INVARIANT = 0.4
@@ -74,11 +76,12 @@ class Judge:
     """
 
     def __init__(self, bank: Bank) -> None:
-        self.bank, self.floor = bank, noise_level(bank)
+        self.bank = bank
         self.total = np.maximum(bank.count, 1e-9)
         self.independent = bank.count / bank.correlation
         self.bare = bank.fit((), trimmed=False)
         """Nothing is adjusted."""
+        self.floor = noise_level(bank) + ACCURACY**2 * self.mean_square(self.bare)
         self._scores: dict[frozenset[Atom], Scored] = {}
 
     def mean_square(self, fit: Fit) -> Array:
@@ -86,7 +89,7 @@ class Judge:
         return np.asarray(fit.residual / self.total)
 
     def level(self, fit: Fit) -> Array:
-        """The same, but not below what noise and smoothing leave. Shape (J, S)."""
+        """The same, but not below what noise, smoothing and a right law leave. Shape (J, S)."""
         return np.maximum(self.mean_square(fit), self.floor)
 
     def excess(self, fit: Fit) -> Array:
