@@ -74,6 +74,15 @@ def test_what_stops_at_a_physical_bound_is_a_stand_in_and_no_finding():
     assert names(found) == {("wide", "shoulder"), ("b", "shoulder")}
 
 
+def test_a_robot_that_has_nothing_of_what_its_model_has_is_at_a_bound_and_a_finding():
+    rng = np.random.default_rng(0)
+    column = smooth(rng, N)
+    take = on_shoulder(-3.3 * column, rng.normal(size=(N, 2)))  # 3 less than the given model's, and noise
+    found = search(judge(take, candidate(Given("dry", column, lower=0.0, nominal=3.3 - 1 / 3))))[0]
+    assert names(found) == {("dry", "shoulder")}
+    assert value_of(found, "dry") == pytest.approx([0.0], abs=1e-9)
+
+
 @pytest.mark.parametrize(("share", "expected"), [(0.005, {"a"}), (0.05, {"a", "b"})])
 def test_what_a_gross_effect_leaves_below_one_per_cent_is_given_no_name(share, expected):
     """No law is right to a hundredth, however far above the noise that is."""

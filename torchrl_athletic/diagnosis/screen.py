@@ -163,9 +163,10 @@ class Fit:
         for atom, values in zip(self.terms, self.values(), strict=False):
             for k, parameter in enumerate(atom.linear, at):
                 low, high, x = self.bounds[0][k], self.bounds[1][k], self.coefficients[k]
-                stops = parameter >= 0 and min(x - low, high - x) <= 1e-6 * (high - low)
-                if stops and values[parameter] not in (0.0, atom.candidate.parameters[parameter].nominal):
-                    return True
+                if parameter >= 0 and min(x - low, high - x) <= 1e-6 * (high - low):
+                    p = atom.candidate.parameters[parameter]
+                    if min(abs(values[parameter]), abs(values[parameter] - p.nominal)) > 1e-6 * p.scale:
+                        return True
             at += len(atom.linear)
         return False
 
