@@ -77,10 +77,12 @@ def test_what_stops_at_a_physical_bound_is_a_stand_in_and_no_finding():
 def test_a_robot_that_has_nothing_of_what_its_model_has_is_at_a_bound_and_a_finding():
     rng = np.random.default_rng(0)
     column = smooth(rng, N)
-    take = on_shoulder(-3.3 * column, rng.normal(size=(N, 2)))  # 3 less than the given model's, and noise
-    found = search(judge(take, candidate(Given("dry", column, lower=0.0, nominal=3.3 - 1 / 3))))[0]
-    assert names(found) == {("dry", "shoulder")}
-    assert value_of(found, "dry") == pytest.approx([0.0], abs=1e-9)
+    take = on_shoulder(-9.0 * column, rng.normal(size=(N, 2)))  # less than zero is left of the given model's
+    for nominal in np.linspace(0.1, 4.0, 40):
+        weigh = judge(take, candidate(Given("dry", column, lower=0.0, nominal=nominal)))
+        fit = weigh.bank.fit(weigh.bank.atoms)
+        assert fit.values()[0] == pytest.approx(0.0, abs=1e-9)
+        assert not fit.at_bound
 
 
 @pytest.mark.parametrize(("share", "expected"), [(0.005, {"a"}), (0.05, {"a", "b"})])
