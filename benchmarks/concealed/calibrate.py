@@ -54,6 +54,9 @@ class Config:
     output: Path = Path("torchrl_athletic/diagnosis/calibration.json")
     seeds: tuple[int, ...] = (0, 1)
     """Of the tuning cases."""
+    former: tuple[int, ...] = ()
+    """More seeds, whose answers are of a former state of the diagnosis: they help to find the weights; how high and how
+    steep the probabilities are comes from the others."""
     ridge: float = 0.5
     """Strength of the pull of the weights to zero."""
     relative: float = 0.05
@@ -91,11 +94,17 @@ def main(cfg: Config) -> None:
     stated = findings(rows)
     if not 0 < stated.right.sum() < len(stated.right):
         raise SystemExit(f"{cfg.answers} holds no current answers to learn from. Run run.py --split tuning first.")
-    weights = fit(stated.features, stated.share, stated.right, cfg.ridge)
+    before = findings(
+        [row for seed in cfg.former for row in load(cfg.answers, "tuning", seed) if "answer" in row.result]
+    )
+    weights = learn(stated, before, cfg.ridge)
     factor = widening(intervals(rows), cfg.relative)
+    made_by = f"benchmarks/concealed/calibrate.py from {len(stated.right)} findings of {len(rows)} tuning cases, "
+    made_by += f"{int(stated.right.sum())} of them right"
+    if before.cases:
+        made_by += f"; the weights' ratios from {len(before.right)} findings of {before.cases} former answers as well"
     content = {
-        "made_by": f"benchmarks/concealed/calibrate.py from {len(stated.right)} findings of {len(rows)} tuning cases, "
-        f"{int(stated.right.sum())} of them right",
+        "made_by": made_by,
         "weights": {"intercept": round(float(weights[0]), 3)}
         | {name: round(float(w), 3) for name, w in zip(FEATURES, weights[1:], strict=False)},
         "effects": {name: round(float(w), 3) for name, w in zip(EFFECTS, weights[1 + len(FEATURES) :], strict=True)},
@@ -104,7 +113,7 @@ def main(cfg: Config) -> None:
     if not cfg.dry:
         cfg.output.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(content, indent=1))
-    print("\n".join(words(stated, chance(weights, stated.features, stated.share), cfg.ridge)))
+    print("\n".join(words(stated, before, chance(weights, stated.features, stated.share), cfg.ridge)))
 
 
 def current(rows: Sequence[Row], program: str | None) -> list[Row]:
@@ -164,13 +173,40 @@ def fit(features: Array, share: Array, right: Array, ridge: float) -> Array:
     return np.asarray(weights)
 
 
-def crossed(stated: Stated, ridge: float, seed: int) -> Array:
+def learn(stated: Stated, before: Stated, ridge: float, kept: NDArray[np.bool_] | None = None) -> Array:
+    """Weights from all findings, then one level and one steepness from those of this program (Platt 1999).
+
+    Args:
+        stated: Findings of this program.
+        before: Of a former one; none will do.
+        ridge: See :func:`fit`.
+        kept: Which of this program's to learn from; all if None. Shape (F,).
+    """
+    kept = np.ones(len(stated.right), dtype=bool) if kept is None else kept
+    own, share, right = stated.features[kept], stated.share[kept], stated.right[kept]
+    weights = fit(
+        np.concatenate([own, before.features]), np.append(share, before.share), np.append(right, before.right), ridge
+    )
+    if not before.cases:
+        return weights
+    odds = weights[0] + own @ weights[1:]
+
+    def loss(x: Array) -> float:
+        level, steep = x[0], np.exp(x[1])
+        p = np.clip(chance(np.array([level, steep]), odds[:, None], share), 1e-6, 1 - 1e-6)
+        return float(-np.log(np.where(right > 0, p, 1 - p)).sum() + 0.5 * x[1] ** 2)
+
+    level, steep = minimize(loss, np.zeros(2), method="Nelder-Mead").x
+    return np.append(level, 0.0 * weights[1:]) + np.exp(steep) * weights
+
+
+def crossed(stated: Stated, before: Stated, ridge: float, seed: int) -> Array:
     """What would be stated of each finding by weights that were learnt on other cases. Shape (F,)."""
     fold = np.random.default_rng(seed).permutation(stated.cases)[stated.case] % FOLDS
     out = np.empty(len(stated.right))
     for k in range(FOLDS):
         kept = fold != k
-        weights = fit(stated.features[kept], stated.share[kept], stated.right[kept], ridge)
+        weights = learn(stated, before, ridge, kept)
         out[~kept] = chance(weights, stated.features[~kept], stated.share[~kept])
     return out
 
@@ -187,13 +223,13 @@ def figures(stated: Stated, stating: Array) -> dict[str, float]:
     }
 
 
-def words(stated: Stated, stating: Array, ridge: float) -> list[str]:
+def words(stated: Stated, before: Stated, stating: Array, ridge: float) -> list[str]:
     """The reliability of the fit, and what cross-validation says of the ridges."""
     bins = reliability(stating, stated.right > 0)["bins"]
     out = [f"stated {b['stated']:.2f}: {b['true']:.2f} of {b['n']} are right" for b in bins]
     out += ["", _line("fitted", [figures(stated, stating)])]
     for r in RIDGES:
-        ways = [figures(stated, crossed(stated, r, seed)) for seed in range(REPEATS)]
+        ways = [figures(stated, crossed(stated, before, r, seed)) for seed in range(REPEATS)]
         out.append(_line(f"cross-validated, ridge {r:g}", ways))
     rng = np.random.default_rng(0)
     least = np.mean([reliability(stating, rng.random(len(stating)) < stating)["ece"] for _ in range(200)])

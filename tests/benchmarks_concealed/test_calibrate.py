@@ -23,6 +23,7 @@ from benchmarks.concealed.calibrate import (
     findings,
     fit,
     intervals,
+    learn,
     widening,
 )
 from benchmarks.concealed.cases import Case, source_digest
@@ -108,12 +109,28 @@ def test_weights_have_their_signs_and_the_ridge_pulls_them_to_zero():
     assert against[1] == 0.0
 
 
+def test_former_answers_give_the_weights_ratios_and_the_present_ones_their_level():
+    """Today's findings are right more often than the same ones were."""
+    former = drawn(2000, seed=1)
+    rng = np.random.default_rng(2)
+    features = rng.normal(size=(300, WIDTH))
+    right = rng.random(300) < 1 / (1 + np.exp(-1.5 - 3 * features[:, 0]))
+    present = Stated(features, np.full(300, 0.999), np.where(right, "right", "wrong"), np.arange(300), 300)
+    weights = learn(present, former, 0.1)
+    assert weights[0] == pytest.approx(1.5, abs=0.5)
+    assert weights[1] == pytest.approx(3.0, abs=0.8)
+    alone = fit(former.features, former.share, former.right, 0.1)
+    assert abs(alone[0]) < 0.3
+    np.testing.assert_array_equal(learn(present, findings([]), 0.1), fit(present.features, present.share, right, 0.1))
+
+
 def test_no_case_is_judged_by_weights_that_have_seen_it():
     stated = drawn(120)
     of_first = stated.case == 0
     turned = np.where(of_first, np.where(stated.grade == "right", "wrong", "right"), stated.grade)
     other = Stated(stated.features, stated.share, turned, stated.case, stated.cases)
-    before, after = crossed(stated, 0.5, 3), crossed(other, 0.5, 3)
+    none = findings([])
+    before, after = crossed(stated, none, 0.5, 3), crossed(other, none, 0.5, 3)
     np.testing.assert_array_equal(before[of_first], after[of_first])
     assert np.abs(before - after).max() > 1e-3
 
