@@ -218,6 +218,14 @@ def test_a_motor_that_brakes_has_more_friction_on_its_side_than_one_that_drives(
     np.testing.assert_allclose(np.diff(v)[820:1100] / STEP, -(1.0 + 0.5) / 0.8 / MASS, rtol=1e-3)
 
 
+def test_a_motor_at_rest_brakes_by_what_its_own_friction_presses():
+    """F = 0.5 + 0.2 F at no torque, as a hair to either side of it."""
+    force = np.where(np.arange(1200) < 800, 6.0, 0.0)
+    (position,) = push(force, (LoadDependentFriction(), [0.5, 0.2]))
+    v = speed(position)
+    np.testing.assert_allclose(np.diff(v)[820:1100] / STEP, -0.5 / 0.8 / MASS, rtol=1e-3)
+
+
 def test_a_gear_that_locks_itself_holds_what_pushes_it():
     """Pushed by less than its friction it comes to rest, however short its bristles, and does not ring on them."""
     (position,) = push(np.full(1000, 2.0), (LoadDependentFriction(), [2.5, 0.9]))

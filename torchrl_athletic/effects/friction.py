@@ -386,7 +386,8 @@ class _Loaded(Bristle):
 
     def level_of(self, now: Now) -> Array:
         torque = now.torque[:, self.joint]
-        return _pressed(np.abs(torque), np.sign(torque) * self.direction, self.coulomb, self.coefficient)
+        driving = np.where(torque == 0, -np.abs(self.direction), np.sign(torque) * self.direction)  # at rest it brakes
+        return _pressed(np.abs(torque), driving, self.coulomb, self.coefficient)
 
 
 def _pressed(torque: Array | float, driving: Array | float, coulomb: Array, coefficient: Array) -> Array:
