@@ -185,9 +185,8 @@ def _inertia(model: mujoco.MjModel, given: mujoco.MjModel, joint: int, values: V
 
 
 def _lever(model: mujoco.MjModel, joint: int) -> Any:
-    """From the joint's axis to the centre of mass of its link [m]. Shape (3,)."""
-    axis, offset = model.jnt_axis[joint], model.body_ipos[model.jnt_bodyid[joint]] - model.jnt_pos[joint]
-    return offset - axis * (axis @ offset)
+    """From the joint to the centre of mass of its link [m]. Shape (3,)."""
+    return model.body_ipos[model.jnt_bodyid[joint]] - model.jnt_pos[joint]
 
 
 _EFFECTS: Mapping[str, Callable[[mujoco.MjModel, mujoco.MjModel, int, Values], None]] = {
