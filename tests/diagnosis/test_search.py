@@ -7,7 +7,7 @@ from diagnosis.columns import STEP, Curved, Given, Shifted, candidate, judge, sh
 from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis.screen import Bank
-from torchrl_athletic.diagnosis.search import BEAM, TERM, Judge, _merge, _simplify, alternatives, search
+from torchrl_athletic.diagnosis.search import BEAM, TERM, Judge, _merge, _simplify, alternatives, noisy_joints, search
 from torchrl_athletic.effects import Fingerprint
 
 N = 1000
@@ -113,6 +113,31 @@ def test_an_unknown_disturbance_is_rarely_given_a_name():
         found = search(judge(take, *(candidate(Given(str(k), c, lower=-50, upper=50)) for k, c in enumerate(columns))))
         alarms += bool(names(found[0]))
     assert alarms <= 1
+
+
+def test_what_nothing_predicts_is_noise_and_a_push_stands_out_of_it():
+    """A stand-in that follows the noise itself, as teeth with play do, is no finding; a push of a second stays one."""
+    rng = np.random.default_rng(0)
+    noise = np.stack([1.3 * rng.normal(size=20 * N), rng.normal(size=20 * N)], -1)
+    stand_in = np.where(rng.uniform(size=20 * N) < 0.66, 1.0, -1.0) * np.sign(noise[:, 0])
+    push = np.zeros(20 * N)
+    push[5000:5100] = smooth(rng, 100)
+    take = signals(noise + np.stack([6 * push, 0 * push], -1))
+    candidates = [candidate(Given("stand_in", stand_in)), candidate(Given("push", push))]
+    weigh = judge(take, *candidates)
+    assert names(search(weigh)[0]) == {("stand_in", "shoulder"), ("push", "shoulder")}
+    assert noisy_joints(weigh) == [0]
+    assert names(search(Judge(weigh.bank, noisy_joints(weigh)))[0]) == {("push", "shoulder")}
+
+
+def test_a_joint_that_misses_a_predictable_torque_is_not_called_noisy():
+    rng = np.random.default_rng(0)
+    column = smooth(rng, 2 * N)
+    noise = 2 * rng.normal(size=2 * N)
+    take = signals(np.stack([column + noise, 0 * noise], -1))  # a fifth of what is missing
+    weigh = judge(take, candidate(Given("a", column)))
+    search(weigh)
+    assert noisy_joints(weigh) == []
 
 
 @pytest.mark.parametrize(("size", "expected"), [(0.3, set()), (0.7, {("a", "shoulder")})])

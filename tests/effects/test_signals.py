@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from effects.arm import JOINTS, RATE, arm, record, waves
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 
 from torchrl_athletic.effects import JointAddress, Signals, project_recording
 from torchrl_athletic.effects.signals import (
@@ -160,6 +161,16 @@ def test_noise_is_predicted_as_monte_carlo_finds_it(kernel, rate):
     sigma = np.array([1e-3, 2e-3])
     recording = take(time, rng.normal(0, sigma, (len(time), 2)))
     s = project_recording(recording, arm(), sigma, kernel=kernel)
+    np.testing.assert_allclose(s.missing.std(0), s.noise, rtol=0.1)
+
+
+@pytest.mark.parametrize("kernel", [0.012, 0.03])
+@pytest.mark.parametrize("rho", [0.3, 0.85])
+def test_noise_with_a_memory_is_predicted_as_monte_carlo_finds_it(rho, kernel):
+    rng = np.random.default_rng(0)
+    time, sigma = np.arange(0.0, 60.0, 0.005), np.array([1e-3, 2e-3])
+    noise = lfilter([np.sqrt(1 - rho**2)], [1, -rho], rng.normal(0, sigma, (len(time), 2)), axis=0)
+    s = project_recording(take(time, noise), arm(), sigma, kernel=kernel, noise_correlation=np.full(2, rho))
     np.testing.assert_allclose(s.missing.std(0), s.noise, rtol=0.1)
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
-from torchrl_athletic.recordings import Recording, RecordingError, repeat_noise, sensor_noise
+from torchrl_athletic.recordings import Recording, RecordingError, noise_correlation, repeat_noise, sensor_noise
 from torchrl_athletic.recordings.datasets import load_dataset
 from torchrl_athletic.recordings.noise import encoder_step
 
@@ -28,6 +29,33 @@ def test_white_noise_on_a_motion_is_measured(sigma, jitter):
     position_noise, velocity_noise = sensor_noise(swing(time, position, velocity))
     assert position_noise == pytest.approx([sigma], rel=0.05)
     assert velocity_noise == pytest.approx([20 * sigma], rel=0.05)
+
+
+@pytest.mark.parametrize("bits", [None, 16], ids=["continuous", "16 bits"])
+@pytest.mark.parametrize("rho", [0.0, 0.3, 0.6, 0.85])
+def test_the_memory_of_noise_is_measured_and_none_of_it_is_missed(rho, bits):
+    rng = np.random.default_rng(1)
+    time, sigma = np.arange(8000) / 200, 3e-4
+    noise = lfilter([np.sqrt(1 - rho**2)], [1, -rho], rng.normal(0, sigma, 8000))
+    position = 0.8 * np.sin(6 * time) + noise
+    if bits is not None:
+        position = np.round(position * 2**bits / (2 * np.pi)) * (2 * np.pi) / 2**bits
+    take = swing(time, position)
+    assert noise_correlation(take) == pytest.approx([rho], abs=0.08)
+    assert sensor_noise(take)[0] == pytest.approx([sigma], rel=0.25)
+
+
+@pytest.mark.parametrize("frequency", [20.0, 35.0, 60.0])
+def test_a_gear_that_rings_is_no_noise_with_a_memory(frequency):
+    rng = np.random.default_rng(1)
+    time = np.arange(8000) / 200
+    ringing = 1e-3 * np.sin(2 * np.pi * frequency * time) + rng.normal(0, 1e-4, 8000)
+    assert noise_correlation(swing(time, ringing)) == pytest.approx([0.0])
+
+
+def test_a_take_too_short_to_tell_has_white_noise():
+    time = np.arange(60) / 200
+    assert noise_correlation(swing(time, np.random.default_rng(0).normal(size=60))) == pytest.approx([0.0])
 
 
 @given(step=st.floats(1e-5, 1e-2), offset=st.floats(-3, 3), seed=st.integers(0, 99))

@@ -38,7 +38,7 @@ from torchrl_athletic.diagnosis.screen import (
     is_trim,
     trims_for,
 )
-from torchrl_athletic.diagnosis.search import Judge, keys, predictable_share, search
+from torchrl_athletic.diagnosis.search import Judge, keys, noisy_joints, search
 from torchrl_athletic.effects import CATALOGUE, Effect
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.recordings import Recording
@@ -56,8 +56,6 @@ BEFORE_THE_MOTOR = frozenset({"actuation_delay", "actuation_lag", "torque_satura
 """What a measured torque has behind it."""
 EXERCISED = 0.02
 """Share of usable instants below which a joint counts as not exercised."""
-PREDICTABLE = 0.1
-"""Share of the missing torque that must be predictable for it to count as something missing rather than noise."""
 WORTH = 0.1
 """Share of its tolerance that a trim must use in the torque domain to be adjusted in the simulation."""
 OVERLAYS = 4
@@ -427,9 +425,8 @@ class _Work:
         """Whether some joint misses torque that noise does not explain and that motion and command predict."""
         if not self.options:
             return False
-        bank, judge = self.options[0].judge.bank, self.options[0].judge
-        above = judge.is_open(judge.score(()).fit)
-        return any(predictable_share(bank, int(j)) > PREDICTABLE for j in np.flatnonzero(above))
+        judge = self.options[0].judge
+        return bool(judge.is_open(judge.score(()).fit).any())
 
     def _quality(self) -> dict[str, Any]:
         assert self.train is not None
@@ -470,7 +467,11 @@ def _search(
     if is_open.any():
         candidates = [c for c in candidates_for(signals, catalogue) if c.key not in taken]
         bank.extend(c for c in candidates if is_open[c.joint] or c.effect.family not in OWN_JOINT)
-    return [Evidence(judge, s) for s in search(judge, progress.update if progress else lambda fraction: None)]
+    found = search(judge, progress.update if progress else lambda fraction: None)
+    if noisy := noisy_joints(judge):
+        judge = Judge(bank, noisy)
+        found = search(judge)
+    return [Evidence(judge, s) for s in found]
 
 
 def _hypothesis(option: Evidence, drive: Evidence | None) -> tuple[Hypothesis, Array]:

@@ -95,12 +95,12 @@ def prepare(
             mask = _unfit(q)[start : start + piece.num_samples]
             velocity_noise = q.velocity_noise if _velocity_fits(q) else None
             try:
-                s = project_recording(piece, model, q.position_noise, velocity_noise, mask, kernel)
+                s = project_recording(piece, model, q.position_noise, velocity_noise, mask, kernel, q.noise_correlation)
             except RecordingError as error:
                 left_out.append(str(error))
                 continue
             signals.append(s)
-            takes.append(take_of(piece, model, q.position_noise, velocity_noise))
+            takes.append(take_of(piece, model, q.position_noise, velocity_noise, q.noise_correlation))
     if not signals:
         raise RecordingError(left_out[0])
     if not any(s.valid.any() for s in signals):

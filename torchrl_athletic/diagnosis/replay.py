@@ -89,7 +89,11 @@ class Take:
 
 
 def take_of(
-    recording: Recording, model: mujoco.MjModel, position_noise: Array, velocity_noise: Array | None = None
+    recording: Recording,
+    model: mujoco.MjModel,
+    position_noise: Array,
+    velocity_noise: Array | None = None,
+    noise_correlation: Array | float = 0.0,
 ) -> Take:
     """Put a recording on the grid of the simulation.
 
@@ -115,7 +119,8 @@ def take_of(
     longest = kernel_for([recording])
     late = _stamp_jitter(recording.time)  # a reading is off by what the joint moved meanwhile
     rough = np.gradient(gaussian_filter1d(measured, max(longest / period, 1.0), axis=0), period, axis=0)
-    position_noise = np.hypot(position_noise, late * np.abs(rough))
+    slow = np.sqrt((1 + noise_correlation) / (1 - noise_correlation))  # its mean over many samples is off by more
+    position_noise = np.hypot(slow * position_noise, late * np.abs(rough))
     position, position_sigma = _local_fit(_cubics(measured, 0, period, longest, position_noise))
     slopes = _cubics(measured, 1, period, longest, position_noise)
     if recording.velocity is not None and velocity_noise is not None:

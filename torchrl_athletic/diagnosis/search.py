@@ -56,6 +56,10 @@ FINEST = 0.02
 STEADY = 0.1
 """The same of a term that is no larger than what another may leave."""
 FOLDS = 5
+RIDGES = (1e-3, 1e-2, 1e-1, 1.0)
+"""Of the prediction of what is missing, whatever it is."""
+PREDICTABLE = 0.1
+"""Share of the missing torque that must be predictable for it to count as something missing rather than noise."""
 STRETCHES = 6
 """Parts that fewer than three takes are cut into to see whether a term holds everywhere."""
 
@@ -73,20 +77,31 @@ class Judge:
 
     Every stretch of every joint has an error level of its own. So a limit that is reached in one second of a hundred
     counts, and a push in one take does not drown what the others say.
+
+    Args:
+        bank: Predictions of the candidates.
+        noisy: Joints whose missing torque is noise, stronger than the sensors' own: what is usual there asks nothing.
     """
 
-    def __init__(self, bank: Bank) -> None:
+    def __init__(self, bank: Bank, noisy: Sequence[int] = ()) -> None:
         self.bank = bank
         self.total = np.maximum(bank.count, 1e-9)
         self.independent = bank.count / bank.correlation
         self.bare = bank.fit((), trimmed=False)
         """Nothing is adjusted."""
         self.floor = noise_level(bank) + ACCURACY**2 * self.mean_square(self.bare)
+        if noisy:
+            self.floor[noisy] = np.maximum(self.floor, OPEN * self.usual(bank.fit(()))[:, None])[noisy]
         self._scores: dict[frozenset[Atom], Scored] = {}
 
     def mean_square(self, fit: Fit) -> Array:
         """Of the normalised residual, per joint and stretch. Shape (J, S)."""
         return np.asarray(fit.residual / self.total)
+
+    def usual(self, fit: Fit) -> Array:
+        """The same of half the stretches. Shape (J,)."""
+        seen = self.bank.count > 0
+        return np.array([np.median(m[s]) if s.any() else 0.0 for m, s in zip(self.mean_square(fit), seen, strict=True)])
 
     def level(self, fit: Fit) -> Array:
         """The same, but not below what noise, smoothing and a right law leave. Shape (J, S)."""
@@ -219,11 +234,19 @@ def noise_level(bank: Bank) -> Array:
     return np.asarray(1.0 + total / np.maximum(bank.count, 1.0), dtype=np.float64)
 
 
+def noisy_joints(judge: Judge) -> list[int]:
+    """Joints that miss torque all the time, of which nothing tried so far predicts a part: noise, nobody's physics."""
+    bare = judge.score(()).fit
+    always = judge.is_open(bare) & (judge.usual(bare) > OPEN * np.median(judge.floor, axis=1))
+    return [int(j) for j in np.flatnonzero(always) if predictable_share(judge.bank, int(j)) <= PREDICTABLE]
+
+
 def predictable_share(bank: Bank, joint: int) -> float:
     """Share of the missing torque that motion and command predict on blocks that were not fitted, 0..1.
 
     All columns that the search has tried are a rich basis. Where even that predicts nothing, what looks open is noise
-    with a memory.
+    with a memory. A basis as rich as the recordings are long would fit their noise, so that the best of several ridges
+    counts; they are in units of the columns' energy on all blocks, since many columns act on few.
     """
     columns = bank.products.touching(joint)
     columns = np.concatenate([columns[1:], columns[:1]])  # the target is the products' first column
@@ -232,16 +255,16 @@ def predictable_share(bank: Bank, joint: int) -> float:
     count = len(gram)
     if count < 2 * FOLDS:
         return 1.0
-    left = total = 0.0
+    whole = gram.sum(0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    left = np.zeros(len(RIDGES))
     for fold in range(FOLDS):
         aside = np.arange(count) % FOLDS == fold
-        g, h = gram[~aside].sum(0), gram[aside].sum(0)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(g)[:-1], 1e-300))
-        normal = g[:-1, :-1] * scale * scale[:, None] + 1e-4 * np.eye(len(scale))
-        x = np.append(-np.linalg.solve(normal, g[:-1, -1] * scale) * scale, 1.0)
-        left += float(x @ h @ x)
-        total += float(h[-1, -1])
-    return float(np.clip(1.0 - left / max(total, 1e-300), 0.0, 1.0))
+        g, h = (part.sum(0) * scale * scale[:, None] for part in (gram[~aside], gram[aside]))
+        for k, ridge in enumerate(RIDGES):
+            x = np.append(-np.linalg.solve(g[:-1, :-1] + ridge * np.eye(len(g) - 1), g[:-1, -1]), 1.0)
+            left[k] += float(x @ h @ x)
+    return float(np.clip(1.0 - left.min(), 0.0, 1.0))
 
 
 def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:

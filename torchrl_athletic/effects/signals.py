@@ -253,6 +253,7 @@ def project_recording(
     velocity_noise: Array | None = None,
     mask: NDArray[np.bool_] | None = None,
     kernel: float | None = None,
+    noise_correlation: Array | None = None,
 ) -> Signals:
     """Project a recording on the test function.
 
@@ -263,6 +264,7 @@ def project_recording(
         velocity_noise: Of one velocity sample [rad/s]. Shape (J,). None ignores the velocity channel.
         mask: True where a sample is not to be trusted. Shape (T, J).
         kernel: Width of the test function [s]; :func:`kernel_for` the recording if None.
+        noise_correlation: Of the position's noise from one sample to the next, white if None. Shape (J,).
     """
     address = JointAddress.of(model, recording.joint_names, recording.source)
     smooth = smooth_dynamics(model)
@@ -275,7 +277,8 @@ def project_recording(
 
     q = CubicSpline(recording.time, recording.position)(fine_time)
     gain = [_noise_gain(period, kernel, n) for n in range(3)]
-    sigma_v, sigma_a = gain[1] * position_noise, gain[2] * position_noise
+    memory = [_memory_gain(period, kernel, n, noise_correlation) for n in range(3)]
+    sigma_q, sigma_v, sigma_a = (g * m * position_noise for g, m in zip(gain, memory, strict=True))
     v, direct = None, np.zeros(len(address.dof), dtype=bool)
     if recording.velocity is not None and velocity_noise is not None:
         v = CubicSpline(recording.time, recording.velocity)(fine_time)
@@ -327,7 +330,7 @@ def project_recording(
         np.mean((draft.inertia**2 @ (sigma_a**2)[:, None])[..., 0], axis=0) + (_damping(draft) * sigma_v) ** 2
     )
     if recording.kp is not None and recording.kd is not None:  # the torque is computed from the readings
-        noise = np.sqrt(noise**2 + (recording.kp * gain[0] * position_noise) ** 2 + (recording.kd * sigma_v) ** 2)
+        noise = np.sqrt(noise**2 + (recording.kp * sigma_q) ** 2 + (recording.kd * sigma_v) ** 2)
     return replace(
         draft,
         required=required,
@@ -452,6 +455,17 @@ def _noise_gain(period: float, kernel: float, order: int) -> float:
     """
     integral = (1 / 2, 1 / 4, 3 / 8)[order] / (np.sqrt(np.pi) * kernel ** (2 * order + 1))
     return float(np.sqrt(period * integral))
+
+
+def _memory_gain(period: float, kernel: float, order: int, correlation: Array | None) -> Array | float:
+    """How much more of noise with a memory passes than of white noise with the same deviation. Shape (J,)."""
+    if correlation is None:
+        return 1.0
+    omega = np.linspace(0.0, np.pi / period, 2000)
+    passed = omega ** (2 * order) * np.exp(-((omega * kernel) ** 2))
+    rho = correlation[:, None]
+    density = (1 - rho**2) / (1 + rho**2 - 2 * rho * np.cos(omega * period))
+    return np.asarray(np.sqrt((density * passed).sum(1) / passed.sum()))
 
 
 def _limited(s: Signals, torque: Array) -> Array:

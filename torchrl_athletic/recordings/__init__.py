@@ -26,7 +26,7 @@ from torchrl_athletic.recordings.excitation import (
 )
 from torchrl_athletic.recordings.fetch import FetchError, fetch
 from torchrl_athletic.recordings.formats import Column, ColumnMap, read_recordings, write_recording
-from torchrl_athletic.recordings.noise import repeat_noise, sensor_noise
+from torchrl_athletic.recordings.noise import noise_correlation, repeat_noise, sensor_noise
 from torchrl_athletic.recordings.quality import Quality, check_quality
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 from torchrl_athletic.recordings.resampling import resample, split_at_gaps
@@ -52,6 +52,7 @@ __all__ = [
     "gaussian",
     "held",
     "multisine",
+    "noise_correlation",
     "read_recordings",
     "record",
     "recorded",

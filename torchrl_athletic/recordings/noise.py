@@ -23,8 +23,10 @@ def sensor_noise(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.
     .. math:: \sigma = 1.4826\,\mathrm{median}\,|\Delta^4 x| / \sqrt{70},
 
     where the divided differences use the actual stamps, so that jitter of the clock does not pass for noise. The
-    estimate is never below the rounding error step / sqrt(12) of a quantised channel. Noise that is correlated over
-    several samples, as behind a filter in the drive, is underestimated: repeats tell (:func:`repeat_noise`).
+    estimate is never below the rounding error step / sqrt(12) of a quantised channel. Noise of the position that is
+    correlated over several samples, as behind a filter in the drive, is seen by what is left of it with differences of
+    every second and third sample (:func:`noise_correlation`); what repeats do not share is noise of any kind
+    (:func:`repeat_noise`).
 
     Returns:
         Noise of the position [rad, m for slides], shape (J,), and of the velocity [rad/s, m/s], shape (J,), or None
@@ -46,7 +48,64 @@ def sensor_noise(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.
     def channels(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.array([_channel_noise(weights, channel[rows], encoder_step(channel)) for channel in values.T])
 
-    return channels(recording.position), None if recording.velocity is None else channels(recording.velocity)
+    correlated = np.array([s for s, _ in _correlated_noise(recording)])
+    position = np.maximum(channels(recording.position), correlated)
+    return position, None if recording.velocity is None else channels(recording.velocity)
+
+
+def noise_correlation(recording: Recording) -> NDArray[np.float64]:
+    r"""Correlation of the position's noise from one sample to the next, as of a first-order filter.
+
+    Of noise with the autocorrelation :math:`\rho^{|k|}`, fourth differences over every n-th sample leave
+
+    .. math:: \frac{\mathrm{Var}\,\Delta_n^4 x}{70\,\sigma^2} =
+        1 - \tfrac{8}{5}\rho^n + \tfrac{4}{5}\rho^{2n} - \tfrac{8}{35}\rho^{3n} + \tfrac{1}{35}\rho^{4n},
+
+    so that n = 1 and 2 tell :math:`\rho`, and n = 3 whether it is noise: a motion grows with :math:`n^4` instead, and
+    then 0 is returned.
+
+    Returns:
+        Correlation, 0 to 0.95. Shape (J,).
+
+    Raises:
+        RecordingError: If there are fewer than 10 gap-free windows of five samples.
+
+    Example:
+        >>> import numpy as np
+        >>> from scipy.signal import lfilter
+        >>> time, white = np.arange(4000) / 200, np.random.default_rng(0).normal(0, 1e-3, 4000)
+        >>> position = np.sin(time) + lfilter([0.8], [1, -0.6], white)
+        >>> take = Recording(time, ("hinge",), position[:, None], torque_command=np.zeros((4000, 1)))
+        >>> bool(abs(noise_correlation(take)[0] - 0.6) < 0.1), bool(abs(sensor_noise(take)[0][0] - 1e-3) < 1e-4)
+        (True, True)
+    """
+    return np.array([rho for _, rho in _correlated_noise(recording)])
+
+
+def _correlated_noise(recording: Recording) -> list[tuple[float, float]]:
+    """Standard deviation and correlation of each joint's noise; zeros where differences show no correlation."""
+    strides = [_difference_weights(recording, n) for n in (1, 2, 3)]
+    out = []
+    for channel in recording.position.T:
+        left = np.array([_typical_square(weights, channel[rows]) for weights, rows in strides])
+        left -= (encoder_step(channel) or 0.0) ** 2 / 12
+        out.append(_first_order(*left) if (left > 0).all() else (0.0, 0.0))
+    return out
+
+
+def _first_order(*left: float) -> tuple[float, float]:
+    rho = np.linspace(0.0, 0.95, 191)
+    shares = np.array([_share_of_differences(rho**n) for n in (1, 2, 3)])
+    k = int(np.argmin(np.abs(shares[1] / shares[0] - left[1] / left[0])))
+    expected = left[0] * shares[2, k] / shares[0, k]
+    if left[1] > 2.0 * left[0] or left[2] > 1.15 * expected:  # more than noise of any memory leaves: a motion
+        return 0.0, 0.0
+    return float(np.sqrt(left[0] / shares[0, k])), float(rho[k])
+
+
+def _share_of_differences(rho: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Variance of fourth differences of unit norm, of noise with variance 1 and this correlation."""
+    return np.asarray(1 - 8 / 5 * rho + 4 / 5 * rho**2 - 8 / 35 * rho**3 + rho**4 / 35)
 
 
 def repeat_noise(recordings: Sequence[Recording]) -> NDArray[np.float64] | None:
@@ -119,14 +178,15 @@ def _common_spacing(values: NDArray[np.float64], most_of_few: int) -> float | No
     return None
 
 
-def _difference_weights(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+def _difference_weights(recording: Recording, stride: int = 1) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Weights of unit norm that cancel every cubic on the stamps of a window, and the windows' rows, (W, 5) both."""
     step = np.diff(recording.time)
-    windows = max(len(step) - _ORDER + 1, 0)
-    rows = np.arange(windows)[:, None] + np.arange(_ORDER + 1)
+    windows = max(recording.num_samples - _ORDER * stride, 0)
+    rows = np.arange(windows)[:, None] + stride * np.arange(_ORDER + 1)
     gap = step > GAP_FACTOR * np.median(step)
-    rows = rows[~gap[rows[:, :-1]].any(axis=1)]
-    if len(rows) < 10:
+    gaps = np.concatenate([[0], np.cumsum(gap)])  # before each row
+    rows = rows[gaps[rows[:, -1]] == gaps[rows[:, 0]]] if windows else rows
+    if len(rows) < 10 and stride == 1:
         raise RecordingError(
             f"{recording.source}: {recording.num_samples} samples hold {len(rows)} windows of {_ORDER + 1} samples "
             "without a gap; at least 10 are needed to tell noise from motion. Record for longer."
@@ -145,6 +205,17 @@ def _channel_noise(weights: NDArray[np.float64], windows: NDArray[np.float64], s
     if sigma == 0.0:  # mostly at rest behind a coarse encoder: the median sees none of the readings that do change
         sigma = float(np.sqrt(np.mean(np.minimum(left, np.quantile(left, 0.99)) ** 2)))
     return max(sigma, (step or 0.0) / np.sqrt(12.0))
+
+
+def _typical_square(weights: NDArray[np.float64], windows: NDArray[np.float64]) -> float:
+    """Mean square of all but the largest twentieth, as a share of what it is of Gaussian noise; 0 of too few windows.
+
+    Unlike a median's, it does not jump with the counts of an encoder.
+    """
+    if len(windows) < 100:
+        return 0.0
+    square = np.sort((weights * windows).sum(axis=1) ** 2)[: 19 * len(windows) // 20]
+    return float(square.mean()) / 0.759
 
 
 def _is_repeat(a: Recording, b: Recording) -> bool:

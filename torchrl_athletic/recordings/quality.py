@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from torchrl_athletic.recordings.noise import encoder_step, repeat_noise, sensor_noise
+from torchrl_athletic.recordings.noise import encoder_step, noise_correlation, repeat_noise, sensor_noise
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 from torchrl_athletic.recordings.resampling import GAP_FACTOR, gap_rows, resample, split_at_gaps
 
@@ -67,6 +67,8 @@ class Quality:
     """Resolution of the position [rad, m], one a joint; None when it is continuous."""
     position_noise: Floats
     """Standard deviation of a reading [rad, m]. Shape (J,)."""
+    noise_correlation: Floats
+    """Of that noise from one sample to the next [1]. Shape (J,)."""
     velocity_noise: Floats | None
     """[rad/s, m/s]. Shape (J,)."""
     velocity_scale: tuple[float | None, ...]
@@ -131,6 +133,7 @@ class Quality:
             "lost_samples": self.lost_samples,
             "encoder_step": dict(zip(joints, self.encoder_step, strict=True)),
             "position_noise": dict(zip(joints, self.position_noise.tolist(), strict=True)),
+            "noise_correlation": dict(zip(joints, self.noise_correlation.tolist(), strict=True)),
             "velocity_noise": None
             if self.velocity_noise is None
             else dict(zip(joints, self.velocity_noise.tolist(), strict=True)),
@@ -203,6 +206,7 @@ def check_quality(recording: Recording, torque_limit: ArrayLike | None = None) -
         lost_samples=int(np.maximum(np.round(np.diff(recording.time) * recording.rate) - 1, 0).sum()),
         encoder_step=steps,
         position_noise=position_noise,
+        noise_correlation=noise_correlation(recording),
         velocity_noise=velocity_noise,
         velocity_scale=scale,
         velocity_shift=velocity_shift,
