@@ -37,6 +37,10 @@ class Config:
     """Of PPO: one reward for all joints, as the paper has it, or each joint its own."""
     knows: training.Knows = "errors"
     """What the net is told of a joint: its errors, as in the paper; which one it is; how the arm stands and moves."""
+    memory: tuple[float, ...] = ()
+    """Ways [rad]: the net is also shown how far its joint has wound up since it turned, within each of them."""
+    hidden: tuple[int, ...] = (128, 128)
+    """Layers of the net."""
     robot: str = "z1"
     """``z1``, or the path of an MJCF."""
     model: Path | None = None
@@ -67,14 +71,17 @@ def main(cfg: Config) -> Simulator:
     recordings = training.for_training(read_recordings(cfg.recordings))
     robot = training.with_gains_of(z1() if cfg.robot == "z1" else from_mjcf(cfg.robot), recordings)
     name = ("uan" if cfg.model is None else "diagnosed_uan") + {"errors": ""}.get(cfg.knows, f"_{cfg.knows}")
+    name += "_memory" if cfg.memory else ""
     given = Simulator(name, robot, None if cfg.model is None else read_correction(cfg.model))
     pieces, windows = training.set_aside(recordings, seconds=cfg.window)
     takes = training.takes_of(pieces, robot)
-    net = uan(**training.units_of(takes, robot, cfg.knows)).to(cfg.device)
+    net = uan(hidden=cfg.hidden, **training.units_of(takes, robot, cfg.knows, cfg.memory)).to(cfg.device)
     validate = training.validation_of(given, windows, net, device=cfg.device)
     before = validate()["mse"]  # of a net that corrects nothing yet
 
-    made_of = {name: str(getattr(cfg, name)) for name in ("method", "credit", "knows", "seed", "window")}
+    made_of = {
+        name: str(getattr(cfg, name)) for name in ("method", "credit", "knows", "memory", "hidden", "seed", "window")
+    }
     made_of |= {"recordings": digest_of(recordings), "model": given.digest}
     learner = make_learner(cfg, given, takes, net)
     numbers = training.train(

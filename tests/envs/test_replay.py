@@ -46,10 +46,10 @@ def played(env, policy, steps):
     return torch.stack(out, 1)
 
 
-def moved_net(state=False, seed=3):
+def moved_net(state=False, seed=3, memory=()):
     torch.manual_seed(seed)
     told = {"joints": 2, "state_unit": [1.0, 1.0, 5.0, 5.0, 10.0, 10.0]} if state else {}
-    net = uan(unit=(0.2, 2.0), torque_unit=[1.0, 1.5], **told)
+    net = uan(unit=(0.2, 2.0), torque_unit=[1.0, 1.5], memory=memory, **told)
     torch.nn.init.normal_(last_layer(net).weight, std=0.3)
     return net
 
@@ -244,9 +244,10 @@ def test_behind_a_diagnosed_drive_with_limits_the_net_sees_what_it_was_trained_o
     assert torques or limited > 20
 
 
-def test_replays_of_training_and_of_scoring_are_one():
+@pytest.mark.parametrize("memory", [(), (0.05, 0.5)])
+def test_replays_of_training_and_of_scoring_are_one(memory):
     """A window of a take, by the environment that nets are trained in and by the one that recordings are scored in."""
-    net = moved_net()
+    net = moved_net(memory=memory)
     simulator = corrected(net=net, kind="correction")
     take = recorded(Simulator("itself", ROBOT), commands(200, seed=7, scale=2.0, hold=15))
     [scored] = open_loop(simulator, [take], window=0.25)

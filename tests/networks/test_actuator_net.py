@@ -112,12 +112,20 @@ def test_what_the_arm_does_is_seen_in_its_units_and_by_every_joint():
 
 
 @pytest.mark.parametrize(
-    "told", [{}, {"joints": 3}, {"joints": 3, "state_unit": [1.0] * 9}], ids=["errors", "joint", "arm"]
+    "told",
+    [
+        {},
+        {"joints": 3},
+        {"joints": 3, "state_unit": [1.0] * 9},
+        {"memory": (0.01, 0.1)},
+        {"joints": 3, "memory": (0.1,)},
+    ],
+    ids=["errors", "joint", "arm", "memory", "joint and memory"],
 )
 def test_sizes_tell_how_to_make_such_a_net_again(told):
     net = uan(7, (16, 8), **told)
     sizes = sizes_of(net)
-    assert sizes == Sizes(7, (16, 8), told.get("joints"), "state_unit" in told)
+    assert sizes == Sizes(7, (16, 8), told.get("joints"), "state_unit" in told, told.get("memory", ()))
     again = sizes.net()
     again.load_state_dict(net.state_dict())
     assert [p.shape for p in again.parameters()] == [p.shape for p in net.parameters()]

@@ -208,6 +208,22 @@ def test_the_net_sees_position_errors_before_velocity_errors_the_oldest_first_an
     torch.testing.assert_close(steps["next", "torque_correction"], shown)
 
 
+def test_the_net_sees_how_far_each_joint_has_wound_up_since_it_turned_however_long_it_has_rested():
+    base = ToyEnv(2, action="torque", shortest=40)
+    correction = UANCorrection(Last(7), length=3, memory=(0.02, 0.3), timestep=0.1)
+    env = TransformedEnv(base, Compose(correction, PDControl(20.0, 0.5)))
+    steps, _ = play(env, make_actions(env, 30))
+    speed, shown = steps["joint_velocity"], steps["next", "wound_up"][..., 1]
+    torch.testing.assert_close(steps["next", "torque_correction"], shown)  # behind six errors and the shorter way
+    wound = torch.zeros_like(speed[0])
+    for k in range(30):
+        way = speed[k].sign()
+        wound = way + (wound - way) * torch.exp(-0.1 * speed[k].abs() / 0.3)
+        torch.testing.assert_close(shown[k], wound)
+    assert shown.min() < -0.1
+    assert shown.max() > 0.1
+
+
 def test_gradients_reach_the_net_only_where_asked_for():
     for differentiable in (False, True):
         net = nn.Linear(6, 1)
@@ -261,6 +277,12 @@ def test_a_pd_law_towards_the_equivalent_target_commands_the_torque():
 def test_a_torque_needs_a_stiffness_to_have_a_target():
     with pytest.raises(ValueError, match="Give the gains of a drive that could hold the robot"):
         EquivalentTarget(kp=[10.0, 0.0], kd=1.0)
+
+
+def test_what_a_joint_has_wound_up_stands_behind_all_else():
+    errors, wound = torch.zeros(2, 2, 3), torch.tensor([[0.1, 0.2], [0.3, 0.4]])
+    shown = uan_features(errors, torch.tensor([5.0, 6.0]), wound=wound)
+    torch.testing.assert_close(shown[:, 6:], torch.tensor([[5.0, 6.0, 0.1, 0.2], [5.0, 6.0, 0.3, 0.4]]))
 
 
 def test_what_a_net_sees_of_the_group_is_the_same_for_each_joint_and_stands_behind_its_own_errors():

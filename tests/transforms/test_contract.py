@@ -94,16 +94,23 @@ class TestUANCorrection(TransformContract):
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         common = _keys(key, "torque", "position", "velocity", "target")
         noted = {"correction_key": key("torque_correction"), "history_key": key("error_history")}
+        noted["wound_key"] = key("wound_up")
         return Compose(
-            UANCorrection(SmallNet(), self.joints, length=4, **common, **noted),
+            UANCorrection(SmallNet(), self.joints, **self.looks, **common, **noted),
             PDControl(20.0, 0.5, **common, **_keys(key, "action")),
         )
 
     joints: ClassVar = None
+    looks: ClassVar = {"length": 4}
 
 
 class TestUANCorrectionOfSome(TestUANCorrection):
     joints: ClassVar = [0, 2]
+
+
+class TestUANCorrectionThatRemembers(TestUANCorrection):
+    joints: ClassVar = [0, 2]
+    looks: ClassVar = {"length": 3, "memory": (0.01, 0.1)}
 
 
 class TestDecimation(TransformContract):

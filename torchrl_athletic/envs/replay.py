@@ -13,7 +13,7 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Compose, Transform, TransformedEnv
 
 from torchrl_athletic.envs.torque_env import TorqueEnv
-from torchrl_athletic.functional import actuation, history, rewards, streams
+from torchrl_athletic.functional import actuation, actuator_dynamics, history, rewards, streams
 from torchrl_athletic.physics.joints import joint_columns
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.transforms import CorrectedActuation, EquivalentTarget, PDControl, TorqueSpeedClip, UANCorrection
@@ -131,6 +131,8 @@ class _Past:
     """Of position [rad] and velocity [rad/s], as the chain notes them on the recorded states. Shape (S, J, 2)."""
     torque: Tensor
     """That the motors gave [N·m]. Shape (S, J)."""
+    wound: Tensor
+    """How far joints have wound up since they turned [1]. Shape (S, J, M)."""
     memory: Mapping[NestedKey, Tensor]
     """What the chain remembers of the steps before. Shape (S, ...) each."""
 
@@ -157,7 +159,8 @@ class ReplayTakes(RandomTransform):
     - ``action`` (N, A): the corrective torques, in units of :class:`AddedTorque`;
     - ``observation`` (N, A, 2L): for each joint the position errors [rad] and then the velocity errors [rad/s] of the
       last L steps, oldest first, of the simulated state, before an episode's start of the recorded one; with ``state``
-      (N, A, 2L + 3A), positions, velocities and torques of all joints behind them. They are what a
+      (N, A, 2L + 3A), positions, velocities and torques of all joints behind them; then ``wound_up`` (N, A, M), for the
+      M ways of ``memory``. They are what a
       :class:`~torchrl_athletic.transforms.UANCorrection` in the same place sees, since the chain itself is asked for
       the targets and the torques that it is about to note: limited, late, or whatever it makes of a command;
     - ``privileged`` (N, A, 2): simulated minus measured position and velocity, for a critic;
@@ -176,6 +179,7 @@ class ReplayTakes(RandomTransform):
         bound: Greatest difference of a joint's position from the recording [rad].
         penalty: Reward of a terminated step.
         state: Whether each joint is shown the state of the group.
+        memory: Ways [rad] over which each joint is shown how far it has wound up since it turned.
         seed: Of the draws.
         first_row: As of :class:`~torchrl_athletic.transforms.RandomTransform`.
 
@@ -188,6 +192,7 @@ class ReplayTakes(RandomTransform):
     command: Tensor
     ends: Tensor
     starts: Tensor
+    ways: Tensor
     lookback: Tensor
 
     def __init__(
@@ -203,12 +208,13 @@ class ReplayTakes(RandomTransform):
         bound: float = 1.5,
         penalty: float = -10.0,
         state: bool = False,
+        memory: Sequence[float] = (),
         seed: int = 0,
         first_row: int = 0,
     ) -> None:
         super().__init__(
             ["joint_position", "joint_velocity"],
-            ["sample", "steps_left", "observation", "privileged", "torque_correction", "joint_reward"],
+            ["sample", "steps_left", "observation", "privileged", "torque_correction", "joint_reward", "wound_up"],
             in_keys_inv=["action"],
             out_keys_inv=["action"],
             seed=seed,
@@ -232,6 +238,7 @@ class ReplayTakes(RandomTransform):
             "ends": takes.ends(),
             "starts": starts.to(torch.int64),
             "lookback": torch.arange(1 - HISTORY, 1),
+            "ways": torch.tensor(tuple(memory)),
         }
         for name, table in tables.items():
             self.register_buffer(name, table.clone())
@@ -266,8 +273,15 @@ class ReplayTakes(RandomTransform):
             seen.set("action", self.command[at])
             if back:
                 seen = _through(self.chain, seen)
+        wound = self.position.new_zeros(*self.position.shape, len(self.ways))
+        for back in range(WARM_UP - 1 if len(self.ways) else -1, -1, -1):
+            wound = self._wound_further(wound, self.velocity[torch.maximum(samples - back, begin)])
         error, torque = self._noted(seen)
-        return _Past(error, torque, {key: seen.get(key).clone() for key in memory})
+        return _Past(error, torque, wound, {key: seen.get(key).clone() for key in memory})
+
+    def _wound_further(self, wound: Tensor, velocity: Tensor) -> Tensor:
+        """By a step at a velocity. Shapes (*B, J, M), (*B, J)."""
+        return actuator_dynamics.wind_up(wound, self.dt * velocity.unsqueeze(-1), self.ways)
 
     def _known(self, env: Any) -> tuple[_Start, _Past]:
         """What stays the same from episode to episode."""
@@ -306,21 +320,23 @@ class ReplayTakes(RandomTransform):
         columns = joint_index(self, self.joints)
         errors = past.error[sample.unsqueeze(-1) + self.lookback][:, :, columns]  # (N, L, A, 2)
         state = self.position[sample], self.velocity[sample], past.torque[sample]
+        wound = past.wound[sample][:, columns]
         left = (self.ends[sample] - sample).clamp(max=self.max_steps)
         return {
             "sample": sample.unsqueeze(-1),
             "steps_left": left.unsqueeze(-1),
-            "observation": self._shown(errors.permute(0, 2, 3, 1), *state),
+            "observation": self._shown(errors.permute(0, 2, 3, 1), wound, *state),
+            "wound_up": wound,
             "privileged": errors.new_zeros(*errors.shape[::2], 2),
             "torque_correction": errors.new_zeros(errors.shape[::2]),
             "joint_reward": errors.new_zeros(errors.shape[::2]),
             **{name: value[sample] for name, value in past.memory.items()},
         }
 
-    def _shown(self, errors: Tensor, *group: Tensor) -> Tensor:
-        """Errors (N, A, 2, L), and values of all joints (N, J) each, as a net sees them."""
+    def _shown(self, errors: Tensor, wound: Tensor, *group: Tensor) -> Tensor:
+        """Errors (N, A, 2, L), ways (N, A, M), and values of all joints (N, J) each, as a net sees them."""
         columns = joint_index(self, self.joints)
-        return actuation.uan_features(errors, *(value[:, columns] for value in group if self.state))
+        return actuation.uan_features(errors, *(value[:, columns] for value in group if self.state), wound=wound)
 
     def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
         columns = joint_index(self, self.joints)
@@ -338,7 +354,8 @@ class ReplayTakes(RandomTransform):
         errors = torch.where(failed.unsqueeze(-1), past.error[at], errors)[:, columns]
         torque = torch.where(failed, past.torque[at], torque)
         observation = tensordict.get("observation")[..., : 2 * HISTORY].unflatten(-1, (2, HISTORY))
-        observation = self._shown(history.push(observation, errors, dim=-1), position, speed, torque)
+        wound = self._wound_further(tensordict.get("wound_up"), speed[:, columns])
+        observation = self._shown(history.push(observation, errors, dim=-1), wound, position, speed, torque)
         correction, previous = tensordict.get("torque_correction"), tensordict.get("previous_correction")
         position, real = position[:, columns], real[:, columns]
         reward = self.dt * rewards.uan_reward(position, real, correction, previous)
@@ -349,6 +366,7 @@ class ReplayTakes(RandomTransform):
             "sample": sample,
             "steps_left": left,
             "observation": observation,
+            "wound_up": wound,
             "privileged": torch.stack((position - real, (speed - real_speed)[:, columns]), -1),
             "torque_correction": correction,
             "reward": torch.where(failed, self.penalty, reward),
@@ -364,9 +382,9 @@ class ReplayTakes(RandomTransform):
         position = observation_spec["joint_position"]
         rows, joints = position.zero()[..., joint_index(self, self.joints)].shape
         counter = Unbounded(shape=(rows, 1), dtype=torch.int64, device=position.device)
-        features = 2 * HISTORY + 3 * joints * self.state
+        features = 2 * HISTORY + 3 * joints * self.state + len(self.ways)
         sizes: dict[NestedKey, tuple[int, ...]] = {"observation": (joints, features), "privileged": (joints, 2)}
-        sizes |= {"torque_correction": (joints,), "joint_reward": (joints,)}
+        sizes |= {"wound_up": (joints, len(self.ways)), "torque_correction": (joints,), "joint_reward": (joints,)}
         return {"sample": counter, "steps_left": counter.clone()} | {
             key: Unbounded(shape=(rows, *size), device=position.device) for key, size in sizes.items()
         }
@@ -460,6 +478,7 @@ def replay_env(
         by_row=by_row,
         starts=starts,
         state=place is not None and chain[place].state,
+        memory=() if place is None else chain[place].memory,
         seed=seed,
     )
     return TransformedEnv(base, Compose(*inner, AddedTorque(joints, unit), *outer, replayed))

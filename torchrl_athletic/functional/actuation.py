@@ -95,21 +95,24 @@ def power_scale(torque: Tensor, velocity: Tensor, max_power: Tensor | float) -> 
     return max_power / power.clamp(min=max_power)
 
 
-def uan_features(errors: Tensor, *group: Tensor) -> Tensor:
+def uan_features(errors: Tensor, *group: Tensor, wound: Tensor | None = None) -> Tensor:
     """What an Unsupervised Actuator Net sees of each joint.
 
     Args:
         errors: Of position [rad] and velocity [rad/s], oldest first. Shape (*B, J, 2, L).
         group: Values of all joints that each of them shall see too: positions [rad], velocities [rad/s] and the torques
             that come from the motors [N·m]. Shape (*B, J) each.
+        wound: How far each joint has wound up since it turned (:func:`~.functional.actuator_dynamics.wind_up`), over
+            each of M ways. Shape (*B, J, M).
 
     Returns:
-        Position errors, velocity errors, then the group's values in their order. Shape (*B, J, 2 L + G J), G of them
-        being given.
+        Position errors, velocity errors, then the group's values in their order, then ``wound``. Shape
+        (*B, J, 2 L + G J + M), G values of the group being given.
 
     Source:
         Fey et al. 2025, section II-A, has the errors alone. What a joint at rest holds against gravity, and what a
-        lighter rotor would do with a torque, depends on the pose and the torques too.
+        lighter rotor would do with a torque, depends on the pose and the torques too; what holds a joint at rest is
+        friction, whose memory is longer than 100 ms.
 
     Example:
         >>> uan_features(torch.zeros(4, 6, 2, 20), torch.zeros(4, 6)).shape
@@ -117,4 +120,4 @@ def uan_features(errors: Tensor, *group: Tensor) -> Tensor:
     """
     joints = errors.shape[-3]
     shown = [value.unsqueeze(-2).expand(*value.shape[:-1], joints, value.shape[-1]) for value in group]
-    return torch.cat((errors.flatten(-2), *shown), -1)
+    return torch.cat((errors.flatten(-2), *shown, *(() if wound is None else (wound,))), -1)

@@ -21,9 +21,13 @@ NAMES = {
     "uan": "UAN",
     "uan_joint": "UAN, told the joint",
     "uan_arm": "UAN, told joint and arm",
+    "uan_memory": "UAN with memory",
+    "uan_arm_memory": "UAN with memory, told joint and arm",
     "diagnosed": "Diagnosed",
     "diagnosed_uan": "Diagnosed + UAN",
     "diagnosed_uan_arm": "Diagnosed + UAN, told joint and arm",
+    "diagnosed_uan_memory": "Diagnosed + UAN with memory",
+    "diagnosed_uan_arm_memory": "Diagnosed + UAN with memory, told joint and arm",
 }
 """Methods in the order of tables and figures; others follow under their own names."""
 COLOURS = {
@@ -33,9 +37,13 @@ COLOURS = {
     "uan": "#C45552",
     "uan_joint": "#D98C5F",
     "uan_arm": "#8C2F39",
+    "uan_memory": "#D4A373",
+    "uan_arm_memory": "#7F5539",
     "diagnosed": "#9A97C4",
     "diagnosed_uan": "#5A6F8C",
     "diagnosed_uan_arm": "#2F4858",
+    "diagnosed_uan_memory": "#3D8B8B",
+    "diagnosed_uan_arm_memory": "#1B3B5A",
 }
 
 

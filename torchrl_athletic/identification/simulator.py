@@ -146,7 +146,16 @@ class Simulator:
         chain: list[Transform] = []
         if self.net is not None and self.kind == "correction":  # what it corrects happens behind the motor
             sizes = sizes_of(self.net)
-            chain.append(UANCorrection(self.net, joints=group, length=sizes.history, state=sizes.state))
+            chain.append(
+                UANCorrection(
+                    self.net,
+                    joints=group,
+                    length=sizes.history,
+                    state=sizes.state,
+                    memory=sizes.memory,
+                    timestep=float(robot.model().opt.timestep),
+                )
+            )
         if arm_power is not None:
             chain.append(PowerClip(arm_power, joints=group))
         chain += self._motor(group, limits) + self._law(command, limits)
@@ -278,7 +287,8 @@ def read_correction(path: str | os.PathLike[str]) -> dict[str, Any]:
 def load_net(path: str | os.PathLike[str]) -> nn.Module:
     """The net of a ``net.pt``, of whatever sizes it was saved with."""
     sizes = torch.load(path, map_location="cpu", weights_only=True)["metadata"]
-    net = Sizes(sizes["history"], tuple(sizes["hidden"]), sizes.get("joints"), sizes.get("state", False)).net()
+    told = sizes.get("joints"), sizes.get("state", False), tuple(sizes.get("memory", ()))
+    net = Sizes(sizes["history"], tuple(sizes["hidden"]), *told).net()
     load_checkpoint(Path(path), net=net)
     return net.eval().requires_grad_(False)
 

@@ -29,12 +29,14 @@ def uan(
     torque_unit: float | Sequence[float] = 1.0,
     joints: int | None = None,
     state_unit: Sequence[float] | None = None,
+    memory: Sequence[float] = (),
 ) -> nn.Sequential:
     """Network from a joint's recent tracking errors to a corrective torque.
 
     It maps (*B, J, 2 history), position errors [rad] and then velocity errors [rad/s], to (*B, J, 1) [N·m]; the joints
     are samples to it. Its last layer starts at zero, so that an untrained one corrects nothing. The paper's net knows
-    no more; ``joints`` and ``state_unit`` let it know which joint it serves, and how the arm stands and moves.
+    no more; ``joints`` and ``state_unit`` let it know which joint it serves, and how the arm stands and moves;
+    ``memory``, where the joint turned, however long ago.
 
     Args:
         history: Physics steps it sees.
@@ -49,6 +51,7 @@ def uan(
         joints: J, for a net that is told which of them it serves (:class:`WhichJoint`). None as in the paper.
         state_unit: For a net of ``joints`` that is also shown positions, velocities and torques of all of them
             (:func:`~.functional.actuation.uan_features`), what they are divided by. Length 3 J.
+        memory: Ways [rad] within which a joint winds up when it turns: for each the net is shown how far, -1 to 1.
 
     Raises:
         ValueError: If there is a ``state_unit`` without ``joints``, or not one for each value.
@@ -66,14 +69,15 @@ def uan(
             f"state_unit has {len(state)} numbers for {joints} joints, needed are the units of the position, the "
             "velocity and the torque of each: joints=6 and 18 numbers, say."
         )
-    units = torch.cat((torch.tensor(unit, device=device).repeat_interleave(history), state))
+    wound = torch.ones(len(memory), device=device)
+    units = torch.cat((torch.tensor(unit, device=device).repeat_interleave(history), state, wound))
     sharpness = torch.tensor([LINEAR, max(sharpness_of_velocity, LINEAR)], device=device).repeat_interleave(history)
-    sharpness = torch.cat((sharpness, torch.full_like(state, LINEAR)))
+    sharpness = torch.cat((sharpness, torch.full_like(units[2 * history :], LINEAR)))
     told = [] if joints is None else [WhichJoint(joints, state=state_unit is not None, device=device)]
     net = MLP(len(units) + (joints or 0), 1, num_cells=list(hidden), activation_class=nn.ELU, device=device)
     nn.init.zeros_(net[-1].weight)
     nn.init.zeros_(net[-1].bias)
-    return nn.Sequential(InUnits(units, sharpness), *told, net, OutUnits(torque_unit, device))
+    return nn.Sequential(InUnits(units, sharpness, memory), *told, net, OutUnits(torque_unit, device))
 
 
 @dataclass(frozen=True)
@@ -87,11 +91,13 @@ class Sizes:
     """That it tells apart; None if it does not know which one it serves."""
     state: bool
     """Whether it is shown positions, velocities and torques of all joints."""
+    memory: tuple[float, ...] = ()
+    """Ways over which it is shown how far the joint has wound up [rad]."""
 
     def net(self) -> nn.Sequential:
         """An untrained one of these sizes."""
         unit = [1.0] * (3 * (self.joints or 0)) if self.state else None
-        return uan(self.history, self.hidden, joints=self.joints, state_unit=unit)
+        return uan(self.history, self.hidden, joints=self.joints, state_unit=unit, memory=self.memory)
 
 
 def sizes_of(net: nn.Module) -> Sizes:
@@ -105,8 +111,9 @@ def sizes_of(net: nn.Module) -> Sizes:
     told = next((module for module in net.modules() if isinstance(module, WhichJoint)), None)
     joints = None if told is None else told.joints
     state = told is not None and told.state
-    features = linears[0].in_features - (joints or 0) * (4 if state else 1)
-    return Sizes(features // 2, tuple(layer.out_features for layer in linears[:-1]), joints, state)
+    memory = next((module.memory for module in net.modules() if isinstance(module, InUnits)), ())
+    features = linears[0].in_features - (joints or 0) * (4 if state else 1) - len(memory)
+    return Sizes(features // 2, tuple(layer.out_features for layer in linears[:-1]), joints, state, memory)
 
 
 def uan_actor(
@@ -146,13 +153,15 @@ class InUnits(nn.Module):
     Args:
         unit: u. Shape (F,).
         sharpness: s > 0 [1]: how much finer than at the unit; near 0 the scale is linear. Shape (F,).
+        memory: What the last features are wound up over [rad]; noted for :func:`sizes_of`.
     """
 
     unit: Tensor
     sharpness: Tensor
 
-    def __init__(self, unit: Tensor, sharpness: Tensor):
+    def __init__(self, unit: Tensor, sharpness: Tensor, memory: Sequence[float] = ()):
         super().__init__()
+        self.memory = tuple(memory)
         self.register_buffer("unit", unit)
         self.register_buffer("sharpness", sharpness)
 

@@ -144,7 +144,7 @@ def set_aside(
     return pieces, windows
 
 
-def units_of(takes: Takes, robot: Robot, knows: Knows = "errors") -> dict[str, Any]:
+def units_of(takes: Takes, robot: Robot, knows: Knows = "errors", memory: Sequence[float] = ()) -> dict[str, Any]:
     """What :func:`~torchrl_athletic.networks.uan` measures in: ``unit``, ``sharpness_of_velocity``, ``torque_unit``.
 
     Errors of position and velocity come in their standard deviations over the joints that move, velocities on a scale
@@ -155,6 +155,7 @@ def units_of(takes: Takes, robot: Robot, knows: Knows = "errors") -> dict[str, A
         takes: To be trained on.
         robot: Whose torque limits tell how strong its motors are.
         knows: With ``"joint"``, ``joints`` is among them, with ``"arm"`` also ``state_unit``, standard deviations.
+        memory: Ways [rad] over which it is shown how far a joint has wound up since it turned.
 
     Example:
         >>> from torchrl_athletic.robots import z1
@@ -177,6 +178,8 @@ def units_of(takes: Takes, robot: Robot, knows: Knows = "errors") -> dict[str, A
         "sharpness_of_velocity": SHARPNESS,
         "torque_unit": [value / median(strength) for value in strength],
     }
+    if memory:
+        units["memory"] = tuple(memory)
     if knows != "errors":
         units["joints"] = len(group)
     if knows == "arm":

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Transform
 
-from torchrl_athletic.functional import actuation, history, streams
+from torchrl_athletic.functional import actuation, actuator_dynamics, history, streams
 from torchrl_athletic.transforms.stateful import Joints, RandomTransform, StatefulTransform, joint_index, unbounded_like
 
 PerJoint = Tensor | Sequence[float] | float
@@ -279,6 +279,9 @@ class UANCorrection(StatefulTransform):
         length: Steps that it sees, the newest included.
         scale: Unit of its output [N·m].
         state: Whether each joint is also shown positions, velocities and torques of the group, 3 J numbers more.
+        memory: Ways [rad] over which each joint is shown how far it has wound up since it turned
+            (:func:`~.functional.actuator_dynamics.wind_up`), a number more for each.
+        timestep: Of a step at this place in the chain [s], by which a memory knows how far a joint has moved.
         differentiable: Whether gradients shall flow through the net.
         torque_key: What is corrected [N·m]. Shape (*B, J).
         target_key: [rad]. Shape (*B, J).
@@ -286,10 +289,11 @@ class UANCorrection(StatefulTransform):
         velocity_key: [rad/s].
         correction_key: Where to note the correction [N·m]. Shape (*B, J of the group).
         history_key: Where the errors are remembered. Shape (*B, J of the group, 2, length).
+        wound_key: Where it is remembered how far joints have wound up. Shape (*B, J of the group, M).
         reset_key: As of :class:`StatefulTransform`.
 
     Source:
-        Fey et al. 2025, section II-A.
+        Fey et al. 2025, section II-A, but for ``state`` and ``memory``.
 
     Example:
         >>> from torchrl_athletic.envs import TorqueEnv
@@ -302,6 +306,8 @@ class UANCorrection(StatefulTransform):
         torch.Size([2, 3, 6])
     """
 
+    ways: Tensor
+
     def __init__(
         self,
         net: nn.Module | TensorDictModuleBase,
@@ -310,6 +316,8 @@ class UANCorrection(StatefulTransform):
         length: int = 20,
         scale: float = 1.0,
         state: bool = False,
+        memory: Sequence[float] = (),
+        timestep: float = 0.005,
         differentiable: bool = False,
         torque_key: NestedKey = "torque",
         target_key: NestedKey = "position_target",
@@ -317,16 +325,19 @@ class UANCorrection(StatefulTransform):
         velocity_key: NestedKey = "joint_velocity",
         correction_key: NestedKey = "torque_correction",
         history_key: NestedKey = "error_history",
+        wound_key: NestedKey = "wound_up",
         reset_key: NestedKey | None = None,
     ) -> None:
         super().__init__(
             in_keys=[],
-            out_keys=[correction_key, history_key],
+            out_keys=[correction_key, history_key, *([wound_key] if memory else [])],
             in_keys_inv=[torque_key],
             out_keys_inv=[torque_key],
             reset_key=reset_key,
         )
         self.net, self.joints, self.length = net, joints, length
+        self.memory, self.timestep, self.wound_key = tuple(memory), timestep, wound_key
+        self.register_buffer("ways", torch.tensor(self.memory), persistent=False)
         self.scale, self.state, self.differentiable = scale, state, differentiable
         self.torque_key, self.target_key, self.position_key = torque_key, target_key, position_key
         self.velocity_key, self.correction_key, self.history_key = velocity_key, correction_key, history_key
@@ -347,35 +358,41 @@ class UANCorrection(StatefulTransform):
             raise _nothing_remembered(self, self.history_key)
         errors, torque = history.push(errors, error, dim=-1), tensordict.get(self.torque_key)
         group = (position, velocity, torque[..., columns]) if self.state else ()
+        wound = None
+        if self.memory:
+            moved = self.timestep * velocity.unsqueeze(-1)
+            wound = actuator_dynamics.wind_up(tensordict.get(self.wound_key), moved, self.ways)
         with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
-            correction = self.scale * self.net(actuation.uan_features(errors, *group)).squeeze(-1)
+            correction = self.scale * self.net(actuation.uan_features(errors, *group, wound=wound)).squeeze(-1)
         if self.joints is None:
             torque = torque + correction
         else:
             torque = torque.clone()
             torque[..., columns] += correction
         tensordict.set(self.torque_key, torque)
+        if wound is not None:
+            tensordict.set(self.wound_key, wound)
         tensordict.set(self.correction_key, correction)
         return tensordict.set(self.history_key, errors)
 
     def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         position = tensordict_reset.get(self.position_key)[..., joint_index(self, self.joints)]
-        return {  # as if the joint had rested at its target
-            self.correction_key: torch.zeros_like(position),
-            self.history_key: position.new_zeros(*position.shape, 2, self.length),
-        }
+        shapes = self._shapes(position.shape)
+        return {key: position.new_zeros(shape) for key, shape in shapes.items()}  # as if it had rested at its target
 
     def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
-        for key in (self.correction_key, self.history_key):
+        for key in self.out_keys:
             next_tensordict.set(key, tensordict.get(key))
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
         position = observation_spec[self.position_key]
         shape = position.zero()[..., joint_index(self, self.joints)].shape
-        return {
-            self.correction_key: unbounded_like(position, shape),
-            self.history_key: unbounded_like(position, (*shape, 2, self.length)),
-        }
+        return {key: unbounded_like(position, size) for key, size in self._shapes(shape).items()}
+
+    def _shapes(self, joints: Sequence[int]) -> dict[NestedKey, tuple[int, ...]]:
+        """Of what it notes, for joints of a shape."""
+        shapes = {self.correction_key: tuple(joints), self.history_key: (*joints, 2, self.length)}
+        return shapes | ({self.wound_key: (*joints, len(self.memory))} if self.memory else {})
 
 
 class ActionDelay(RandomTransform):
