@@ -47,9 +47,22 @@ from torchrl_athletic.recordings.datasets.two_link_arm import load
 from torchrl_athletic.robots import Robot, from_mjcf
 from torchrl_athletic.robots.benches import two_link_arm
 
-Method = Literal["default", "cem", "actuator_net", "uan", "uan_arm", "diagnosed", "diagnosed_uan"]
+Method = Literal[
+    "default",
+    "cem",
+    "actuator_net",
+    "uan",
+    "uan_arm",
+    "uan_arm_memory",
+    "diagnosed",
+    "diagnosed_uan",
+    "diagnosed_uan_arm_memory",
+]
 STEP = 0.005
-SEEDED = ("cem", "actuator_net", "uan", "uan_arm", "diagnosed_uan")
+MEMORY = (0.003, 0.03)
+"""Ways over which a net remembers, as in recipes/train_uan.py's example [rad]."""
+ON_A_DIAGNOSIS = ("diagnosed_uan", "diagnosed_uan_arm_memory")
+SEEDED = ("cem", "actuator_net", "uan", "uan_arm", "uan_arm_memory", *ON_A_DIAGNOSIS)
 GROUPS = {"swing-up": "swing-up", "open-loop sines on the elbow": "elbow alone"}
 
 
@@ -85,9 +98,10 @@ class Case:
 
 def main(cfg: Config) -> None:
     cases = list(cases_of(cfg))
-    needs_a_model = ("diagnosed_uan",)
     for last in (False, True):
-        todo = [c for c in cases if (c.method in needs_a_model) == last and not is_there(c, cfg) and not cfg.score_only]
+        todo = [
+            c for c in cases if (c.method in ON_A_DIAGNOSIS) == last and not is_there(c, cfg) and not cfg.score_only
+        ]
         with ProcessPoolExecutor(cfg.jobs) as pool:
             running = [pool.submit(identify, case, cfg) for case in todo]
             for done in tqdm(as_completed(running), total=len(todo), desc="on a diagnosis" if last else "alone"):
@@ -155,13 +169,11 @@ def identify(case: Case, cfg: Config) -> None:
         simulator = identify_actuator_net(robot, fit, ActuatorNetTraining(batch=1024, epochs=100), seed=case.seed)
     elif case.method == "diagnosed":
         simulator = identify_diagnosed(robot, fit, refine=search(case), output=cfg.output / case.name / "diagnosis")
-    elif case.method in ("uan", "uan_arm"):
-        knows: training.Knows = "arm" if case.method == "uan_arm" else "errors"
-        simulator = with_uan(Simulator(case.method, robot), fit, case.seed, cfg.minutes, knows)
-    elif case.method == "diagnosed_uan":
-        folder = cfg.output / Case("diagnosed", case.seconds, cfg.seeds[0]).name
-        given = replace(Simulator.load(folder, robot), name="diagnosed_uan")
-        simulator = with_uan(given, fit, case.seed, cfg.minutes)
+    elif "uan" in case.method:
+        if case.method in ON_A_DIAGNOSIS:
+            folder = cfg.output / Case("diagnosed", case.seconds, cfg.seeds[0]).name
+            simulator = Simulator.load(folder, robot)
+        simulator = with_uan(replace(simulator, name=case.method), fit, case.seed, cfg.minutes)
     simulator.save(cfg.output / case.name)
 
 
@@ -169,13 +181,16 @@ def search(case: Case) -> CEM:
     return CEM(generations=60, population=12, windows=max(4, min(48, round(case.seconds))), window=0.5)
 
 
-def with_uan(
-    given: Simulator, recordings: Sequence[Recording], seed: int, minutes: float, knows: training.Knows = "errors"
-) -> Simulator:
-    """An Unsupervised Actuator Net on what a simulator leaves, down the gradient of the position's error."""
+def with_uan(given: Simulator, recordings: Sequence[Recording], seed: int, minutes: float) -> Simulator:
+    """An Unsupervised Actuator Net on what a simulator leaves, down the gradient of the position's error.
+
+    The simulator's name says what the net is told.
+    """
     torch.manual_seed(seed)
+    knows: training.Knows = "arm" if "_arm" in given.name else "errors"
+    memory = MEMORY if given.name.endswith("memory") else ()
     takes = training.takes_of(recordings, given.robot)
-    net = uan(**training.units_of(takes, given.robot, knows))
+    net = uan(**training.units_of(takes, given.robot, knows, memory))
     base = training.DifferentiableTorqueEnv(given.robot, num_envs=32)
     unit, chain = training.torque_unit(net), training.chain_with(given, net, takes)
     env = replay_env(given.robot, takes, chain=chain, unit=unit, base=base, max_steps=200, seed=seed)

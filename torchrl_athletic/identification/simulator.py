@@ -106,6 +106,9 @@ class Simulator:
         told = (self.kind, self.nominal.kp, self.nominal.kd, self.nominal.torque_limit, self.nominal.velocity_limit)
         total.update(repr((told, self.randomization)).encode())
         total.update(json.dumps(self.correction, sort_keys=True).encode())
+        memory = () if self.net is None else sizes_of(self.net).memory
+        if memory:
+            total.update(repr(memory).encode())
         for name, value in () if self.net is None else self.net.state_dict().items():
             total.update(f"{name} {value if isinstance(value, list) else value.cpu().numpy().tobytes()!r}".encode())
         return total.hexdigest()[:16]
