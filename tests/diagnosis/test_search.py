@@ -7,8 +7,19 @@ from diagnosis.columns import STEP, Curved, Given, Shifted, candidate, judge, sh
 from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis.screen import Bank
-from torchrl_athletic.diagnosis.search import BEAM, TERM, Judge, _merge, _simplify, alternatives, noisy_joints, search
-from torchrl_athletic.effects import Fingerprint
+from torchrl_athletic.diagnosis.search import (
+    BEAM,
+    PREDICTABLE,
+    TERM,
+    Judge,
+    _merge,
+    _simplify,
+    alternatives,
+    noisy_joints,
+    predictable_share,
+    search,
+)
+from torchrl_athletic.effects import Fingerprint, Parameter
 
 N = 1000
 
@@ -130,6 +141,18 @@ def test_what_nothing_predicts_is_noise_and_a_push_stands_out_of_it():
     assert names(search(Judge(weigh.bank, noisy_joints(weigh)))[0]) == {("push", "shoulder")}
 
 
+def test_effects_that_act_seldom_and_a_rich_catalogue_hide_nothing_that_can_be_predicted():
+    """Hundreds of columns on a short record fit its noise, and one that acts on one block only knows no other."""
+    rng = np.random.default_rng(0)
+    column, *others = smooth(rng, (300, N))
+    seldom = 1e-9 * smooth(rng, N)
+    seldom[-100:] = 100 * others[0][-100:]
+    given = [candidate(Given(f"e{k}", c)) for k, c in enumerate([column, seldom, *others])]
+    weigh = judge(on_shoulder(3 * column, 2 * rng.normal(size=(N, 2))), *given)
+    assert 0.4 < predictable_share(weigh.bank, 0) < 0.8  # nine parts of thirteen
+    assert predictable_share(weigh.bank, 1) < PREDICTABLE
+
+
 def test_a_joint_that_misses_a_predictable_torque_is_not_called_noisy():
     rng = np.random.default_rng(0)
     column = smooth(rng, 2 * N)
@@ -177,6 +200,46 @@ def test_a_simpler_effect_is_preferred_to_one_that_contains_it():
     larger = Given("asymmetric", np.stack([a, b], -1), excludes=("symmetric",))
     found = search(judge(take, candidate(larger), candidate(Given("symmetric", a))))
     assert names(found[0]) == {("symmetric", "shoulder")}
+
+
+def test_a_simpler_effect_is_found_although_finer_points_of_its_grid_promise_more():
+    """Friction that grows with the load is dry friction, whose turnover fits better at points with a number more."""
+
+    class Turning(Given):
+        def parameters(self, model, address, joint):
+            return *super().parameters(model, address, joint), Parameter("turnover", "s", 0.0, 0.0, 1.0, 0.1)
+
+        def grid(self, s, joint):
+            return [{"turnover": x} for x in (0.0, 0.2, 0.3, 0.4)]
+
+        def fingerprint(self, s, joint, fixed):
+            plain = super().fingerprint(s, joint, fixed)
+            late = smooth(np.random.default_rng(1), N)[:, None, None] * (plain.columns != 0)
+            return Fingerprint(plain.columns + bool(fixed["turnover"]) * 0.1 * late, fixed)
+
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    late = smooth(np.random.default_rng(1), N)
+    take = on_shoulder(6 * a + 0.4 * late + 0.5 * b, 2 * rng.normal(size=(N, 2)))
+    loaded = Given("loaded", np.stack([a, b], -1), excludes=("dry",))
+    weigh = judge(take, candidate(loaded), candidate(Turning("dry", a)))
+    found = _simplify(weigh, weigh.score(weigh.bank.atoms[:1]))
+    assert names(found) == {("dry", "shoulder")}
+
+
+def test_a_rival_is_weighed_at_its_own_best_value():
+    """A delay that was found beside nothing lies elsewhere beside what came later; a rival is not judged by that."""
+    rng = np.random.default_rng(0)
+    time = STEP * np.arange(N)
+    take = on_shoulder(shifted(time, 0.3), rng.normal(size=(N, 2)))
+    late = candidate(Shifted("late", np.zeros((N, 1))))
+    weigh = judge(take, late, candidate(Given("alike", shifted(time, 0.3))))
+    weigh.bank.add_all(late, [{"delay": x} for x in (0.1, 0.102, 0.104, 0.106)])  # made fine beside another
+    best = weigh.score([a for a in weigh.bank.atoms if a.candidate is not late])
+    own, rival = alternatives(weigh, best, best.fit.terms[0])
+    assert abs(rival.evidence - own.evidence) < 20
+    (found,) = value_of(rival if names(own) == names(best) else own, "late")
+    assert found == pytest.approx(0.3, abs=0.02)
 
 
 def test_the_larger_effect_is_named_when_its_second_number_matters():

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -49,6 +50,8 @@ SHORTLIST = 2
 """Points of a nonlinear grid that are weighed for each candidate, the best by what they would close alone."""
 PROMISING = 10
 """Candidates beside a combination that are weighed in full."""
+REFINED = 4
+"""Rivals of a term, the nearest, whose nonlinear parameters are found as finely as its own."""
 UNLIKELY = frozenset({"link_mass", "link_com", "torque_scale", "clock_offset"})
 """Effects with a third of the others' odds."""
 FINEST = 0.02
@@ -219,9 +222,16 @@ def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: No
 
 
 def _polish(judge: Judge, scored: Scored) -> Scored:
-    """Exchange, drop, merge, simplify, drop again: what is superfluous must not be merged into a false whole."""
+    """Exchange, drop, merge, simplify, drop again: what is superfluous must not be merged into a false whole.
+
+    What does not hold everywhere may have kept up a richer law beside it, so that one is asked about again.
+    """
+    for term in scored.fit.terms:  # those that came later move what the earlier ones were
+        scored = _refine(judge, scored, term.candidate)
     needed = _prune(judge, _exchange(judge, scored))
-    return _invariant(judge, _prune(judge, _simplify(judge, _merge(judge, needed))))
+    simple = _prune(judge, _simplify(judge, _merge(judge, needed)))
+    kept = _invariant(judge, simple)
+    return kept if kept is simple else _prune(judge, _simplify(judge, kept))
 
 
 def noise_level(bank: Bank) -> Array:
@@ -278,7 +288,11 @@ def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
     own = judge.score(best.fit.terms, independent, RIVAL_PRICE)
     out = {term.candidate.key: own}
     kept = judge.score(rest)
-    for atom in _promising(judge, kept, _shortlist(judge, kept), 2 * PROMISING):
+    promising = _promising(judge, kept, _shortlist(judge, kept), 2 * PROMISING)
+    promising.sort(key=lambda a: judge.score([*rest, a]).evidence)
+    for rank, rival in enumerate(promising):
+        whole = judge.score([*rest, rival])
+        atom = _of(_refine(judge, whole, rival.candidate) if rank < REFINED else whole, rival.candidate)
         scored = judge.score([*rest, atom], independent, RIVAL_PRICE)
         key = atom.candidate.key
         if judge.closes(best.fit, scored.fit) < RICHER:
@@ -318,28 +332,52 @@ def _promising(judge: Judge, parent: Scored, atoms: Sequence[Atom], most: int = 
     return [atom for _, atom in sorted(best.values(), key=lambda b: b[0])[:most]]
 
 
-def _refine(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
-    """Halve the grid around every nonlinear parameter of the newest term.
+def _refine(judge: Judge, scored: Scored, candidate: Candidate | None = None, rounds: int = 3) -> Scored:
+    """Go down the grid of every nonlinear parameter of a term, the newest if none is named, and halve it there.
 
-    What a coarse delay leaves would otherwise be given other names.
+    What a coarse delay leaves would otherwise be given other names. Going down comes first: the grid may have been made
+    fine elsewhere, beside other terms.
     """
     if not scored.fit.terms:
         return scored
-    place = scored.fit.size - 1
-    newest = scored.fit.terms[place]
-    own = {p.name for p in newest.candidate.parameters}
-    if not newest.fixed.get("creep", 0.0):
+    candidate = scored.fit.terms[-1].candidate if candidate is None else candidate
+    rest = [a for a in scored.fit.terms if a.candidate is not candidate]
+    here = _of(scored, candidate)
+    own = {p.name for p in candidate.parameters}
+    if not here.fixed.get("creep", 0.0):
         own.add("presliding")  # no parameter, but what a wrong one leaves hides weaker effects
-    for name in sorted(own & newest.fixed.keys()):
+    for name in sorted(own & here.fixed.keys()):
+        scored = _down(judge, scored, candidate, name)
         for _ in range(rounds):
-            here = scored.fit.terms[place]
+            here = _of(scored, candidate)
             value = here.fixed[name]
-            same = [a for a in judge.bank.atoms if a.candidate is here.candidate and _differs_in(a, here, name)]
-            near = _between({a.fixed[name] for a in same}, value, *_range(here, name))
-            for atom in judge.bank.add_all(here.candidate, [{**here.fixed, name: x} for x in near]):
-                terms = [*scored.fit.terms[:place], atom]
-                scored = min(scored, judge.score(terms), key=lambda s: s.evidence)
+            near = _between({a.fixed[name] for a in _line(judge, here, name)}, value, *_range(here, name))
+            for atom in judge.bank.add_all(candidate, [{**here.fixed, name: x} for x in near]):
+                scored = min(scored, judge.score([*rest, atom]), key=lambda s: s.evidence)
     return scored
+
+
+def _down(judge: Judge, scored: Scored, candidate: Candidate, name: str) -> Scored:
+    """Move one parameter of a term from grid point to grid point while the evidence gains."""
+    rest = [a for a in scored.fit.terms if a.candidate is not candidate]
+    while True:
+        here = _of(scored, candidate)
+        line = sorted(_line(judge, here, name), key=lambda a: a.fixed[name])
+        at = next(k for k, a in enumerate(line) if a.fixed[name] == here.fixed[name])
+        best = min((judge.score([*rest, a]) for a in line[max(at - 1, 0) : at + 2]), key=lambda s: s.evidence)
+        if best.evidence >= scored.evidence:
+            return scored
+        scored = best
+
+
+def _line(judge: Judge, here: Atom, name: str) -> list[Atom]:
+    """All points of an atom's grid that differ from it in one parameter at most."""
+    return [a for a in judge.bank.atoms if a.candidate is here.candidate and _differs_in(a, here, name)]
+
+
+def _of(scored: Scored, candidate: Candidate) -> Atom:
+    """The term of a combination that is a candidate's."""
+    return next(a for a in scored.fit.terms if a.candidate is candidate)
 
 
 def _between(grid: Iterable[float], value: float, lower: float, upper: float) -> list[float]:
@@ -452,11 +490,7 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
     for term in scored.fit.terms:
         rest = [a for a in scored.fit.terms if a is not term]
         kept = judge.score(rest)
-        smaller = [
-            atom
-            for atom in _shortlist(judge, kept)
-            if atom.candidate.joint_name == term.candidate.joint_name and atom.freedom < term.freedom
-        ]
+        smaller = _shortlist(judge, kept, partial(_is_richer, term))
         simpler = [judge.score([*rest, atom]) for atom in _promising(judge, kept, smaller, 4)]
         if simpler:
             best = min(simpler, key=lambda s: s.evidence)
@@ -512,19 +546,25 @@ def _prune(judge: Judge, scored: Scored) -> Scored:
     return scored
 
 
-def _shortlist(judge: Judge, parent: Scored) -> list[Atom]:
-    """What may stand beside a combination: of each nonlinear candidate the grid points that promise most."""
+def _shortlist(judge: Judge, parent: Scored, among: Callable[[Atom], bool] = lambda atom: True) -> list[Atom]:
+    """What may stand beside a combination: of each nonlinear candidate the grid points that promise most.
+
+    Args:
+        judge: Of the bank.
+        parent: The combination.
+        among: Which atoms are asked about; points that are not take no places from those that are.
+    """
     bank, chosen = judge.bank, [a.candidate for a in parent.fit.terms]
     total = judge.total.sum(1)
     gained = bank.gains(parent.fit, (judge.total * judge.level(parent.fit)).sum(1) / total)
     ranks: dict[Key, list[Atom]] = {}
-    for atom in sorted(gained, key=lambda a: -gained[a]):
+    for atom in sorted(filter(among, gained), key=lambda a: -gained[a]):
         ranks.setdefault(atom.candidate.key, []).append(atom)
     promising = {atom for rank in ranks.values() for atom in rank[:SHORTLIST]}
     return [
         a
         for a in bank.atoms
-        if (a in promising or a not in gained)
+        if (a in promising or (a not in gained and among(a)))
         and all(a.candidate.allows(c) for c in chosen)
         and sum(c.joint == a.candidate.joint for c in chosen) < MOST_PER_JOINT
     ]
