@@ -61,6 +61,8 @@ class Config:
     """Trainings at a time, which share the cores."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where to train."""
+    fuse: bool = False
+    """Compile what surrounds the physics on a GPU."""
     gpus: int = 1
     """That the trainings share."""
     budget: float = 36_000.0
@@ -94,19 +96,20 @@ def main(cfg: Config) -> None:
                 running[place] = start(job, cfg, place, seconds=end - time.monotonic()), job
             time.sleep(0.5)
             for place, (process, job) in list(running.items()):
-                if process.poll() is None and time.monotonic() > end:
+                stopped = process.poll() is None and time.monotonic() > end
+                if stopped:
                     process.kill()  # its policy is that of its last measurement
                     process.wait()
                 if process.returncode is None:
                     continue
                 del running[place]
-                failed = process.returncode > 0
+                failed = process.returncode != 0 and not stopped
                 if failed and job.else_tried is not None:
                     tqdm.write(f"{job.output.name} failed, is tried otherwise: {last_line(job.output, failed)}")
                     waiting.insert(0, job.else_tried)
                     continue
                 bar.update()
-                said = "stopped" if process.returncode < 0 else last_line(job.output, failed)
+                said = "stopped" if stopped else last_line(job.output, failed)
                 tqdm.write(f"{job.output.name}, {iterations_of(job.output)} iterations: {said}")
 
 
@@ -155,6 +158,7 @@ def start(job: Job, cfg: Config, place: int, seconds: float) -> subprocess.Popen
     if cfg.begin_with is not None:
         flags["begin-with"] = policy_of(job.seed, cfg.begin_with)
     words = [word for name, value in flags.items() for word in (f"--{name}", str(value))]
+    words.append("--fuse" if cfg.fuse else "--no-fuse")
     cores = sorted(os.sched_getaffinity(0))
     own = {"OMP_NUM_THREADS": "1", "TORCHINDUCTOR_COMPILE_THREADS": str(max(1, len(cores) // cfg.jobs))}
     if job.device == "cuda":

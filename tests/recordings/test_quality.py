@@ -84,6 +84,19 @@ def test_gaps_are_named_with_time_and_length_and_lost_samples_are_counted():
     assert "0.155 s after 1.495 s (row 299)" in quality.warnings[0]
 
 
+def test_what_was_commanded_while_rows_were_lost_is_not_known():
+    kept = np.ones(2000, dtype=bool)
+    kept[800:803] = kept[1200] = False
+    quality = check_quality(swing(np.arange(2000)[kept] / RATE))
+    assert np.flatnonzero(quality.masks["lost"][:, 0]).tolist() == [799, 800, 1196, 1197]
+    assert (~quality.usable()[:, 0]).sum() == 4
+
+
+def test_a_logger_that_skips_every_third_row_has_irregular_stamps_and_lost_nothing():
+    kept = np.arange(3000) % 3 != 1
+    assert not check_quality(swing(np.arange(3000)[kept] / RATE)).masks["lost"].any()
+
+
 # --- masks ------------------------------------------------------------------------------------------------------------
 
 

@@ -20,6 +20,10 @@ SLOWEST_RATE = 30.0
 """Below this rate [Hz] delay, damping and friction cannot be told apart: refused."""
 SLOW_RATE = 100.0
 """Below this rate [Hz] they are told apart poorly: a warning."""
+LOST_FACTOR = 1.5
+"""Of the median step, from which rows were lost."""
+MOST_LOST = 0.05
+"""Share of such steps above which the stamps are irregular by nature."""
 STALL_TIME = 0.1
 """A joint that rests for less [s] turns round; it is not stalled."""
 _LIKELY_RADIANS = 8 * np.pi
@@ -85,6 +89,8 @@ class Quality:
     """Reason -> what it makes unfit, shape (T, J).
 
     - 'gap': the two samples at its ends.
+    - 'lost': the two samples beside rows that the logger lost, too few for a gap: what was commanded meanwhile is not
+      known. Where more than a twentieth of the steps are so long, the stamps are irregular and nothing was lost.
     - 'frozen': the logger repeats an old reading while the joint moves.
     - 'dropout': the reading jumps away and back within three samples.
     - 'saturated': the commanded or measured torque is at the given limit, or the measured one is clipped flat.
@@ -187,6 +193,7 @@ def check_quality(recording: Recording, torque_limit: ArrayLike | None = None) -
     saturated = _saturated(recording, limit)
     masks = {
         "gap": _beside_gaps(recording, gaps),
+        "lost": _beside_lost(recording),
         "frozen": _frozen(recording, 2 * resolution + 4 * position_noise, velocity_noise),
         "dropout": _dropouts(recording, position_noise + resolution, velocity_noise),
         "saturated": saturated,
@@ -243,6 +250,15 @@ def _beside_gaps(recording: Recording, gaps: tuple[Gap, ...]) -> Mask:
     mask = np.zeros(recording.position.shape, dtype=np.bool_)
     for gap in gaps:
         mask[gap.row : gap.row + 2] = True
+    return mask
+
+
+def _beside_lost(recording: Recording) -> Mask:
+    mask = np.zeros(recording.position.shape, dtype=np.bool_)
+    step = np.diff(recording.time) * recording.rate
+    long = (step > LOST_FACTOR) & (step <= GAP_FACTOR)
+    if long.mean() <= MOST_LOST:
+        mask[:-1][long] = mask[1:][long] = True
     return mask
 
 
