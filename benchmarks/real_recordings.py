@@ -162,7 +162,7 @@ def _texts(value: object) -> list[str]:
 
 def _commit() -> str:
     done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    return done.stdout.strip() or "unknown"
+    return os.environ.get("COMMIT") or done.stdout.strip() or "unknown"
 
 
 if __name__ == "__main__":
