@@ -77,8 +77,8 @@ class Config:
     seeds_with_less: int = 1
     methods: tuple[Method, ...] = get_args(Method)
     """Which to run."""
-    minutes: float = 2.0
-    """Of training a UAN, by gradient descent on two cores [min]."""
+    minutes: float = 4.0
+    """Of training a UAN, by gradient descent on a core [min]."""
     jobs: int = 1
     """Cases at a time."""
     score_only: bool = False
@@ -191,10 +191,10 @@ def with_uan(given: Simulator, recordings: Sequence[Recording], seed: int, minut
     memory = MEMORY if given.name.endswith("memory") else ()
     takes = training.takes_of(recordings, given.robot)
     net = uan(**training.units_of(takes, given.robot, knows, memory))
-    base = training.DifferentiableTorqueEnv(given.robot, num_envs=32)
+    base = training.DifferentiableTorqueEnv(given.robot, num_envs=128)
     unit, chain = training.torque_unit(net), training.chain_with(given, net, takes)
-    env = replay_env(given.robot, takes, chain=chain, unit=unit, base=base, max_steps=200, seed=seed)
-    learner = training.GradientLearner(env, net, minutes=minutes)
+    env = replay_env(given.robot, takes, chain=chain, unit=unit, base=base, max_steps=100, seed=seed)
+    learner = training.GradientLearner(env, net, minutes=minutes, outlier=0.1)
     training.train(learner, minutes=minutes, step=training.descend, progress=False)
     seconds = float(sum(r.duration for r in recordings))
     notes = {"seed": seed, "training_seconds": 60 * minutes, "data_seconds": seconds}

@@ -138,6 +138,20 @@ def test_a_row_that_is_lost_is_charged_and_counted():
     assert 0.3e-8 < report["train_mse"] <= 1e-8
 
 
+def test_errors_far_beyond_what_is_usual_hardly_pull_and_small_ones_pull_as_ever():
+    lengths, errors = [], []
+    for outlier in (None, 10.0, 1e-4):
+        torch.manual_seed(0)
+        learner = learner_of(uan())
+        learner.outlier = outlier
+        report = descend(learner)
+        lengths.append(float(report["grad_norm"]))
+        errors.append(float(report["train_mse"]))
+    assert errors[0] == errors[1] == errors[2]
+    assert lengths[1] == pytest.approx(lengths[0], rel=1e-2)
+    assert lengths[2] < 0.1 * lengths[0]
+
+
 @pytest.mark.parametrize("known", [False, True])
 def test_it_learns_friction_from_encoders_alone(known):
     """In 80 windows the error of windows that it never saw falls to less than half."""

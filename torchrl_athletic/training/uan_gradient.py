@@ -192,6 +192,8 @@ class GradientLearner:
         rate: First learning rate of Adam.
         windows: Steps that the gradient goes back, one after the other.
         max_grad_norm: Longest gradient, of the error in squared hundredths of a radian.
+        outlier: Errors that are far beyond it count by their logarithm (Cauchy's loss) [rad]. Without a controller's
+            loop, near an upright pendulum say, a few rows leave whatever the net does, and would rule the gradient.
     """
 
     def __init__(
@@ -204,6 +206,7 @@ class GradientLearner:
         rate: float = 1e-3,
         windows: tuple[int, ...] = WINDOWS,
         max_grad_norm: float = 1.0,
+        outlier: float | None = None,
     ) -> None:
         if not minutes > 0:
             raise ValueError(
@@ -211,7 +214,7 @@ class GradientLearner:
             )
         self.iterations = iterations
         self.env, self.net, self.minutes, self.rate, self.windows = env, net, minutes, rate, windows
-        self.max_grad_norm = max_grad_norm
+        self.max_grad_norm, self.outlier = max_grad_norm, outlier
         self.policy = MeanPolicy(net)
         self.optimizer = torch.optim.Adam(net.parameters(), lr=rate)
         self.current = env.reset()
@@ -286,11 +289,13 @@ def descend(learner: GradientLearner) -> TensorDict:
         errors.append(step["next", "privileged"][..., 0].square())
         ended.append(step["next", "terminated"])
         rewards.append(step["next", "reward"].detach().mean())
-    learner.current, error = following.detach(), torch.stack(errors).mean()
+    learner.current, error = following.detach(), torch.stack(errors)
     lost = torch.stack(ended).cummax(0).values  # (T, N, 1)
-    charged = torch.where(lost, learner.env.transform[-1].bound ** 2, torch.stack(errors).detach()).mean()
+    charged = torch.where(lost, learner.env.transform[-1].bound ** 2, error.detach()).mean()
     learner.optimizer.zero_grad()
-    (1e4 * error).backward()
+    if learner.outlier is not None:
+        error = learner.outlier**2 * torch.log1p(error / learner.outlier**2)
+    (1e4 * error.mean()).backward()
     norm = nn.utils.clip_grad_norm_(learner.net.parameters(), learner.max_grad_norm)
     length = float(norm)
     if length < EXPLODED * (learner.usual or length):
