@@ -163,8 +163,7 @@ def start(job: Job, cfg: Config, place: int, seconds: float) -> subprocess.Popen
     own = {"OMP_NUM_THREADS": "1", "TORCHINDUCTOR_COMPILE_THREADS": str(max(1, len(cores) // cfg.jobs))}
     if job.device == "cuda":
         own["CUDA_VISIBLE_DEVICES"] = str(place % cfg.gpus)
-    else:  # the simulation takes a thread for every core that it may run on
-        cores = cores[place :: cfg.jobs] or [cores[place % len(cores)]]
+    cores = cores[place :: cfg.jobs] or [cores[place % len(cores)]]  # simulations take a thread for each that they have
     with (job.output / "log.txt").open("ab") as log:
         process = subprocess.Popen(
             [
