@@ -11,6 +11,7 @@ import torch
 from identification.arms import XML, commands, recorded, robot
 
 from torchrl_athletic.identification import Simulator
+from torchrl_athletic.networks import Sizes, sizes_of
 from torchrl_athletic.recordings import write_recording
 from torchrl_athletic.training import CSVTable
 
@@ -71,6 +72,15 @@ def test_it_leaves_a_simulator_a_curve_and_what_it_was_made_of(inputs, tmp_path,
     assert notes["validation_mse"] == pytest.approx(min(measured))
     if min(measured) < measured[0]:
         assert made.net(errors).abs().max() > 0
+
+
+def test_what_a_net_remembers_is_kept_with_it_and_another_memory_is_another_run(inputs, tmp_path):
+    made = recipe.main(short(inputs, tmp_path, knows="joint", memory=(0.01, 0.1), hidden=(16,)))
+    loaded = Simulator.load(tmp_path, robot())
+    assert loaded.name == "uan_joint_memory"
+    assert sizes_of(loaded.net) == sizes_of(made.net) == Sizes(20, (16,), 2, False, (0.01, 0.1))
+    with pytest.raises(ValueError, match="memory"):
+        recipe.main(short(inputs, tmp_path, knows="joint", memory=(0.02, 0.1), hidden=(16,)))
 
 
 def test_a_killed_run_goes_on(inputs, tmp_path):
