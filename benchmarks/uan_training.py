@@ -31,6 +31,8 @@ METHODS = {  # credit for the arm or by joint; last, what the net is told beside
     "gradient": ("--method", "gradient"),
     "gradient_joint": ("--method", "gradient", "--knows", "joint"),
     "gradient_arm": ("--method", "gradient", "--knows", "arm"),
+    "gradient_memory": ("--method", "gradient", "--memory", "0.003", "0.03"),
+    "gradient_arm_memory": ("--method", "gradient", "--knows", "arm", "--memory", "0.003", "0.03"),
 }
 COLOURS = {
     "ppo_arm": "#C45552",
@@ -38,6 +40,8 @@ COLOURS = {
     "gradient": "#457B9D",
     "gradient_joint": "#52936C",
     "gradient_arm": "#2F4858",
+    "gradient_memory": "#D4A373",
+    "gradient_arm_memory": "#7F5539",
 }
 
 
