@@ -128,8 +128,13 @@ def current(rows: Sequence[Row], program: str | None) -> list[Row]:
 
 
 def findings(rows: Sequence[Row]) -> Stated:
-    """Features, effect and grade of every finding."""
-    of = [(number, row.grade(f), f) for number, row in enumerate(rows) for f in row.findings]
+    """Features, effect and grade of every finding but those whose law is not seen: theirs is no logistic answer."""
+    of = [
+        (number, row.grade(f), f)
+        for number, row in enumerate(rows)
+        for f in row.findings
+        if not f["grounds"].get("plain", False)
+    ]
     return Stated(
         np.array([columns(Grounds(**f["grounds"]), f["effect"]) for *_, f in of]).reshape(-1, WIDTH),
         np.array([f["grounds"]["share"] for *_, f in of], dtype=np.float64),

@@ -31,7 +31,7 @@ from benchmarks.concealed.hidden import Truth
 from benchmarks.concealed.score import Row, reliability
 from torchrl_athletic.diagnosis.calibration import Grounds, learnt, probability, widened
 
-GROUNDS = Grounds(**{field.name: 1 for field in fields(Grounds)} | {"share": 0.9, "left": 0.1, "energy": 0.8})
+GROUNDS = Grounds(**{f.name: 1 for f in fields(Grounds)} | {"share": 0.9, "left": 0.1, "energy": 0.8, "plain": False})
 
 
 FRICTION = Truth("coulomb_friction", "elbow", {"torque": 1.0})
@@ -62,6 +62,12 @@ def test_a_name_that_is_true_of_a_part_only_does_not_count_as_right():
     assert stated.grade.tolist() == ["tolerated", "right", "superset"]
     assert stated.right.tolist() == [0.0, 1.0, 1.0]
     assert stated.case.tolist() == [0, 1, 1]
+
+
+def test_a_name_whose_law_is_not_seen_teaches_nothing_since_its_probability_is_not_learnt():
+    plain = row(FRICTION, "stribeck_friction", "coulomb_friction")
+    plain.findings[0]["grounds"]["plain"] = True
+    assert findings([plain]).grade.tolist() == ["right"]
 
 
 def test_what_is_fitted_is_what_the_diagnosis_states():

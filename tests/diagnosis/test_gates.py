@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from torchrl_athletic.diagnosis import gates
+from torchrl_athletic.diagnosis.calibration import PLAIN, Grounds, probability
 from torchrl_athletic.diagnosis.gates import EXPLAINED, NEAR_FLOOR, PARTLY, summarise, verdict_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Score
+from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.effects import AsymmetricFriction, CoulombFriction, JointSpring, Parameter
 
 FLOOR = 1.0
 FINDING = Finding(
@@ -128,6 +131,38 @@ def test_equals_share_the_probability_and_odds_do_not_depend_on_the_level(monkey
 
 
 WHERE = (Location("elbow", "everywhere", 0.8, (0.7, 0.9)), Location("elbow", "moving backwards", 0.6, (0.5, 0.7)))
+
+
+@pytest.mark.parametrize(
+    ("viscous", "spread", "expected"),
+    [
+        ((1.0, 1.0), 0.02, True),
+        ((1.0, 1.03), 0.001, True),  # seen, and nothing worth a name
+        ((1.0, 1.5), 0.4, True),  # not seen
+        ((1.0, 1.5), 0.05, False),
+    ],
+)
+def test_friction_that_is_the_same_both_ways_has_no_claim_to_the_name_of_asymmetric(viscous, spread, expected):
+    names = ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative")
+    of = tuple(Parameter(name, "N·m", 0.0, 0.0, 10.0, 0.1) for name in names)
+    values = np.array([0.3, 0.3, *viscous])
+    samples = values + spread * np.random.default_rng(0).normal(size=(200, 4))
+    assert gates._is_plain(Candidate(AsymmetricFriction(), 0, "elbow", of), values, samples) is expected
+    dry = Candidate(CoulombFriction(), 0, "elbow", of[:1])
+    assert not gates._is_plain(dry, values[:1], samples[:, :1])  # nothing is simpler
+
+
+def test_a_spring_without_stiffness_says_that_nothing_of_a_spring_is_seen():
+    of = (Parameter("stiffness", "N·m/rad", 0.0, 0.0, 9.0, 0.1), Parameter("preload", "N·m", 0.0, -9.0, 9.0, 0.1))
+    spring, values = Candidate(JointSpring(), 0, "elbow", of), np.array([0.006, -0.67])
+    samples = np.abs(values) + np.random.default_rng(0).normal(size=(200, 2)) * [0.02, 0.03]
+    assert gates._is_plain(spring, values, samples.clip(0))
+    assert not gates._is_plain(spring, np.array([0.3, -0.67]), samples + [0.3, 0.0])
+    named = {"stiffness": 0.006, "preload": -0.67}
+    grounds = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30, plain=True)
+    assert "nothing is seen" in gates._sentence(spring, named, grounds)
+    assert "nothing is seen" not in gates._sentence(spring, named, dataclasses.replace(grounds, plain=False))
+    assert probability(grounds, "joint_spring") == PLAIN < probability(dataclasses.replace(grounds, plain=False))
 
 
 def test_the_summary_says_the_most_important_first():

@@ -18,6 +18,10 @@ right.
 """
 
 
+PLAIN = 0.2
+"""The same of a law of which what sets it apart from simpler ones is not seen: then it is likely none of its name."""
+
+
 @dataclass(frozen=True)
 class Grounds:
     """What the probability of a finding rests on."""
@@ -40,6 +44,8 @@ class Grounds:
     """Sum of squares of the trims, each in standard deviations of what it may be."""
     sure: float
     """How far its parameters lie from the given model's, in standard deviations."""
+    plain: bool = False
+    """Whether the recordings show nothing of what sets its law apart from simpler ones."""
 
     def features(self) -> dict[str, float]:
         """Numbers of order one, in which the log odds are linear."""
@@ -71,7 +77,8 @@ def learnt(part: str) -> Mapping[str, float]:
 def probability(grounds: Grounds, effect: str = "") -> float:
     """That a finding with these grounds is true: a logistic regression's answer.
 
-    It is at most one half, or the share of the evidence where that is more: equals share what there is.
+    It is at most one half, or the share of the evidence where that is more: equals share what there is. A name of which
+    nothing is seen but a simpler law's has :data:`PLAIN` at most.
 
     Args:
         grounds: Of the finding.
@@ -86,7 +93,8 @@ def probability(grounds: Grounds, effect: str = "") -> float:
     weights = learnt("weights")
     odds = weights["intercept"] + sum(weights.get(name, 0.0) * x for name, x in grounds.features().items())
     odds += learnt("effects").get(effect, 0.0)
-    return float(min(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))), max(grounds.share, EQUALS)))
+    most = PLAIN if grounds.plain else max(grounds.share, EQUALS)
+    return float(min(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))), most))
 
 
 def widened(value: float, low: float, high: float) -> tuple[float, float]:

@@ -382,7 +382,7 @@ class _Work:
         ]
         findings = judge_findings(evidence, fitted, scores.values()) if fitted is not None else ()
         findings = with_alternatives(findings, names, self.catalogue)
-        is_open = self._is_open()
+        is_open = self._is_open(fitted)
         verdict, share = verdict_of(evidence, findings, scores.get("train"), scores.get("heldout"), is_open)
         if verdict == "nothing_missing" or harms(scores.get("train")):
             corrected = nominal
@@ -421,12 +421,14 @@ class _Work:
         )
         return Diagnosis(answer, nominal, corrected, self.xml, maps, recordings, heldout, tuple(evidence))
 
-    def _is_open(self) -> bool:
-        """Whether some joint misses torque that noise does not explain and that motion and command predict."""
+    def _is_open(self, fitted: Fitted | None) -> bool:
+        """Whether some joint misses torque that noise does not explain, with all numbers within their tolerances."""
         if not self.options:
             return False
-        judge = self.options[0].judge
-        return bool(judge.is_open(judge.score(()).fit).any())
+        option = self.options[self.chosen]
+        small = {c.key for c in fitted.hypothesis.trims} if fitted is not None else set()
+        within = [a for a in option.best.fit.terms if a.candidate.key in small]
+        return bool(option.judge.is_open(option.judge.score(within).fit).any())
 
     def _quality(self) -> dict[str, Any]:
         assert self.train is not None

@@ -33,6 +33,8 @@ PARTLY = 0.80
 NEAR_FLOOR = 8.0
 """Window error over the floor up to which a model without predictable missing torque is called complete, and one with
 findings explained: whatever was gross before, what is left beyond it shows that a law is another."""
+ALIKE = 0.05
+"""Relative difference below which two numbers of a law are the same."""
 LEAST_PROBABILITY = 0.03
 """Rivals below are not printed."""
 
@@ -147,6 +149,7 @@ def _finding(part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, stil
         terms=sum(c.joint_name == candidate.joint_name for c in h.terms),
         strain=part.best.fit.strain,
         sure=_certainty(chosen, values, samples),
+        plain=_is_plain(chosen, values, samples),
     )
     likely = probability(grounds, candidate.effect.name)
     per_share = min(likely / max(own, 1e-9), (1.0 - likely) / max(1.0 - own, 1e-9))
@@ -167,9 +170,7 @@ def _finding(part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, stil
         effect=effect.name,
         joint=candidate.joint_name,
         probability=likely,
-        sentence=effect.sentence(joint, named, candidate.parameters)
-        if grounds.scatter <= INVARIANT
-        else _stand_in(effect, joint),
+        sentence=_sentence(candidate, named, grounds),
         parameters={
             p.name: Estimate(float(v), _within(p, widened(float(v), float(low), float(high))), p.unit)
             for p, v, (low, high) in zip(candidate.parameters, values, band, strict=True)
@@ -188,10 +189,36 @@ def _certainty(candidate: Candidate, values: Array, samples: Array) -> float:
     return float((change / deviation).max(initial=0.0))
 
 
+def _is_plain(candidate: Candidate, values: Array, samples: Array) -> bool:
+    """Whether all that sets an effect apart from simpler laws may be nothing, by its 95 % intervals."""
+    of = {p.name: (values[k], samples[:, k]) for k, p in enumerate(candidate.parameters)}
+    given = {p.name: p.nominal for p in candidate.parameters}
+
+    def is_seen(what: str | tuple[str, str]) -> bool:
+        if isinstance(what, str):
+            apart, least = of[what][1] - given[what], 0.0
+        else:
+            (one, drawn), (other, beside) = of[what[0]], of[what[1]]
+            apart, least = drawn - beside, ALIKE * max(abs(one), abs(other))
+        low, high = np.quantile(apart, [0.025, 0.975])
+        return bool(low > least or high < -least)
+
+    contrasts = candidate.effect.sets_apart
+    return bool(contrasts) and not any(is_seen(what) for what in contrasts)
+
+
 def _within(parameter: Parameter, ends: tuple[float, float]) -> tuple[float, float]:
     """An interval within the parameter's physical bounds."""
     low, high = (min(max(end, parameter.lower), parameter.upper) for end in ends)
     return low, high
+
+
+def _sentence(candidate: Candidate, named: Mapping[str, float], grounds: Grounds) -> str:
+    effect, joint = candidate.effect, candidate.where
+    if grounds.scatter > INVARIANT:
+        return _stand_in(effect, joint)
+    said = effect.sentence(joint, named, candidate.parameters)
+    return f"{said} Of what makes it more than a simpler law nothing is seen." if grounds.plain else said
 
 
 def _stand_in(effect: Effect, joint: str) -> str:

@@ -39,6 +39,7 @@ class JointSpring(Effect):
 
     name = "joint_spring"
     family = "elastic"
+    sets_apart = ("stiffness",)
     shows_in = "position"
     equation = "τ = p - k q = -k (q - p/k)"
     source = "Siciliano et al. 2009, Robotics, section 7.3; MuJoCo's joint stiffness"

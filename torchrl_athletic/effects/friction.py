@@ -178,6 +178,7 @@ class AsymmetricFriction(Effect):
     equation = "τ = -(Fc± + b± |q̇|) sign(q̇)"
     source = "Janot, Gautier, Brunot 2019, nonlinearbenchmark.org (EMPS), section 2.3"
     special_cases = frozenset({"coulomb_friction", "viscous_friction"})
+    sets_apart = (("coulomb_positive", "coulomb_negative"), ("viscous_positive", "viscous_negative"))
     excludes = frozenset(
         {"coulomb_friction", "viscous_friction", "torque_offset", "stribeck_friction", "load_dependent_friction"}
     )
@@ -327,6 +328,7 @@ class LoadDependentFriction(Effect):
 
     name = "load_dependent_friction"
     family = "friction"
+    sets_apart = ("coefficient",)
     shows_in = "load"
     equation = "τ = -(Fc + μ |u + τ|) sign(q̇)"
     source = "Hamon, Gautier, Garrec 2010, Dynamic identification of robots with a dry friction model, IROS"
