@@ -103,7 +103,8 @@ def measure(xml: str, fit: list[Recording], aside: list[Recording]) -> dict[str,
 
 def header() -> list[str]:
     """Who made the table, and its first lines."""
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout
+    head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout
+    commit = os.environ.get("COMMIT") or head
     return [
         f"Made by `python benchmarks/diagnosis_time.py` at {commit.strip()} on {platform.machine()}, {os.cpu_count()} "
         "cores, shared: CPU time is the steadier column. Whole diagnosis without the report, 200 Hz.",
