@@ -157,6 +157,14 @@ def test_the_form_that_fits_best_is_the_one_that_was_simulated(joint):
         assert fits[best][1] == pytest.approx(torque, rel=0.03)
 
 
+def test_friction_as_stiff_as_a_time_step_allows_counts_as_a_bearings():
+    """Ideal friction beside such a model is one number more, not two: no richer than friction that grows with load."""
+    model = arm()
+    model.dof_frictionloss[0], model.dof_solref[0] = 0.2, [2 * model.opt.timestep, 1.0]
+    _, turnover = CoulombFriction().parameters(model, address(), 0)
+    assert turnover.nominal == 0.0
+
+
 def test_a_model_with_friction_brings_its_own_turnover():
     model = arm()
     model.dof_frictionloss[0] = 0.2

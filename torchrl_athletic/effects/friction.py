@@ -69,7 +69,8 @@ class CoulombFriction(Effect):
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
         nominal = float(model.dof_frictionloss[address.dof[joint]])
-        turnover = _turnover(model, address, joint) if nominal else 0.0
+        given = _turnover(model, address, joint) if nominal else 0.0
+        turnover = given if given > _EARLY else 0.0  # as stiff as a time step allows is a bearing's, no number more
         return (
             dry_friction("torque", model, address, joint),
             Parameter("turnover", "s", turnover, 0.0, max(0.05, 2 * turnover), 0.002),
