@@ -25,6 +25,8 @@ from torchrl_athletic.diagnosis.screen import TRIMS, Bank, candidates_for, trims
 from torchrl_athletic.diagnosis.search import Judge, Scored, search
 from torchrl_athletic.diagnosis.separation import ENOUGH
 from torchrl_athletic.effects import (
+    ActuationDelay,
+    ActuationLag,
     EncoderOffset,
     GravityTilt,
     JointSpring,
@@ -201,6 +203,45 @@ def test_one_name_needs_no_experiment(tilted):
     judge, best = tilted
     with pytest.raises(ValueError, match="at least two"):
         propose(judge, [best])
+
+
+def test_a_delay_and_a_lag_of_torques_are_told_apart_by_a_quick_motion():
+    robot, secret = pendulum(), HiddenEffect("actuation_delay", "pendulum", {"delay": 0.015})
+    catalogue = (ActuationDelay(), ActuationLag())
+    take = recorded(robot, secret, shaken(((0.15, 0.9), (0.10, 2.1))), 0)
+    judge, best = searched(robot, [take], catalogue)
+    assert max(answers(judge, best).values()) < 0.8
+    experiment = propose(judge, rivals_of(judge, best))
+    # as targets that are late by milliseconds, even a slow motion would seem to do
+    assert max(m.frequency for m in experiment.motions) > 1.0
+
+    new = recorded(robot, secret, experiment.torque, 1)  # a robot that takes torques
+    assert answers(*searched(robot, [take, new], catalogue))["actuation_delay", "pendulum"] > 0.9
+
+
+def test_a_motion_that_asks_too_much_torque_is_made_smaller(case):
+    _, _, _, _, _, judge, best, experiment = case
+    rivals = rivals_of(judge, best)
+    limits = experiment.limits
+    weak = Limits(limits.position, limits.velocity, 0.5 * np.abs(experiment.torque).max(0))
+    tired = propose(judge, rivals, limits=weak)
+    assert tired is None or (np.abs(tired.torque) <= 1.2 * weak.torque).all()
+
+
+def test_where_one_question_cannot_be_settled_the_next_one_is_asked(tilted):
+    *_, judge, best, experiment = solved("offset")
+
+    def question(judge: Judge, best: Scored, rivals: list, probability: float) -> tuple[Evidence, Finding]:
+        key = best.fit.terms[0].candidate.key
+        others = tuple(Rival(*rival, 0.3, "") for rival in rivals if rival != key)
+        return Evidence(judge, best), Finding(*key, probability, "", {}, "", others)
+
+    hopeless = question(*tilted, [("encoder_offset", "pendulum"), ("gravity_tilt", None)], 0.4)
+    other = question(judge, best, list(answers(judge, best)), 0.6)
+    assert next_experiment([hopeless[0]], [hopeless[1]]) is None
+    found = next_experiment([hopeless[0], other[0]], [hopeless[1], other[1]])
+    assert found is not None
+    assert set(found.rivals) == set(experiment.rivals)
 
 
 def test_narrow_limits_are_kept_or_nothing_is_proposed():

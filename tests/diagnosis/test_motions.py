@@ -20,8 +20,13 @@ def takes():
 def test_every_candidate_stays_within_range_and_speed(takes):
     limits = Limits.of(takes)
     found = list(motions(takes, limits, [0, 1], 8.0))
-    assert {m.kind for m in found} >= {"sine", "sweep", "chirp", "multisine"}
+    assert {m.kind for m in found} >= {"sine", "sweep", "chirp", "mix", "multisine"}
     assert {m.joint for m in found} == {"shoulder", "elbow", "all joints"}
+    start = takes[0].recording.position[0]
+    for joint, other in ((0, 1), (1, 0)):  # slow and quick ones about both poses
+        own = [m for m in found if m.joint == ("shoulder", "elbow")[joint]]
+        for here in (True, False):
+            assert {m.kind for m in own if (m.pose[other] == start[other]) == here} >= {"sine", "sweep", "mix"}
     for m in found:
         path = m.pose + m.wave
         assert (path >= limits.position[:, 0] - 1e-9).all()
@@ -31,11 +36,19 @@ def test_every_candidate_stays_within_range_and_speed(takes):
         np.testing.assert_allclose(np.abs(m.wave[-1]), 0, atol=0.02)
 
 
+def test_a_smaller_motion_has_the_same_shape_and_says_its_own_size(takes):
+    whole = next(m for m in motions(takes, Limits.of(takes), [1], 8.0) if m.kind == "mix")
+    half = whole.smaller(0.5)
+    np.testing.assert_allclose(half.wave, 0.5 * whole.wave)
+    assert np.abs(half.wave).max() <= half.amplitude
+    assert f"{half.amplitude:.2g} rad" in half.words("rad")
+
+
 def test_only_the_named_joint_moves(takes):
     for m in motions(takes, Limits.of(takes), [1], 8.0):
         if m.joint == "elbow":
             assert not np.ptp(m.wave[:, 0])
-            assert np.abs(m.wave[:, 1]).max() == pytest.approx(m.amplitude, rel=0.02)
+            assert np.abs(m.wave[:, 1]).max() == pytest.approx(m.amplitude, rel=0.02 if m.kind != "mix" else 0.1)
 
 
 def signals_of(joint: str = ""):

@@ -10,6 +10,7 @@ from torchrl_athletic.diagnosis.screen import Bank
 from torchrl_athletic.diagnosis.search import (
     BEAM,
     PREDICTABLE,
+    RIVAL_PRICE,
     TERM,
     Judge,
     _merge,
@@ -528,6 +529,39 @@ def test_a_richer_rival_that_closes_nothing_more_is_at_most_an_equal():
     best = weigh.score(weigh.bank.atoms[1:])
     rivals = {key[0]: s.evidence for s in alternatives(weigh, best, best.fit.terms[0]) for key in names(s)}
     assert rivals["rich"] == rivals["plain"]
+
+
+def special(columns: np.ndarray, *names: str) -> Given:
+    """A law of friction that contains others, which it does not exclude."""
+    rich = Given("rich", columns, -1e3, 1e3)
+    rich.family, rich.special_cases = "friction", frozenset(names)  # type: ignore[misc]
+    return rich
+
+
+def test_what_a_bearing_is_beyond_a_formula_makes_no_rival_of_a_richer_law():
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    plain = Given("plain", a, -1e3, 1e3)
+    plain.family = "friction"  # type: ignore[misc]
+    for beyond, expected in ((4.0, {"plain"}), (40.0, {"plain", "rich"})):  # parts of 100 that no formula has
+        take = on_shoulder(100 * a + beyond * b, rng.normal(size=(N, 2)))
+        weigh = judge(take, candidate(plain), candidate(special(np.stack([a, b], -1), "plain")))
+        best = weigh.score(weigh.bank.atoms[:1])
+        assert weigh.is_open(best.fit)[0]
+        assert {key[0] for s in alternatives(weigh, best, best.fit.terms[0]) for key in names(s)} == expected
+
+
+def test_a_law_that_contains_the_term_pays_for_each_number_by_how_much_is_recorded():
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, N), rng.normal(size=N)
+    take = on_shoulder(6 * a + 0.6 * b, rng.normal(size=(N, 2)))
+    against = []
+    for contains in ((), ("plain",)):
+        weigh = judge(take, candidate(Given("plain", a)), candidate(special(np.stack([a, b], -1), *contains)))
+        best = weigh.score(weigh.bank.atoms[:1])
+        evidence = {key[0]: s.evidence for s in alternatives(weigh, best, best.fit.terms[0]) for key in names(s)}
+        against.append(evidence["rich"] - evidence["plain"])
+    assert against[1] - against[0] == pytest.approx(np.log(weigh.independent.sum()) - RIVAL_PRICE, rel=0.03)
 
 
 def test_a_correlated_residual_makes_rivals_nearer():

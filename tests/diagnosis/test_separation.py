@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from diagnosis.columns import Given, candidate, signals
@@ -102,6 +104,19 @@ def test_twice_the_recording_is_twice_the_evidence():
     assert 2 < now[0] < ENOUGH / 2
     assert pair.separations(known.times(2.0)) == pytest.approx(np.sqrt(2) * now, rel=0.02)
     assert pair.separations(known + known) == pytest.approx(np.sqrt(2) * now, rel=0.02)
+
+
+def test_a_hundredth_of_what_is_missing_and_what_smoothing_bends_say_nothing():
+    pair, known, _ = rivals(Along("one", (1, 0)), Along("other", (0, 1)))
+    pair.draws = [np.array([[1.0]]), np.array([[1.0]])]
+    near = 100 * SINE + 0.5 * COSINE  # half a hundredth of it is not what the other says
+    far = 100 * SINE + 4 * COSINE
+    assert planned(pair, known, 100 * SINE, near) == pytest.approx([0], abs=0.3)
+    assert planned(pair, known, 100 * SINE, far)[0] > 3
+
+    seen = motion(SINE, -SINE)
+    sharp, bent = (known + pair.products([thinned(replace(seen, bias=b * np.ones_like(seen.bias)))]) for b in (0, 2))
+    assert pair.separations(bent)[0] < 0.8 * pair.separations(sharp)[0]
 
 
 def test_noise_that_a_search_will_allow_hides_what_is_below_it():

@@ -26,7 +26,7 @@ from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.result import Finding
 from torchrl_athletic.diagnosis.screen import Atom, Key, row_noise
 from torchrl_athletic.diagnosis.search import Judge, Scored, alternatives
-from torchrl_athletic.diagnosis.separation import Products, Rivals, thinned
+from torchrl_athletic.diagnosis.separation import ENOUGH, Products, Rivals, thinned
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.effects.payload import far_end
 from torchrl_athletic.effects.signals import (
@@ -44,8 +44,14 @@ SECONDS = 8.0
 """Length of the excitation, without the ways there and back [s]."""
 APART = 3.0
 """Standard deviations that separate a pair; one that no plan sets so far apart is not what a plan is chosen for."""
-CONFIRMED = 2
-"""Plans that are simulated under every rival before one is proposed."""
+CONFIRMED = 5
+"""Plans that are simulated under every rival before none is proposed."""
+SMALLER = (1.0, 0.6, 0.35, 0.2, 0.1)
+"""Shares of its amplitude at which a motion is tried until the torque suffices."""
+LONGEST = 60.0
+"""An excitation that tells too little is repeated as long as it all lasts no longer than this [s]."""
+SLACK = 0.02
+"""Share of the range by which a rival may predict that the robot leaves it: the limits are clear of the stops."""
 GENTLE = 0.2
 """Share of its worth that a plan loses by using up all limits and half a minute."""
 BANDWIDTH = 1.5
@@ -63,6 +69,8 @@ class Experiment:
     """(effect, joint) of each."""
     motions: tuple[Motion, ...]
     """One, or two where no single one separates every pair."""
+    repeats: int
+    """How often to do them, one after the other."""
     payload: float
     """Mass to fasten at the far end of the last link, zero for none [kg]."""
     duration: float
@@ -103,11 +111,12 @@ class Experiment:
     def sentence(self) -> str:
         """What to do and what it tells, in words."""
         how = ", then ".join(m.words(self.unit) for m in self.motions)
+        often = f", {self.repeats} times" if self.repeats > 1 else ""
         load = f" with {self.payload:g} kg fastened to the end" if self.payload else ""
         text = (
-            f"{how[0].upper()}{how[1:]}{load}, {self.duration:.0f} s in all. It should set {_words(self.rivals)} at "
-            f"least {self.after:.1f} standard deviations apart; now they are {self.before:.1f} apart, and repeating "
-            f"the old motion would make it {self.repeated:.1f}."
+            f"{how[0].upper()}{how[1:]}{often}{load}, {self.duration:.0f} s in all. It should set "
+            f"{_words(self.rivals)} at least {self.after:.1f} standard deviations apart; now they are "
+            f"{self.before:.1f} apart, and repeating the old motion would make it {self.repeated:.1f}."
         )
         if self.inseparable:
             which = "; ".join(_words(pair) for pair in self.inseparable)
@@ -137,6 +146,7 @@ class Experiment:
                 }
                 for m in self.motions
             ],
+            "repeats": self.repeats,
             "payload_kg": self.payload,
             "duration": self.duration,
             "rate": RATE,
@@ -160,7 +170,9 @@ class Experiment:
 def next_experiment(
     evidence: Sequence[Evidence], findings: Sequence[Finding], limits: Limits | None = None
 ) -> Experiment | None:
-    """The experiment for the finding whose rivals share most of the evidence; None where no finding has rivals.
+    """The experiment for the finding whose rivals share most of the evidence, of those that one would help.
+
+    None where no finding has rivals that a motion separates.
 
     Args:
         evidence: The parts of the search.
@@ -177,7 +189,9 @@ def next_experiment(
                         (s, asked[key]) for key, s in answer_set(part.judge, part.best, term).items() if key in asked
                     ]
                     if len(options) > 1:
-                        return propose(part.judge, [s for s, _ in options], [p for _, p in options], limits)
+                        plan = propose(part.judge, [s for s, _ in options], [p for _, p in options], limits)
+                        if plan is not None:
+                            return plan
     return None
 
 
@@ -237,20 +251,22 @@ def propose(
         for motion in motions(takes, limits, _joints_of(rivals), seconds):
             plan = _planned(motion, mass, model, takes, limits, loop)
             if plan is not None:
-                s = thinned(project_recording(plan.recording, model, scene.noise, kernel=takes[0].kernel))
+                s = thinned(_seen(scene, plan))
                 plans.append(_judged(scene, known, plan, [s], scene.products([s])))
     if not plans:
         return None
-    hopeful = np.max([p.separations for p in plans], axis=0) > APART
+    often = max(1, int(LONGEST / max(p.recording.duration for p in plans)))
+    # what little a motion tells adds up
+    hopeful = np.max([scene.separations(known + p.products.times(often)) for p in plans], axis=0) > APART
     best = max(plans, key=lambda p: _worth(scene, p, hopeful))
-    for other in [p for p in plans if p.payload == best.payload]:
+    for other in [p for p in plans if p.payload == best.payload and p is not best]:
         plans.append(
             _judged(scene, known, _joined(best, other), [*best.signals, *other.signals], best.products + other.products)
         )
-    hopeful = np.max([p.separations for p in plans], axis=0) > APART
+    hopeful |= np.max([p.separations for p in plans], axis=0) > APART
     length = sum(float(np.ptp(s.time)) for s in takes)
     for chosen in sorted(plans, key=lambda p: -_worth(scene, p, hopeful))[:CONFIRMED]:
-        plan = _compensated(scene, chosen)
+        plan = _compensated(scene, _repeated(scene, known, chosen, hopeful))
         repeated = scene.separations(known + known.times(plan.recording.duration / length))
         if not (plan.separations - repeated)[hopeful].max(initial=0.0) > 1.0:
             return None
@@ -321,8 +337,9 @@ class _Plan:
     """Shape (T, J)."""
     share: tuple[float, float]
     """Of the speed and torque limits that it uses."""
+    repeats: int = 1
     signals: tuple[Signals, ...] = ()
-    products: Products = field(default_factory=lambda: Products({}, np.zeros(0)))
+    products: Products = field(default_factory=lambda: Products({}, np.zeros(0), np.zeros(0)))
     separations: Array = field(default_factory=lambda: np.zeros(0))
     """Of the pairs, with the recordings at hand. Shape (pairs,)."""
 
@@ -349,14 +366,42 @@ def _worth(rivals: Rivals, plan: _Plan, hopeful: NDArray[np.bool_]) -> float:
     return float(some.min() + weight @ some / max(weight.sum(), 1e-300)) / 2 * (1 - GENTLE * plan.effort)
 
 
+def _repeated(rivals: Rivals, known: Products, plan: _Plan, hopeful: NDArray[np.bool_]) -> _Plan:
+    """The plan twice, four times and so on, until it tells the pairs apart with something to spare."""
+    while plan.separations[hopeful].min(initial=ENOUGH) < ENOUGH / 2 and 2 * plan.recording.duration <= LONGEST:
+        twice = replace(_joined(plan, plan), motions=plan.motions, repeats=2 * plan.repeats)
+        plan = _judged(rivals, known, twice, [*plan.signals, *plan.signals], plan.products.times(2.0))
+    return plan
+
+
 def _compensated(rivals: Rivals, plan: _Plan) -> _Plan:
     """The plan with targets that make the likeliest rival, not the given model, follow the reference."""
-    r = plan.recording
-    s = project_recording(r, plan.model, rivals.noise, kernel=rivals.takes[0].kernel)
+    r, s = plan.recording, _seen(rivals, plan)
     added = CubicSpline(s.time, rivals.known[0].prediction(s))(np.clip(r.time, s.time[0], s.time[-1]))
     assert r.kp is not None
     target = r.command - added / r.kp
     return replace(plan, recording=replace(r, position_target=target), torque=plan.torque - added)
+
+
+def _seen(rivals: Rivals, plan: _Plan) -> Signals:
+    """The plan as it will be logged: with what earlier recordings have, targets and gains or torques, at their rate.
+
+    A delay of targets leaves other traces than one of the torques that a loop on the user's side sends. The noise is
+    that of the earlier recordings, whatever sensors it came from.
+    """
+    r, takes = plan.recording, rivals.takes
+    like = takes[0].recording
+    time = np.arange(0.0, r.duration, 1 / min(like.rate, RATE))
+    held = np.searchsorted(r.time, time + 1e-9, side="right") - 1
+    path = CubicSpline(r.time, r.position)(time)
+    if like.position_target is None:
+        log = replace(
+            r, time=time, position=path, position_target=None, kp=None, kd=None, torque_command=plan.torque[held]
+        )
+    else:
+        log = replace(r, time=time, position=path, position_target=r.command[held])
+    noise = np.sqrt(np.mean([s.noise**2 for s in takes], axis=0))
+    return replace(project_recording(log, plan.model, rivals.noise, kernel=takes[0].kernel), noise=noise)
 
 
 def _joints_of(rivals: Sequence[Scored]) -> list[int]:
@@ -374,32 +419,44 @@ def _planned(
     limits: Limits,
     loop: tuple[Array, Array],
 ) -> _Plan | None:
-    """The recording that a motion would leave on the given model; None if it exceeds a limit or touches something."""
+    """The recording that a motion would leave on the given model, smaller where the torque does not suffice.
+
+    None if it exceeds a limit all the same or touches something.
+    """
     names, start = takes[0].recording.joint_names, takes[0].recording.position[0]
-    path = motion.pose + motion.wave
-    rounding = ROUNDING.get(motion.kind)
+    address, smooth, (kp, kd) = JointAddress.of(model, names), smooth_dynamics(model), loop
+    low, high = limits.position.T
+    slack = 1e-3 * (high - low)
+    for share in SMALLER:
+        smaller = motion.smaller(share)
+        path = _path(smaller, start, limits)
+        time = np.arange(len(path)) / RATE
+        spline = CubicSpline(time, path)
+        velocity, acceleration = spline(time, 1), spline(time, 2)
+        moved = np.ptp(path, axis=0) > 0
+        speed_share = float((np.abs(velocity) / limits.velocity).max())
+        if ((path < low - slack) | (path > high + slack))[:, moved].any() or speed_share > 1:
+            return None
+        torque = inverse_dynamics(smooth, address, path, velocity, acceleration)
+        torque_share = float((np.abs(torque) / limits.torque).max())
+        if torque_share <= MARGIN:
+            break
+    else:
+        return None
+    if touches(model, address, path):
+        return None
+    target = path + (torque + kd * velocity) / kp
+    recording = Recording(time, names, path, position_target=target, kp=kp, kd=kd, source="planned")
+    return _Plan((smaller,), mass, model, recording, torque, (speed_share, torque_share))
+
+
+def _path(motion: Motion, start: Array, limits: Limits) -> Array:
+    """From the start there and back, corners rounded. Shape (T, J)."""
+    path, rounding = motion.pose + motion.wave, ROUNDING.get(motion.kind)
     if rounding is not None:
         rest = np.repeat(motion.pose[None], round(4 * rounding * RATE), axis=0)
         path = gaussian_filter1d(np.concatenate([rest, path, rest]), rounding * RATE, axis=0, mode="nearest")
-    path = np.concatenate([way(start, path[0], limits), path, way(path[-1], start, limits)])
-    time = np.arange(len(path)) / RATE
-    spline = CubicSpline(time, path)
-    velocity, acceleration = spline(time, 1), spline(time, 2)
-    low, high = limits.position.T
-    slack = 1e-3 * (high - low)
-    moved = np.ptp(path, axis=0) > 0
-    if ((path < low - slack) | (path > high + slack))[:, moved].any():
-        return None
-    address = JointAddress.of(model, names)
-    smooth = smooth_dynamics(model)
-    torque = inverse_dynamics(smooth, address, path, velocity, acceleration)
-    speed_share, torque_share = np.abs(velocity) / limits.velocity, np.abs(torque) / limits.torque
-    if speed_share.max() > 1 or torque_share.max() > MARGIN or touches(model, address, path):
-        return None
-    kp, kd = loop
-    target = path + (torque + kd * velocity) / kp
-    recording = Recording(time, names, path, position_target=target, kp=kp, kd=kd, source="planned")
-    return _Plan((motion,), mass, model, recording, torque, (float(speed_share.max()), float(torque_share.max())))
+    return np.concatenate([way(start, path[0], limits), path, way(path[-1], start, limits)])
 
 
 def _joined(one: _Plan, other: _Plan) -> _Plan:
@@ -441,9 +498,9 @@ def _simulated(plan: _Plan, rivals: Sequence[Scored]) -> Array:
 
 
 def _keeps(paths: Array, limits: Limits) -> bool:
-    """Whether no rival leaves the range; a tenth of it stands for what the guess of the reference misses."""
+    """Whether no rival leaves the range."""
     low, high = limits.position.T
-    slack = 0.1 * (high - low)
+    slack = SLACK * (high - low)
     return bool(np.isfinite(paths).all() and ((paths > low - slack) & (paths < high + slack)).all())
 
 
@@ -465,6 +522,7 @@ def _experiment(
     return Experiment(
         rivals=tuple(keys),
         motions=plan.motions,
+        repeats=plan.repeats,
         payload=plan.payload,
         duration=r.duration,
         before=before,

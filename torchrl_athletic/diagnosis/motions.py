@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
 
 import mujoco
 import numpy as np
@@ -20,6 +21,8 @@ RATE = 200.0
 MARGIN = 0.9
 """Share of a limit that a motion may use."""
 MOST_MOTIONS = 40
+QUICK = (4.0, 8.0, 2.0)
+"""Upper ends of the bands of small quick motions, which show what slow ones hide: time and inertia [Hz]."""
 ROUNDING: Mapping[str, float] = {"steps": 0.02, "sweep": 0.05}
 """Width of the Gaussian that rounds corners which no drive can follow [s]."""
 
@@ -69,7 +72,7 @@ class Motion:
     joint: str
     """The joint that moves, or 'all joints'."""
     kind: str
-    """'sine', 'sweep' (constant speeds both ways), 'steps', 'chirp' or 'multisine'."""
+    """'sine', 'sweep' (constant speeds both ways), 'steps', 'chirp', 'mix' (of sines) or 'multisine'."""
     amplitude: float
     """To both sides of the pose [rad, m]."""
     frequency: float
@@ -78,6 +81,10 @@ class Motion:
     """About which it moves [rad, m]. Shape (J,)."""
     wave: Array
     """Position about the pose. Shape (T, J)."""
+
+    def smaller(self, share: float) -> Motion:
+        """The same with a share of the amplitude."""
+        return replace(self, amplitude=share * self.amplitude, wave=share * self.wave)
 
     def words(self, unit: str) -> str:
         """As an instruction; ``unit`` of the amplitude."""
@@ -88,39 +95,56 @@ class Motion:
             f"{4 * self.amplitude * self.frequency:.2g} {unit}/s",
             "steps": f"step {self.joint} by {size} at {self.frequency:.2g} Hz",
             "chirp": f"move {self.joint} in a sine of {size} that rises from 0.2 to {self.frequency:.2g} Hz",
+            "mix": f"move {self.joint} in a mix of sines by up to {size}, up to {self.frequency:.2g} Hz",
             "multisine": f"move all joints at once by up to {size}, up to {self.frequency:.2g} Hz",
         }[self.kind]
         return f"{how} about ({', '.join(f'{q + 0.0:.2f}' for q in self.pose)})"
 
 
 def motions(takes: Sequence[Signals], limits: Limits, joints: Sequence[int], seconds: float) -> Iterator[Motion]:
-    """Candidates, the joints in turn, until there are enough."""
+    """Candidates, joints and kinds in turn, until there are enough."""
     low, high = limits.position.T
     start = takes[0].recording.position[0]
     names, middle, half = takes[0].recording.joint_names, (low + high) / 2, (high - low) / 2
     poses = [start] if len(names) == 1 else [start, middle + 0.5 * half]
-    count = 0
-    streams = [_of_joint(names, j, pose, limits, seconds) for pose in poses for j in joints]
+    kinds = (_sweeps, _mixes, _sines, _jumps)
+    streams = [_in_turn([kind(names, j, pose, limits, seconds) for kind in kinds]) for pose in poses for j in joints]
     if len(names) > 1:
         streams.append(_of_all(names, middle, half, limits, seconds))
-    while streams and count < MOST_MOTIONS:
-        for stream in list(streams):
+    yield from islice(_in_turn(streams), MOST_MOTIONS)
+
+
+def _in_turn(streams: Iterable[Iterator[Motion]]) -> Iterator[Motion]:
+    """One of each stream after the other, until all are at their ends."""
+    left = list(streams)
+    while left:
+        for stream in list(left):
             motion = next(stream, None)
             if motion is None:
-                streams.remove(stream)
+                left.remove(stream)
             else:
-                count += 1
                 yield motion
 
 
-def _of_joint(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[Motion]:
-    """Motions of one joint, wide and slow ones first."""
+def _sizes(joint: int, pose: Array, limits: Limits) -> Iterator[tuple[float, Array]]:
+    """Amplitudes, the widest first, and poses about which they fit into the range."""
     low, high = limits.position[joint]
-    name, fastest = names[joint], MARGIN * limits.velocity[joint]
     for share in (1.0, 0.5, 0.2):
         amplitude = float(share * MARGIN * (high - low) / 2)
-        about = pose.copy()
-        about[joint] = np.clip(pose[joint], low + amplitude, high - amplitude)
+        yield amplitude, _about(pose, joint, amplitude, limits)
+
+
+def _about(pose: Array, joint: int, amplitude: float, limits: Limits) -> Array:
+    low, high = limits.position[joint]
+    about = pose.copy()
+    about[joint] = np.clip(pose[joint], low + amplitude, high - amplitude)
+    return about
+
+
+def _sweeps(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[Motion]:
+    """One joint at constant speeds both ways."""
+    name, fastest = names[joint], MARGIN * limits.velocity[joint]
+    for amplitude, about in _sizes(joint, pose, limits):
         for speed in (0.8, 0.3, 0.1):
             frequency = float(speed * fastest / (4 * amplitude))
             whole = np.ceil(seconds * frequency) / frequency
@@ -128,11 +152,34 @@ def _of_joint(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, s
                 slewed = Safety(slew=speed * fastest)
                 wave = square(names, name, [(amplitude, frequency)], RATE, whole, "position_target", slewed)
                 yield Motion(name, "sweep", amplitude, frequency, about, _home(wave.command, speed * fastest))
+
+
+def _mixes(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[Motion]:
+    """One joint quickly, as far as its speed allows."""
+    low, high = limits.position[joint]
+    name, fastest, faded = names[joint], MARGIN * limits.velocity[joint], Safety(fade=0.5)
+    for highest in QUICK:
+        wave = multisine(names, [name], 1.0, (0.2, highest), seconds, rate=RATE, field="position_target", safety=faded)
+        speed = RATE * float(np.abs(np.diff(wave.command, axis=0)).max())
+        amplitude = min(0.5 * MARGIN * float(high - low) / 2, float(fastest) / speed)
+        yield Motion(name, "mix", amplitude, highest, _about(pose, joint, amplitude, limits), amplitude * wave.command)
+
+
+def _sines(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[Motion]:
+    """One joint in sines, slow ones first."""
+    name, fastest = names[joint], MARGIN * limits.velocity[joint]
+    for amplitude, about in _sizes(joint, pose, limits):
         for frequency in (1 / seconds, 0.25, 0.5, 1.0, 2.0, 4.0):
             if 2 * np.pi * frequency * amplitude < fastest:
                 faded = Safety(fade=min(1.0, 1 / frequency))
                 wave = sine(names, name, [(amplitude, frequency)], RATE, seconds, "position_target", faded)
                 yield Motion(name, "sine", amplitude, frequency, about, wave.command)
+
+
+def _jumps(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[Motion]:
+    """One joint in chirps and steps."""
+    name, fastest = names[joint], MARGIN * limits.velocity[joint]
+    for amplitude, about in _sizes(joint, pose, limits):
         highest = min(8.0, float(fastest / (2 * np.pi * amplitude)))
         if highest > 0.4:
             faded = Safety(fade=0.5)

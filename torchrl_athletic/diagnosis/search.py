@@ -132,7 +132,7 @@ class Judge:
         for _ in range(REWEIGHTED):
             fit = self.bank.fit(self.bank.near(fit), self.level(fit))
         count = self.independent if independent is None else independent
-        penalty = (np.log(max(count.sum(), 3.0)) if price is None else price) * fit.freedom + TERM * fit.size
+        penalty = (self.price(count) if price is None else price) * fit.freedom + TERM * fit.size
         evidence = float((count * np.log(self.level(fit))).sum())
         doubt = sum(_doubt(a) for a in fit.terms) if not fit.at_bound else np.inf
         scored = Scored(fit, evidence + float(penalty) + fit.strain + doubt)
@@ -140,10 +140,15 @@ class Judge:
             self._scores[key] = scored
         return scored
 
+    @staticmethod
+    def price(independent: Array) -> float:
+        """Of a parameter: the logarithm of the number of samples (Schwarz 1978)."""
+        return float(np.log(max(independent.sum(), 3.0)))
+
     def promise(self, atoms: Sequence[Atom], parent: Fit) -> float:
         """Evidence of a combination fitted with the weights of its parent: cheap, and not above its own."""
         fit = self.bank.fit(atoms, self.level(parent))
-        penalty = np.log(max(self.independent.sum(), 3.0)) * fit.freedom + TERM * fit.size
+        penalty = self.price(self.independent) * fit.freedom + TERM * fit.size
         return float((self.independent * np.log(self.level(fit))).sum()) + float(penalty) + fit.strain
 
     def is_open(self, fit: Fit) -> NDArray[np.bool_]:
@@ -280,7 +285,9 @@ def predictable_share(bank: Bank, joint: int) -> float:
 def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
     """The combination with one term replaced by each other candidate, at its best grid point; best first.
 
-    Scored with the number of independent samples that the best combination's residual has.
+    Scored with the number of independent samples that the best combination's residual has. A law of which the term is a
+    special case is no rival where the search gave it up for the term, and pays the full price for its numbers: at
+    Akaike's, it would keep its share however much is recorded.
     """
     samples = judge.bank.independent_samples(judge.bank.rows(best.fit))
     independent = judge.independent * np.minimum(1.0, samples / np.maximum(judge.independent.sum(1), 1e-9))[:, None]
@@ -295,8 +302,14 @@ def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
         atom = _of(_refine(judge, whole, rival.candidate) if rank < REFINED else whole, rival.candidate)
         scored = judge.score([*rest, atom], independent, RIVAL_PRICE)
         key = atom.candidate.key
-        if judge.closes(best.fit, scored.fit) < RICHER:
-            if _contains(atom, term):
+        little = judge.closes(best.fit, scored.fit) < RICHER
+        if _is_special(term, atom):  # the gain of its further numbers is chance, however much is recorded
+            seen = judge.is_open(best.fit)[term.candidate.joint]
+            little |= seen and judge.within_misfit(best.fit, scored.fit)
+            more = scored.fit.freedom - best.fit.freedom
+            scored = replace(scored, evidence=scored.evidence + more * (judge.price(independent) - RIVAL_PRICE))
+        if little:
+            if _contains(atom, term) or _is_special(term, atom):
                 continue  # the same statement with more numbers
             if _is_richer(atom, term):  # it was given up for the simpler one: at most its equal
                 scored = replace(scored, evidence=max(scored.evidence, own.evidence))
@@ -587,6 +600,11 @@ def _is_richer(one: Atom, other: Atom) -> bool:
 def _contains(larger: Atom, smaller: Atom) -> bool:
     """Whether one effect is the other with more parameters."""
     return _is_richer(larger, smaller) and smaller.candidate.effect.name in larger.candidate.effect.excludes
+
+
+def _is_special(simple: Atom, rich: Atom) -> bool:
+    """Whether one effect is a special case of the other, on the same joint."""
+    return _is_richer(rich, simple) and simple.candidate.effect.name in rich.candidate.effect.special_cases
 
 
 def keys(atoms: Iterable[Atom]) -> frozenset[Key]:

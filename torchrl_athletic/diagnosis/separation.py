@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.screen import KERNEL_CORRELATION, Atom, Key, bounded_least_squares
-from torchrl_athletic.diagnosis.search import Judge, Scored
+from torchrl_athletic.diagnosis.search import ACCURACY, Judge, Scored
 from torchrl_athletic.effects import Signals
 from torchrl_athletic.recordings import sensor_noise
 
@@ -41,14 +41,16 @@ class Products:
     """(rival, rival) -> products of their columns, in variances of the noise. Shapes (G, K, K')."""
     count: Array
     """Independent samples in each group. Shape (G,)."""
+    bent: Array
+    """Mean square of what smoothing bends into the missing torque, in variances of the noise. Shape (G,)."""
 
     def __add__(self, other: Products) -> Products:
         of = {pair: np.concatenate([own, other.of[pair]]) for pair, own in self.of.items()}
-        return Products(of, np.concatenate([self.count, other.count]))
+        return Products(of, *(np.concatenate(both) for both in ((self.count, other.count), (self.bent, other.bent))))
 
     def times(self, factor: float) -> Products:
         """Of takes that are longer by a factor."""
-        return Products({pair: factor * own for pair, own in self.of.items()}, factor * self.count)
+        return Products({pair: factor * own for pair, own in self.of.items()}, factor * self.count, self.bent)
 
 
 class Rivals:
@@ -78,18 +80,21 @@ class Rivals:
     def products(self, takes: Sequence[Signals]) -> Products:
         """Of some takes, as one set."""
         columns: list[list[Array]] = [[] for _ in self.rivals]
-        count = np.zeros(len(self.sigma))
+        count, bent = np.zeros(len(self.sigma)), np.zeros(len(self.sigma))
         for s in takes:
             cache: Cache = {}
             share = min(float(np.median(np.diff(s.time))) / (KERNEL_CORRELATION * s.kernel), 1.0) * self.memory
             count += share * s.valid.sum(0)
+            bent += share * (s.valid * s.bias**2).sum(0) / self.sigma**2
             weight = s.valid * np.sqrt(share) / self.sigma
             for own, rival in zip(columns, self.known, strict=True):
                 own.append(rival.columns(s, cache) * weight[:, :, None])
         whole = [np.concatenate(own).transpose(1, 0, 2) for own in columns]
         many = range(len(whole))
         pairs = [*permutations(many, 2), *((a, a) for a in many)]
-        return Products({(a, b): whole[a].transpose(0, 2, 1) @ whole[b] for a, b in pairs}, count)
+        return Products(
+            {(a, b): whole[a].transpose(0, 2, 1) @ whole[b] for a, b in pairs}, count, bent / np.maximum(count, 1e-9)
+        )
 
     def separations(self, products: Products, noise: Array | None = None) -> Array:
         """Of each pair: root of the evidence for the truth against the rival's best answer to it. Shape (pairs,).
@@ -121,16 +126,19 @@ class Rivals:
 
         ``quiet``: variance of the bank's noise in that of the search's. Shape (J,).
         """
-        left, floor = self.left * quiet, 1.0 + (self.floor - 1.0) * quiet
-        level, scale = (np.resize(x, len(products.count)) for x in (np.maximum(left, floor), quiet))
-        left = np.resize(left, len(level))
+        own_square = (products.of[a, a] @ truth) @ truth
+        count = np.maximum(products.count, 1e-9)
+        left, scale = (np.resize(x, len(count)) for x in (self.left * quiet, quiet))
+        # of a strong motion more is allowed to smoothing and to laws that are right
+        floor = np.maximum(np.resize(self.floor, len(count)), 1.0 + products.bent + ACCURACY**2 * own_square / count)
+        level = np.maximum(left, 1.0 + (floor - 1.0) * scale)
         own, other, cross = self.known[a], self.known[b], products.of[a, b]
         weight = (scale / level)[:, None, None]
         normal = (weight * products.of[b, b]).sum(0) + np.diag(other.doubt)
         answer = bounded_least_squares(normal, truth @ (weight * cross).sum(0), other.low, other.high)
-        square = (products.of[a, a] @ truth) @ truth - 2 * truth @ cross @ answer
+        square = own_square - 2 * truth @ cross @ answer
         square = scale * np.maximum(square + (products.of[b, b] @ answer) @ answer, 0.0)
-        worse = np.maximum(left + square / np.maximum(products.count, 1e-9), level)
+        worse = np.maximum(left + square / count, level)
         strain = float(other.doubt @ answer**2 - own.doubt @ truth**2)
         return max(float(products.count @ np.log(worse / level)) + strain, 0.0)
 
