@@ -107,8 +107,11 @@ class Row:
         return [f["effect"] for f in self.findings if f["probability"] > 0.5 and self.grade(f) == "wrong"]
 
     def with_rivals(self) -> list[Mapping[str, Any]]:
-        """Findings and their rivals."""
-        return [*self.findings, *(r for f in self.findings for r in f.get("rivals", ()))]
+        """The answer set: findings, their rivals, and single names that state the same physics."""
+        out = list(self.findings)
+        for f in self.findings:
+            out += [*f.get("rivals", ()), *(names[0] for names in f.get("alternatives", ()) if len(names) == 1)]
+        return out
 
 
 def main(cfg: Config) -> None:

@@ -65,6 +65,19 @@ def test_a_rival_counts_for_the_answer_set_alone():
     assert n["single"]["wrong_name_over_half"] == [0.0, 1]  # it was not stated above one half
 
 
+def test_another_name_of_the_same_physics_counts_for_the_answer_set_and_a_sum_of_two_does_not():
+    def answer(*alternatives: list[str]) -> Row:
+        r = row("unidentifiable", [FRICTION], [said("viscous_friction", "elbow", 0.9)])
+        names = [[{"effect": name, "joint": "elbow"} for name in group] for group in alternatives]
+        r.result["answer"]["findings"][0]["alternatives"] = names
+        return r
+
+    held = [numbers([r])["unidentifiable"]["truth_itself_in_answer_set"][0] for r in (
+        answer(), answer(["coulomb_friction"]), answer(["coulomb_friction", "torque_offset"])
+    )]  # fmt: skip
+    assert held == [0.0, 1.0, 0.0]
+
+
 def test_an_identity_of_the_robot_is_as_right_as_the_truth():
     late = Truth("clock_offset", None, {"offset": 0.01})
     alike = ((("actuation_delay", "elbow"),),)

@@ -41,6 +41,16 @@ def test_dry_friction_and_an_offset_on_one_joint_are_friction_by_direction():
     assert names(*apart) == [set(), set()]
 
 
+def test_gains_that_are_off_by_one_factor_are_a_torque_scale_where_targets_are_followed():
+    scale, gains = (Name("torque_scale", "knee"),), (Name("gain_mismatch", "knee"),)
+    assert names(finding("torque_scale", "knee", scale=(1.1, 1.3))) == [{gains}]
+    assert names(finding("gain_mismatch", "knee", kp_scale=(1.1, 1.3), kd_scale=(1.2, 1.4))) == [{scale}]
+    assert names(finding("gain_mismatch", "knee", kp_scale=(1.1, 1.3), kd_scale=(1.4, 1.5))) == [set()]
+    without = [e for e in CATALOGUE if e.name != "gain_mismatch"]  # it applies to no torque commands
+    alone = finding("torque_scale", "knee", scale=(1.1, 1.3))
+    assert with_alternatives([alone], ["knee"], without)[0].alternatives == ()
+
+
 def test_a_late_clock_is_a_delay_of_every_joint_and_an_early_one_is_not():
     delays = (Name("actuation_delay", "hip"), Name("actuation_delay", "knee"))
     assert names(finding("clock_offset", None, offset=(0.004, 0.006))) == [{delays}]

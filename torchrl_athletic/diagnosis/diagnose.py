@@ -381,7 +381,8 @@ class _Work:
             e for e in (self.drive_evidence, self.options[self.chosen] if self.options else None) if e is not None
         ]
         findings = judge_findings(evidence, fitted, scores.values()) if fitted is not None else ()
-        findings = with_alternatives(findings, names, self.catalogue)
+        applying = [e for e in self.catalogue if all(e.applies(s) for s in self.train.signals)]
+        findings = with_alternatives(findings, names, applying)
         is_open = self._is_open(fitted)
         verdict, share = verdict_of(evidence, findings, scores.get("train"), scores.get("heldout"), is_open)
         if verdict == "nothing_missing" or harms(scores.get("train")):

@@ -17,12 +17,13 @@ def with_alternatives(
     """The same findings, each with the names that no recording can tell from its own.
 
     What an effect declares in ``identical_to`` holds where its values make it so: friction by direction is dry friction
-    with an offset only as long as its viscous part is the same both ways, and only a clock that is late is a delay.
+    with an offset only as long as its viscous part is the same both ways, only a clock that is late is a delay, and gains
+    are a torque's scale if both are off by one factor.
 
     Args:
         findings: As stated.
         joints: Of the robot: a delay is a clock's offset where all of them have it.
-        catalogue: Of the diagnosis.
+        catalogue: Of the diagnosis, as far as its effects apply to the recordings.
 
     Example:
         >>> from torchrl_athletic.effects import CATALOGUE
@@ -42,13 +43,14 @@ def with_alternatives(
 
 
 def _declared(f: Finding, joints: Sequence[str], known: Mapping[str, Effect]) -> list[tuple[Name, ...]]:
-    if f.effect not in known or not _HOLDS.get(f.effect, lambda values: True)(f.parameters):
+    if f.effect not in known or not _holds(f):
         return []
     where = joints if f.joint is None else [f.joint]
     beside = {"viscous_friction"} if f.effect == "asymmetric_friction" and _damps(f.parameters) else set()
     return [
         tuple(Name(n, joint) for joint in where for n in sorted(set(names) | beside))
         for names in known[f.effect].identical_to
+        if names <= known.keys()
     ]
 
 
@@ -57,9 +59,15 @@ def _is_part(f: Finding, whole: Effect, findings: Sequence[Finding], joints: Seq
     where = joints if whole.whole_robot else [f.joint]
     for names in whole.identical_to:
         parts = [g for g in findings if g.effect in names and g.joint in where]
+        if not all(_holds(g) for g in parts):
+            continue
         if f in parts and len(parts) == len(names) * len(where):
             return not whole.whole_robot or _agree([e for g in parts for e in g.parameters.values()])
     return False
+
+
+def _holds(f: Finding) -> bool:
+    return _HOLDS.get(f.effect, lambda values: True)(f.parameters)
 
 
 def _joint(effect: Effect, f: Finding) -> str | None:
@@ -84,5 +92,6 @@ def _damps(values: Values) -> bool:
 _HOLDS: Mapping[str, Callable[[Values], bool]] = {
     "asymmetric_friction": _same_both_ways,
     "clock_offset": lambda values: values["offset"].value >= 0,
+    "gain_mismatch": lambda values: _agree(list(values.values())),
 }
 """Effect -> whether its identity holds at these values."""

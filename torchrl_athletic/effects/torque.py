@@ -48,6 +48,8 @@ class TorqueScale(Effect):
     Fingerprint: the torque that the motion asks for, since u = ID / k.
 
     Simulation: the command times the scale, within the motor's range.
+
+    Where the drive follows position targets it is the same as both gains being off by one factor.
     """
 
     name = "torque_scale"
@@ -55,6 +57,7 @@ class TorqueScale(Effect):
     shows_in = "load"
     equation = "τ = k u"
     excludes = frozenset({"link_mass", "link_com"})  # one joint shows ratios of the three only
+    identical_to = (frozenset({"gain_mismatch"}),)
     source = "Gautier, Briot 2014, doi:10.1109/TRO.2013.2290862 (drive gains)"
     experiments: ClassVar[Mapping[str, str]] = {
         "link_mass": "hang a known weight on {joint} and hold it still in two poses",
