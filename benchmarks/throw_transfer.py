@@ -14,8 +14,12 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
+import multiprocessing
+import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -63,10 +67,12 @@ class Config:
     """Where figures go."""
     throws: int = 10
     """With each policy in each world."""
+    jobs: int = 1
+    """Worlds at a time."""
 
 
 def main(cfg: Config) -> None:
-    scores = score(trained(cfg.folders), cfg.throws)
+    scores = score(trained(cfg.folders), cfg.throws, cfg.jobs)
     cfg.results.mkdir(parents=True, exist_ok=True)
     cfg.images.mkdir(parents=True, exist_ok=True)
     content = json.dumps([asdict(each) for each in scores], indent=1)
@@ -129,24 +135,59 @@ def load_policy(recipe: Any, path: Path, sizes: Mapping[str, Any]) -> Policy:
     return deployed
 
 
-def score(policies: Sequence[Trained], throws: int) -> list[Score]:
+def score(policies: Sequence[Trained], throws: int, jobs: int = 1) -> list[Score]:
     """Throws with all policies in all of their worlds and on the arm, from the same starts."""
-    act = side_by_side([each.policy for each in policies], throws)
-    count = throws * len(policies)
     worlds = {each.world: each.simulator for each in policies}
-    ends, starts = {}, torch.empty(0)
-    for name in tqdm(in_order(worlds), desc="worlds"):
-        env = simulated_env(worlds[name], count)
-        ends[name], starts = throw_all(env, act)  # rows start alike in every world: their draws are their own
-    robot = with_bucket(z1(), BUCKET)
-    arms = [ConcealedArm(robot=robot, seed=k % throws) for k in tqdm(range(count), desc="arms")]
-    ends[ARM], _ = throw_all(real_env(arms, starts), act)
-    found = []
-    for k, each in enumerate(policies):
-        rows = slice(k * throws, (k + 1) * throws)
-        by_world = {name: outcome(end[rows]) for name, end in ends.items()}
-        found.append(Score(each.method, each.name, each.world, each.samples, by_world))
-    return found
+    first = simulated_env(next(iter(worlds.values())), throws * len(policies))
+    starts = first.reset()["joint_position"]  # rows start alike in every world: their draws are their own
+    groups = [part.tolist() for part in np.array_split(range(len(policies)), min(jobs, len(policies)))]
+    tasks = [(ARM, group) for group in groups] + [(name, list(range(len(policies)))) for name in in_order(worlds)]
+    _TASK.update(policies=policies, throws=throws, worlds=worlds, starts=starts, tasks=tasks)  # forks find it there
+    outcomes: list[dict[str, Throws]] = [{} for _ in policies]
+    with forks(jobs) as mapped:
+        for (name, group), found in zip(tasks, tqdm(mapped(throw_task_of, range(len(tasks))), total=len(tasks))):
+            for k, throw in zip(group, found, strict=True):
+                outcomes[k][name] = throw
+    return [
+        Score(each.method, each.name, each.world, each.samples, of) for each, of in zip(policies, outcomes, strict=True)
+    ]
+
+
+_TASK: dict[str, Any] = {}
+
+
+def throw_task_of(number: int) -> list[Throws]:
+    """A world with all policies, or some policies on the arm."""
+    name, group = _TASK["tasks"][number]
+    throws, policies = _TASK["throws"], [_TASK["policies"][k] for k in group]
+    if name == ARM:
+        robot = with_bucket(z1(), BUCKET)
+        arms = [ConcealedArm(robot=robot, seed=k % throws) for k in range(throws * len(group))]
+        rows = torch.arange(throws) + throws * torch.tensor(group)[:, None]
+        env = real_env(arms, _TASK["starts"][rows.flatten()])
+    else:
+        env = simulated_env(_TASK["worlds"][name], throws * len(group))
+    end = throw_all(env, side_by_side([each.policy for each in policies], throws))
+    return [outcome(rows) for rows in end.split(throws)]
+
+
+@contextmanager
+def forks(jobs: int) -> Iterator[Callable[..., Iterator[Any]]]:
+    """``map``, in processes of a core each if there are several."""
+    if jobs == 1:
+        yield map
+        return
+    context = multiprocessing.get_context("fork")
+    cores = context.Queue()
+    for k in range(jobs):
+        cores.put(sorted(os.sched_getaffinity(0))[k % len(os.sched_getaffinity(0))])
+    with ProcessPoolExecutor(jobs, context, _stay_on_a_core, (cores,)) as pool:
+        yield pool.map
+
+
+def _stay_on_a_core(cores: Any) -> None:
+    os.sched_setaffinity(0, {cores.get()})
+    torch.set_num_threads(1)
 
 
 def side_by_side(policies: Sequence[Policy], throws: int) -> Policy:
@@ -173,14 +214,10 @@ def real_env(arms: Sequence[ConcealedArm], starts: Tensor) -> EnvBase:
 
 
 @torch.no_grad()
-def throw_all(env: EnvBase, act: Policy) -> tuple[TensorDictBase, Tensor]:
-    """What a throw ends with, and where the joints started [rad]. Shapes (N,) and (N, J)."""
-    starts = end = None
-    for step in tqdm(acting(env, act, STEPS), total=STEPS, leave=False):
-        starts, end = step["joint_position"] if starts is None else starts, step["next"]
-    assert starts is not None
-    assert end is not None
-    return end, starts
+def throw_all(env: EnvBase, act: Policy) -> TensorDictBase:
+    """What throws end with. Shape (N,)."""
+    *_, last = (step["next"] for step in acting(env, act, STEPS))
+    return last
 
 
 def outcome(end: TensorDictBase) -> Throws:

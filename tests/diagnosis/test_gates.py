@@ -157,7 +157,7 @@ def test_a_spring_without_stiffness_says_that_nothing_of_a_spring_is_seen():
     spring, values = Candidate(JointSpring(), 0, "elbow", of), np.array([0.006, -0.67])
     samples = np.abs(values) + np.random.default_rng(0).normal(size=(200, 2)) * [0.02, 0.03]
     assert gates._is_plain(spring, values, samples.clip(0))
-    assert not gates._is_plain(spring, np.array([0.3, -0.67]), samples + [0.3, 0.0])
+    assert not gates._is_plain(spring, np.array([0.3, -0.67]), samples + np.array([0.3, 0.0]))
     named = {"stiffness": 0.006, "preload": -0.67}
     grounds = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30, plain=True)
     assert "nothing is seen" in gates._sentence(spring, named, grounds)

@@ -17,8 +17,8 @@ def with_alternatives(
     """The same findings, each with the names that no recording can tell from its own.
 
     What an effect declares in ``identical_to`` holds where its values make it so: friction by direction is dry friction
-    with an offset only as long as its viscous part is the same both ways, only a clock that is late is a delay, and gains
-    are a torque's scale if both are off by one factor.
+    with an offset only as long as its viscous part is the same both ways, only a clock that is late is a delay, and
+    gains are a torque's scale if both are off by one factor.
 
     Args:
         findings: As stated.

@@ -21,8 +21,11 @@ RATE = 200.0
 MARGIN = 0.9
 """Share of a limit that a motion may use."""
 MOST_MOTIONS = 40
-QUICK = (4.0, 8.0, 2.0)
-"""Upper ends of the bands of small quick motions, which show what slow ones hide: time and inertia [Hz]."""
+QUICK = (1.4, 0.7, 0.35)
+"""Upper ends of the bands of small quick motions, which show what slow ones hide, time and inertia: in units of the
+frequency whose accelerations come through the test function best. Wide bands, since in a narrow one a lag is a delay."""
+SLOWEST = 0.2
+"""Lowest frequency of a mix [Hz]."""
 ROUNDING: Mapping[str, float] = {"steps": 0.02, "sweep": 0.05}
 """Width of the Gaussian that rounds corners which no drive can follow [s]."""
 
@@ -107,8 +110,13 @@ def motions(takes: Sequence[Signals], limits: Limits, joints: Sequence[int], sec
     start = takes[0].recording.position[0]
     names, middle, half = takes[0].recording.joint_names, (low + high) / 2, (high - low) / 2
     poses = [start] if len(names) == 1 else [start, middle + 0.5 * half]
-    kinds = (_sweeps, _mixes, _sines, _jumps)
-    streams = [_in_turn([kind(names, j, pose, limits, seconds) for kind in kinds]) for pose in poses for j in joints]
+    clearest = float(np.sqrt(2) / (2 * np.pi * takes[0].kernel))  # where f² times a Gaussian has its top
+
+    def kinds(j: int, pose: Array) -> list[Iterator[Motion]]:
+        own = (names, j, pose, limits, seconds)
+        return [_sweeps(*own), _mixes(*own, clearest), _sines(*own), _jumps(*own)]
+
+    streams = [_in_turn(kinds(j, pose)) for pose in poses for j in joints]
     if len(names) > 1:
         streams.append(_of_all(names, middle, half, limits, seconds))
     yield from islice(_in_turn(streams), MOST_MOTIONS)
@@ -154,15 +162,18 @@ def _sweeps(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, sec
                 yield Motion(name, "sweep", amplitude, frequency, about, _home(wave.command, speed * fastest))
 
 
-def _mixes(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[Motion]:
+def _mixes(
+    names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float, clearest: float
+) -> Iterator[Motion]:
     """One joint quickly, as far as its speed allows."""
     low, high = limits.position[joint]
     name, fastest, faded = names[joint], MARGIN * limits.velocity[joint], Safety(fade=0.5)
-    for highest in QUICK:
-        wave = multisine(names, [name], 1.0, (0.2, highest), seconds, rate=RATE, field="position_target", safety=faded)
+    for share in QUICK:
+        band = SLOWEST, max(share * clearest, SLOWEST + 2 / seconds)
+        wave = multisine(names, [name], 1.0, band, seconds, rate=RATE, field="position_target", safety=faded)
         speed = RATE * float(np.abs(np.diff(wave.command, axis=0)).max())
         amplitude = min(0.5 * MARGIN * float(high - low) / 2, float(fastest) / speed)
-        yield Motion(name, "mix", amplitude, highest, _about(pose, joint, amplitude, limits), amplitude * wave.command)
+        yield Motion(name, "mix", amplitude, band[1], _about(pose, joint, amplitude, limits), amplitude * wave.command)
 
 
 def _sines(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[Motion]:
