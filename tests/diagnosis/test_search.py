@@ -14,6 +14,7 @@ from torchrl_athletic.diagnosis.search import (
     TERM,
     Judge,
     _merge,
+    _simplest,
     _simplify,
     alternatives,
     noisy_joints,
@@ -226,6 +227,19 @@ def test_a_simpler_effect_is_found_although_finer_points_of_its_grid_promise_mor
     weigh = judge(take, candidate(loaded), candidate(Turning("dry", a)))
     found = _simplify(weigh, weigh.score(weigh.bank.atoms[:1]))
     assert names(found) == {("dry", "shoulder")}
+
+
+def test_what_took_the_place_of_a_richer_law_is_given_up_as_well_where_less_will_do():
+    """Friction by direction is not one that drifts, because friction that drifts is simpler: it is plain friction."""
+    rng = np.random.default_rng(0)
+    a, b, c = smooth(rng, (3, N))
+    take = on_shoulder(6 * a + 0.8 * b, 2 * rng.normal(size=(N, 2)))
+    laws = (("rich", [a, b, c]), ("middle", [a, b]), ("plain", [a]))
+    weigh = judge(take, *(candidate(Given(n, np.stack(x, -1), excludes=[m for m, _ in laws])) for n, x in laws))
+    rich, middle, plain = (weigh.score([atom]) for atom in weigh.bank.atoms)
+    assert middle.evidence < plain.evidence
+    assert names(_simplify(weigh, rich)) == names(middle)
+    assert names(_simplest(weigh, rich)) == names(plain)
 
 
 def test_a_rival_is_weighed_at_its_own_best_value():

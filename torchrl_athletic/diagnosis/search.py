@@ -234,9 +234,9 @@ def _polish(judge: Judge, scored: Scored) -> Scored:
     for term in scored.fit.terms:  # those that came later move what the earlier ones were
         scored = _refine(judge, scored, term.candidate)
     needed = _prune(judge, _exchange(judge, scored))
-    simple = _prune(judge, _simplify(judge, _merge(judge, needed)))
+    simple = _prune(judge, _simplest(judge, _merge(judge, needed)))
     kept = _invariant(judge, simple)
-    return kept if kept is simple else _prune(judge, _simplify(judge, kept))
+    return kept if kept is simple else _prune(judge, _simplest(judge, kept))
 
 
 def noise_level(bank: Bank) -> Array:
@@ -493,6 +493,16 @@ def _split(judge: Judge, kept: Scored, term: Atom, names: Collection[str]) -> Sc
         trials = [judge.score([*best.fit.terms, atom]) for atom in _promising(judge, best, allowed, 3)]
         best = min([best, *trials], key=lambda s: s.evidence)
     return best
+
+
+def _simplest(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
+    """Simplify while something simpler will do: what took a law's place may have to be given up as well."""
+    for _ in range(rounds):
+        simpler = _simplify(judge, scored)
+        if simpler is scored:
+            break
+        scored = simpler
+    return scored
 
 
 def _simplify(judge: Judge, scored: Scored) -> Scored:
