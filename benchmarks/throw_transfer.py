@@ -141,12 +141,13 @@ def score(policies: Sequence[Trained], throws: int, jobs: int = 1) -> list[Score
     first = simulated_env(next(iter(worlds.values())), throws * len(policies))
     starts = first.reset()["joint_position"]  # rows start alike in every world: their draws are their own
     groups = [part.tolist() for part in np.array_split(range(len(policies)), min(jobs, len(policies)))]
-    tasks = [(ARM, group) for group in groups] + [(name, list(range(len(policies)))) for name in in_order(worlds)]
+    tasks = [(name, list(range(len(policies)))) for name in in_order(worlds)] + [(ARM, group) for group in groups]
     _TASK.update(policies=policies, throws=throws, worlds=worlds, starts=starts, tasks=tasks)  # forks find it there
     outcomes: list[dict[str, Throws]] = [{} for _ in policies]
     with forks(jobs) as mapped:
-        for (name, group), found in zip(tasks, tqdm(mapped(throw_task_of, range(len(tasks))), total=len(tasks))):
-            for k, throw in zip(group, found, strict=True):
+        found = tqdm(mapped(throws_of, range(len(tasks))), total=len(tasks), desc="worlds")
+        for (name, group), ends in zip(tasks, found, strict=True):
+            for k, throw in zip(group, ends, strict=True):
                 outcomes[k][name] = throw
     return [
         Score(each.method, each.name, each.world, each.samples, of) for each, of in zip(policies, outcomes, strict=True)
@@ -156,7 +157,7 @@ def score(policies: Sequence[Trained], throws: int, jobs: int = 1) -> list[Score
 _TASK: dict[str, Any] = {}
 
 
-def throw_task_of(number: int) -> list[Throws]:
+def throws_of(number: int) -> list[Throws]:
     """A world with all policies, or some policies on the arm."""
     name, group = _TASK["tasks"][number]
     throws, policies = _TASK["throws"], [_TASK["policies"][k] for k in group]

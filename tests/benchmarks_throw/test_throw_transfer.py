@@ -118,6 +118,14 @@ def test_policies_are_thrown_in_every_simulator_from_starts_of_their_own(monkeyp
     torch.testing.assert_close(seen[4], seen[16], atol=1e-3, rtol=0)
 
 
+def test_throws_in_several_processes_are_those_of_one(monkeypatch):
+    monkeypatch.setattr(throw_transfer, "ConcealedArm", OpenArm)
+    monkeypatch.setattr(throw_transfer, "STEPS", 3)
+    simulator = recipe.load_simulator(None)
+    policies = [Trained(f"default-{k}", stay_on_reference, "m", "default", simulator) for k in range(3)]
+    assert score(policies, throws=1, jobs=2) == score(policies, throws=1)
+
+
 def test_every_policy_acts_on_its_own_rows():
     policies = [lambda td, k=k: td.set("action", torch.full((*td.shape, 1), float(k))) for k in (3, 5)]
     acted = side_by_side(policies, throws=2)(TensorDict(batch_size=[4]))
