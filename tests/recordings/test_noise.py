@@ -53,6 +53,14 @@ def test_a_gear_that_rings_is_no_noise_with_a_memory(frequency):
     assert noise_correlation(swing(time, ringing)) == pytest.approx([0.0])
 
 
+@pytest.mark.parametrize("frequency", [21.0, 25.0, 28.0])
+def test_a_gear_that_rings_near_half_the_rate_is_not_mistaken_for_white_noise(frequency):
+    rng = np.random.default_rng(1)
+    time = np.arange(4000) / 60
+    ringing = 2e-2 * np.sin(2 * np.pi * frequency * time) + rng.normal(0, 1e-4, 4000)
+    assert sensor_noise(swing(time, ringing))[0] < 2e-3  # by fourth differences alone it is twenty times the noise
+
+
 def test_a_take_too_short_to_tell_has_white_noise():
     time = np.arange(60) / 200
     assert noise_correlation(swing(time, np.random.default_rng(0).normal(size=60))) == pytest.approx([0.0])

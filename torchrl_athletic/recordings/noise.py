@@ -11,6 +11,10 @@ from torchrl_athletic.recordings.recording import Recording, RecordingError
 from torchrl_athletic.recordings.resampling import GAP_FACTOR
 
 _ORDER = 4
+_STRIDES = 6
+"""Over so many samples differences are taken at most."""
+_ENOUGH = 100
+"""Windows that say something of noise with a memory."""
 _CONDITIONS = ("robot", "payload", "fixture", "excitation")
 _REPEAT_KEYS = ("repeat_id", "repeat")
 
@@ -25,8 +29,8 @@ def sensor_noise(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.
     where the divided differences use the actual stamps, so that jitter of the clock does not pass for noise. The
     estimate is never below the rounding error step / sqrt(12) of a quantised channel. Noise of the position that is
     correlated over several samples, as behind a filter in the drive, is seen by what is left of it with differences of
-    every second and third sample (:func:`noise_correlation`); what repeats do not share is noise of any kind
-    (:func:`repeat_noise`).
+    every second and third sample (:func:`noise_correlation`). What differences over some other number of samples do not
+    have is a gear that rings, no noise. What repeats do not share is noise of any kind (:func:`repeat_noise`).
 
     Returns:
         Noise of the position [rad, m for slides], shape (J,), and of the velocity [rad/s, m/s], shape (J,), or None
@@ -48,8 +52,11 @@ def sensor_noise(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.
     def channels(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.array([_channel_noise(weights, channel[rows], encoder_step(channel)) for channel in values.T])
 
-    correlated = np.array([s for s, _ in _correlated_noise(recording)])
-    position = np.maximum(channels(recording.position), correlated)
+    left, step = _left_of_differences(recording)
+    steady = np.minimum(channels(recording.position), 1.1 * np.sqrt(left.min(axis=0)))
+    white = np.maximum(steady, step / np.sqrt(12.0))
+    correlated = np.array([sigma for sigma, _ in _first_order(left, step)])
+    position = np.maximum(white, correlated)
     return position, None if recording.velocity is None else channels(recording.velocity)
 
 
@@ -79,28 +86,36 @@ def noise_correlation(recording: Recording) -> NDArray[np.float64]:
         >>> bool(abs(noise_correlation(take)[0] - 0.6) < 0.1), bool(abs(sensor_noise(take)[0][0] - 1e-3) < 1e-4)
         (True, True)
     """
-    return np.array([rho for _, rho in _correlated_noise(recording)])
+    return np.array([rho for _, rho in _first_order(*_left_of_differences(recording))])
 
 
-def _correlated_noise(recording: Recording) -> list[tuple[float, float]]:
+def _left_of_differences(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What differences over n = 1, 2, ... samples leave of each joint [rad²], shape (N, J), and its encoder's step.
+
+    As many as the take is long enough for.
+    """
+    strides = [_difference_weights(recording, n) for n in range(1, _STRIDES + 1)]
+    left = [
+        [_typical_square(weights, channel[rows]) for channel in recording.position.T]
+        for weights, rows in strides
+        if len(rows) >= _ENOUGH or rows is strides[0][1]
+    ]
+    return np.array(left), np.array([encoder_step(channel) or 0.0 for channel in recording.position.T])
+
+
+def _first_order(left: NDArray[np.float64], step: NDArray[np.float64]) -> list[tuple[float, float]]:
     """Standard deviation and correlation of each joint's noise; zeros where differences show no correlation."""
-    strides = [_difference_weights(recording, n) for n in (1, 2, 3)]
-    out = []
-    for channel in recording.position.T:
-        left = np.array([_typical_square(weights, channel[rows]) for weights, rows in strides])
-        left -= (encoder_step(channel) or 0.0) ** 2 / 12
-        out.append(_first_order(*left) if (left > 0).all() else (0.0, 0.0))
-    return out
-
-
-def _first_order(*left: float) -> tuple[float, float]:
+    if len(left) < 3:
+        return [(0.0, 0.0)] * len(step)
     rho = np.linspace(0.0, 0.95, 191)
     shares = np.array([_share_of_differences(rho**n) for n in (1, 2, 3)])
-    k = int(np.argmin(np.abs(shares[1] / shares[0] - left[1] / left[0])))
-    expected = left[0] * shares[2, k] / shares[0, k]
-    if left[1] > 2.0 * left[0] or left[2] > 1.15 * expected:  # more than noise of any memory leaves: a motion
-        return 0.0, 0.0
-    return float(np.sqrt(left[0] / shares[0, k])), float(rho[k])
+    out = []
+    for one, two, three in (left[:3] - step**2 / 12).T:
+        k = int(np.argmin(np.abs(shares[1] / shares[0] - two / one))) if one > 0 else 0
+        expected = one * shares[2, k] / shares[0, k]
+        is_noise = min(one, two, three) > 0 and two <= 2.0 * one and three <= 1.15 * expected  # else a motion
+        out.append((float(np.sqrt(one / shares[0, k])), float(rho[k])) if is_noise and k else (0.0, 0.0))
+    return out
 
 
 def _share_of_differences(rho: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -208,12 +223,10 @@ def _channel_noise(weights: NDArray[np.float64], windows: NDArray[np.float64], s
 
 
 def _typical_square(weights: NDArray[np.float64], windows: NDArray[np.float64]) -> float:
-    """Mean square of all but the largest twentieth, as a share of what it is of Gaussian noise; 0 of too few windows.
+    """Mean square of all but the largest twentieth, as a share of what it is of Gaussian noise.
 
     Unlike a median's, it does not jump with the counts of an encoder.
     """
-    if len(windows) < 100:
-        return 0.0
     square = np.sort((weights * windows).sum(axis=1) ** 2)[: 19 * len(windows) // 20]
     return float(square.mean()) / 0.759
 
