@@ -22,8 +22,8 @@ MARGIN = 0.9
 """Share of a limit that a motion may use."""
 MOST_MOTIONS = 40
 QUICK = (1.4, 0.7, 0.35)
-"""Upper ends of the bands of small quick motions, which show what slow ones hide, time and inertia: in units of the
-frequency whose accelerations come through the test function best. Wide bands, since in a narrow one a lag is a delay."""
+"""Upper ends of the bands of small quick motions, which show what slow ones hide: in units of the frequency whose
+accelerations come through the test function best. Wide bands, since in a narrow one a lag is a delay."""
 SLOWEST = 0.2
 """Lowest frequency of a mix [Hz]."""
 ROUNDING: Mapping[str, float] = {"steps": 0.02, "sweep": 0.05}
