@@ -44,6 +44,7 @@ from benchmarks.concealed.cases import (
     source_digest,
 )
 from benchmarks.concealed.hidden import Truth
+from benchmarks.concealed.robots import Robot
 from benchmarks.concealed.run import _pin, export, is_done, program_digest
 from benchmarks.concealed.score import Row, load
 from benchmarks.concealed.takes import Plan, drive_for, log
@@ -223,7 +224,24 @@ def same_physics(case: Case) -> set[Name]:
     truth, robot = case.truths[0], prepare(case.split, case.block, case.index, case.seed).robot
     right: Name = (truth.effect, truth.joint)
     others = [o for o in case.equivalents[0] if right in identities(Truth(*o, {}), robot, case.mode)]
-    return {right, *identities(truth, robot, case.mode), *others}
+    turned: set[Name] = {("gravity_tilt", None), ("encoder_offset", robot.joint_names[0])}
+    leans = right in turned and is_planar(robot)
+    return {right, *identities(truth, robot, case.mode), *others, *(turned if leans else ())}
+
+
+def is_planar(robot: Robot) -> bool:
+    """Whether all joints turn about parallel level axes.
+
+    Then a base that leans turns the whole robot, as the first encoder's offset does; what it leans sideways takes a
+    cosine of the weight of all links, which is within what their masses may be off.
+    """
+    turn, axes = np.eye(3), []
+    for k in range(robot.joints):
+        turn = turn @ robot.tree.turn[k]
+        axes.append(turn @ robot.tree.axis[k])
+    level = all(abs(axis[2]) < 1e-9 and abs(abs(axis @ axes[0]) - 1) < 1e-9 for axis in axes)
+    chain = all(int(robot.tree.parent[k]) == k - 1 for k in range(robot.joints))
+    return level and chain and not robot.tree.slide.any()
 
 
 def answer_set(finding: Mapping[str, Any]) -> dict[Name, float]:

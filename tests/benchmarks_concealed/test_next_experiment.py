@@ -10,7 +10,9 @@ import pytest
 
 from benchmarks.concealed.cases import Case, Session, prepare
 from benchmarks.concealed.hidden import Truth
-from benchmarks.concealed.next_experiment import ambiguous, grade, replayed, report, same_physics
+from benchmarks.concealed.next_experiment import ambiguous, grade, is_planar, replayed, report, same_physics
+from benchmarks.concealed.plant import inverse
+from benchmarks.concealed.robots import SEALED, TUNING
 from benchmarks.concealed.score import Row
 from torchrl_athletic.diagnosis.experiment import RATE
 
@@ -81,6 +83,21 @@ def test_an_identity_holds_both_ways_and_a_likeness_of_the_recordings_does_not_c
     assert same_physics(tilt) == {("gravity_tilt", None), ("encoder_offset", joint)}
     lag = hidden("actuation_lag", joint, ("actuation_delay", joint))
     assert same_physics(lag) == {("actuation_lag", joint)}
+
+
+def test_on_a_planar_robot_a_leaning_base_is_an_offset_of_the_first_encoder():
+    robots = {name: draw(np.random.default_rng(0)) for name, draw in {**SEALED, **TUNING}.items()}
+    robot = robots["arm2"]
+    lean = 0.1
+    down = np.array([np.sin(lean), 0.0, np.cos(lean)]) * robot.tree.gravity[2]
+    leaning = robot.tree._replace(gravity=down)
+    q, v, a = np.random.default_rng(1).normal(size=(3, 20, 2))
+    torque, upright = inverse(leaning, q, v, a)[0], inverse(robot.tree, q, v, a)[0]
+    offset = np.array([lean, 0.0])
+    turned = [np.abs(torque - inverse(robot.tree, q + sign * offset, v, a)[0]).max() for sign in (1, -1)]
+    assert min(turned) < 1e-9 * np.abs(torque).max()
+    assert np.abs(torque - upright).max() > 0.01 * np.abs(torque).max()
+    assert {name for name, r in robots.items() if is_planar(r)} == {"pendulum", "arm2", "leg2"}
 
 
 @pytest.mark.parametrize(
