@@ -224,9 +224,19 @@ def same_physics(case: Case) -> set[Name]:
     truth, robot = case.truths[0], prepare(case.split, case.block, case.index, case.seed).robot
     right: Name = (truth.effect, truth.joint)
     others = [o for o in case.equivalents[0] if right in identities(Truth(*o, {}), robot, case.mode)]
-    turned: set[Name] = {("gravity_tilt", None), ("encoder_offset", robot.joint_names[0])}
-    leans = right in turned and is_planar(robot)
-    return {right, *identities(truth, robot, case.mode), *others, *(turned if leans else ())}
+    first = robot.joint_names[0]
+    turned: set[Name] = {("gravity_tilt", None), ("encoder_offset", first)} if is_planar(robot) else set()
+    heavier: set[Name] = (
+        {(e, first) for e in ("payload", "link_mass", "reflected_inertia")} if is_level(robot) else set()
+    )
+    more = [name for group in (turned, heavier) if right in group for name in group]
+    return {right, *identities(truth, robot, case.mode), *others, *more}
+
+
+def is_level(robot: Robot) -> bool:
+    """Whether the robot is one level slide, on which all that is heavier only resists."""
+    tree = robot.tree
+    return robot.joints == 1 and bool(tree.slide[0]) and abs(float(tree.turn[0][2] @ tree.axis[0])) < 1e-9
 
 
 def is_planar(robot: Robot) -> bool:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from benchmarks.concealed import next_experiment
 from benchmarks.concealed.cases import Case, Session, prepare
 from benchmarks.concealed.hidden import Truth
-from benchmarks.concealed.next_experiment import ambiguous, grade, is_planar, replayed, report, same_physics
+from benchmarks.concealed.next_experiment import ambiguous, grade, is_level, is_planar, replayed, report, same_physics
 from benchmarks.concealed.plant import inverse
 from benchmarks.concealed.robots import SEALED, TUNING
 from benchmarks.concealed.score import Row
@@ -98,6 +100,16 @@ def test_on_a_planar_robot_a_leaning_base_is_an_offset_of_the_first_encoder():
     assert min(turned) < 1e-9 * np.abs(torque).max()
     assert np.abs(torque - upright).max() > 0.01 * np.abs(torque).max()
     assert {name for name, r in robots.items() if is_planar(r)} == {"pendulum", "arm2", "leg2"}
+
+
+def test_on_a_level_slide_all_that_is_heavier_is_one_and_on_a_steep_one_a_rotor_weighs_nothing(monkeypatch):
+    sliders = [SEALED["slider"](np.random.default_rng(seed)) for seed in range(8)]
+    assert {is_level(slider) for slider in sliders} == {True, False}
+    loaded = hidden("payload", "carriage")
+    for slider in sliders:
+        monkeypatch.setattr(next_experiment, "prepare", lambda *_, robot=slider: SimpleNamespace(robot=robot))
+        rotor = {("reflected_inertia", "carriage")} if is_level(slider) else set()
+        assert same_physics(loaded) == {("payload", "carriage"), ("link_mass", "carriage"), *rotor}
 
 
 @pytest.mark.parametrize(
