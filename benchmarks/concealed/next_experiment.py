@@ -269,6 +269,8 @@ def report(graded: Sequence[tuple[Case, Mapping[str, Any]]], split: str, seed: i
     for block in (*BLOCKS, "all"):
         n = Counter(grade(case, r) for case, r in graded if block in (case.block, "all"))
         out.append(f"| {block} | {n.total()} | {' | '.join(str(n[g]) for g in GRADES)} |")
+    told = n.total() - n["identical"]  # of all blocks, which come last
+    out += ["", f"Of the {told} cases whose names are not all the same physics, {n['one']} are left with one name."]
     out += ["", "| case | robot | hidden | before | experiment | after | left |", "|---|---|---|---|---|---|---|"]
     for case, r in graded:
         truth, answers = case.truths[0], r["answers"]

@@ -151,4 +151,5 @@ def test_every_case_is_in_the_report_those_that_failed_included():
     case = hidden("gravity_tilt", None)
     lines = report([(case, {"error": "broke", "answers": [], "experiments": []})], "tuning", 0)
     assert "| all | 1 | 0 | 0 | 0 | 0 | 0 | 0 | 1 |" in lines
+    assert "Of the 1 cases whose names are not all the same physics, 0 are left with one name." in lines
     assert lines[-1].endswith("| broke | failed |")
