@@ -35,7 +35,8 @@ class Config:
     """Data sets; ``:measured`` drives the simulation with the measured torque."""
     seed: int = 0
     output: Path = Path("benchmarks/results/real_recordings.md")
-    reports: Path = Path("out/real")
+    reports: Path | None = Path("out/real")
+    """Where pages and pictures go; None for none, without matplotlib."""
 
 
 def main(cfg: Config) -> None:
@@ -54,7 +55,7 @@ def run(case: str, cfg: Config) -> dict[str, object]:
     name, _, drive = case.partition(":")
     data = load_dataset(name)
     begin = time.monotonic()
-    folder = cfg.reports / case.replace(":", "_")
+    folder = None if cfg.reports is None else cfg.reports / case.replace(":", "_")
     diagnosis = diagnose(
         data.model,
         data.recordings,
@@ -64,7 +65,8 @@ def run(case: str, cfg: Config) -> dict[str, object]:
         output=folder,
     )
     seconds = time.monotonic() - begin
-    summary_figure(diagnosis.answer, diagnosis.maps, diagnosis.overlays).savefig(folder / "summary.png", dpi=150)
+    if folder is not None:
+        summary_figure(diagnosis.answer, diagnosis.maps, diagnosis.overlays).savefig(folder / "summary.png", dpi=150)
     heldout = [r.driven_by_measured_torque() if drive else r for r in data.heldout]
     what, before, after = METRICS[name](diagnosis, heldout)
     answer = diagnosis.answer
