@@ -140,7 +140,8 @@ def figure(
     for row, (title, rollouts) in enumerate(examples.items(), start=1):
         _traces(picture.add_subplot(grid[row, :]), title, rollouts, joint, seconds)
     handles = [_patch(method) for method in methods]
-    picture.legend(handles=handles, loc="outside lower center", ncols=min(5, len(methods)), frameon=False)
+    legend = {"ncols": min(4, len(methods)), "fontsize": 8, "frameon": False}
+    picture.legend(handles=handles, loc="outside lower center", **legend)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     picture.savefig(path)
 
