@@ -46,7 +46,8 @@ def main(cfg: Config) -> None:
     torch.manual_seed(cfg.seed)
     simulator = load_simulator(cfg.simulator)
     env = make_env(simulator, cfg.ppo.num_envs, device=cfg.device, seed=cfg.seed)
-    exam = make_env(simulator, 32, seed=1_000_000, randomize=False, ends=False)  # few rows are faster on the CPU
+    again = load_simulator(cfg.simulator)  # with a net of its own: few rows are faster on the CPU
+    exam = make_env(again, 32, seed=1_000_000, randomize=False, ends=False)
     width = {key: env.observation_spec[key].shape[-1] for key in ("observation", "privileged")}
     sizes = {"seen": width["observation"], "joints": env.action_spec.shape[-1], "hidden": list(cfg.hidden)}
     sizes["adapts_to"] = env.observation_spec["randomization"].shape[-1] if simulator.name == "roa" else 0
