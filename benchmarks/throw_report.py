@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import fmean, pstdev
+from statistics import fmean, median, pstdev
 from typing import Any
 
 import numpy as np
@@ -109,7 +109,7 @@ def markdown(scores: Sequence[Score]) -> str:
         "Real distance over that of the best baseline; ± from the spread between policies on both sides.",
         foretelling_table(scores),
         "Every policy thrown in every simulator, whatever it was trained in: simulated less real distance, over all "
-        "policies but those trained in a simulator of that method.",
+        "policies but those trained in a simulator of that method. What fails there counts as 0 m.",
         release_table(scores),
         "When the ball leaves the bucket: arm less own simulator, means over policies.",
         policies_table(scores),
@@ -164,11 +164,16 @@ def foretelling_table(scores: Sequence[Score]) -> str:
     """How well each simulator foretells throws that were not learnt in it."""
     rows = []
     for method, worlds in worlds_by_method(scores).items():
-        errors = [each.foretold(world) for each in scores for world in worlds if method_of(each.own) != method]
-        if errors:
-            root = math.sqrt(fmean(error**2 for error in errors))
-            rows.append([label(method), f"{fmean(errors):+.3f}", f"{root:.3f}", f"{max(map(abs, errors)):.3f}"])
-    return table(["simulator", "mean [m]", "root mean square [m]", "largest [m]"], rows) if rows else ""
+        asked = [(each, world) for each in scores for world in worlds if method_of(each.own) != method]
+        if not asked:
+            continue
+        errors = [each.foretold(world) for each, world in asked]
+        root, middle = math.sqrt(fmean(error**2 for error in errors)), median(map(abs, errors))
+        failing = sum(any(each.throws[world].failed) and not any(each.throws[ARM].failed) for each, world in asked)
+        sizes = [f"{value:.3f}" for value in (middle, root, max(map(abs, errors)))]
+        rows.append([label(method), f"{fmean(errors):+.3f}", *sizes, f"{failing} of {len(asked)}"])
+    header = ["simulator", "mean [m]", "median size [m]", "root mean square [m]", "largest [m]", "fails there alone"]
+    return table(header, rows) if rows else ""
 
 
 def release_table(scores: Sequence[Score]) -> str:

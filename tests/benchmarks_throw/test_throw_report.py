@@ -86,7 +86,7 @@ def test_a_ratio_is_as_uncertain_as_both_of_its_sides():
 def test_simulators_foretell_what_was_learnt_elsewhere():
     rows = cells(foretelling_table(ALL))
     assert rows[0][0] == "Default"
-    assert rows[0][1:] == ["+0.350", "0.430", "0.600"]  # of both UANs' policies: 0.6 and 0.1
+    assert rows[0][1:] == ["+0.350", "0.350", "0.430", "0.600", "0 of 2"]  # of both UANs' policies: 0.6 and 0.1
     assert rows[1][0] == "UAN"
     assert rows[1][1] == "+0.225"  # 0.5 and 0 of Default's, 0.1 and 0.3 by hand
 
