@@ -75,8 +75,10 @@ def main(cfg: Config) -> None:
     scores = score(trained(cfg.folders), cfg.throws, cfg.jobs)
     cfg.results.mkdir(parents=True, exist_ok=True)
     cfg.images.mkdir(parents=True, exist_ok=True)
-    content = json.dumps([asdict(each) for each in scores], indent=1)
-    (cfg.results / "throw_transfer.json").write_text(content + "\n", encoding="utf-8")
+    content = json.loads(
+        json.dumps([asdict(each) for each in scores]), parse_float=lambda number: round(float(number), 4)
+    )
+    (cfg.results / "throw_transfer.json").write_text(json.dumps(content) + "\n", encoding="utf-8")
     (cfg.results / "throw_transfer.md").write_text(markdown(scores), encoding="utf-8")
     draw(scores, cfg.images / "throw_transfer.svg")
     draw_matrix(scores, cfg.images / "throw_matrix.svg")
