@@ -368,8 +368,8 @@ KINDS = {  # of motion
 }
 ONE_OF_THREE = ("link_mass", "link_com", "torque_scale")
 """A hinge that moves one link shows ratios of these only."""
-SLIDES_MASS = ("link_mass", "reflected_inertia", "torque_scale")
-"""The same of a level slide."""
+SLIDES_MASS = ("link_mass", "payload", "reflected_inertia", "torque_scale")
+"""The same of a level slide, where a load, the carriage and the screw are one inertia."""
 
 
 def cases() -> list[Case]:
