@@ -76,8 +76,8 @@ def label(method: str) -> str:
 
 
 def tick(method: str) -> str:
-    """A label in as many lines as it needs."""
-    return label(method).replace(", ", ",\n")
+    """Its label in a figure, where there is little room."""
+    return label(method).replace(", told joint and arm", ", told").replace(" with memory", ", memory")
 
 
 def method_of(world: str) -> str:
