@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from torchrl_athletic.identification import Simulator
-from torchrl_athletic.networks import load_checkpoint
+from torchrl_athletic.networks import load_checkpoint, uan
 from torchrl_athletic.transforms import RandomizationRanges
 
 ROOT = Path(__file__).parents[2]
@@ -85,3 +85,18 @@ def test_random_arms_are_drawn_for_training_alone():
     ]
     assert masses[0].abs().max() > 0
     assert masses[1] is None
+
+
+def test_a_policy_is_examined_with_another_copy_of_the_net_than_it_is_trained_with(tmp_path, monkeypatch):
+    """One that both shared would leave the GPU when the examination takes it to the CPU."""
+    simulator = Simulator("uan", recipe.load_simulator(None).robot, net=uan(), kind="correction").save(tmp_path / "uan")
+    make, nets = recipe.make_env, []
+
+    def noted(simulator, *sizes, **task):
+        nets.append(simulator.net)
+        return make(simulator, *sizes, **task)
+
+    monkeypatch.setattr(recipe, "make_env", noted)
+    recipe.main(short(tmp_path / "uan-0", simulator=simulator))
+    assert len(nets) == 2
+    assert nets[0] is not nets[1]
