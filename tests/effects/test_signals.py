@@ -18,7 +18,7 @@ from torchrl_athletic.effects.signals import (
     presliding_width,
     torque_range,
 )
-from torchrl_athletic.recordings import Recording, RecordingError
+from torchrl_athletic.recordings import Recording, RecordingError, noise_correlation, sensor_noise
 
 MASS, LEVER, INERTIA, DAMPING = 1.3, 0.25, 0.04, 0.07
 PENDULUM = f"""
@@ -172,6 +172,17 @@ def test_noise_with_a_memory_is_predicted_as_monte_carlo_finds_it(rho, kernel):
     noise = lfilter([np.sqrt(1 - rho**2)], [1, -rho], rng.normal(0, sigma, (len(time), 2)), axis=0)
     s = project_recording(take(time, noise), arm(), sigma, kernel=kernel, noise_correlation=np.full(2, rho))
     np.testing.assert_allclose(s.missing.std(0), s.noise, rtol=0.1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("rho", [0.0, 0.3, 0.6, 0.85, 0.95])
+def test_noise_that_was_measured_in_a_take_is_that_of_its_missing_torque(rho, seed):
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 30.0, 0.005)
+    noise = lfilter([np.sqrt(1 - rho**2)], [1, -rho], rng.normal(0, 1e-3, (len(time), 2)), axis=0)
+    told = take(time, noise)
+    s = project_recording(told, arm(), sensor_noise(told)[0], kernel=0.02, noise_correlation=noise_correlation(told))
+    np.testing.assert_allclose(s.missing.std(0), s.noise, rtol=0.25)
 
 
 def test_noise_of_a_velocity_channel_is_predicted_as_monte_carlo_finds_it():

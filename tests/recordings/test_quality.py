@@ -84,17 +84,36 @@ def test_gaps_are_named_with_time_and_length_and_lost_samples_are_counted():
     assert "0.155 s after 1.495 s (row 299)" in quality.warnings[0]
 
 
+def commanded(kept: np.ndarray, command: np.ndarray) -> Recording:
+    time = np.arange(len(kept))[kept] / RATE
+    return swing(time, torque_command=command[kept, None])
+
+
 def test_what_was_commanded_while_rows_were_lost_is_not_known():
     kept = np.ones(2000, dtype=bool)
-    kept[800:803] = kept[1200] = False
-    quality = check_quality(swing(np.arange(2000)[kept] / RATE))
-    assert np.flatnonzero(quality.masks["lost"][:, 0]).tolist() == [799, 800, 1196, 1197]
+    kept[700:703] = kept[1200] = False
+    quality = check_quality(commanded(kept, np.sin(np.arange(2000) / 10)))
+    assert np.flatnonzero(quality.masks["lost"][:, 0]).tolist() == [699, 700, 1196, 1197]
     assert (~quality.usable()[:, 0]).sum() == 4
+    held = check_quality(commanded(kept, np.repeat([0.0, 1.0], 1000)))
+    assert not held.masks["lost"].any()  # nothing happened meanwhile
 
 
-def test_a_logger_that_skips_every_third_row_has_irregular_stamps_and_lost_nothing():
-    kept = np.arange(3000) % 3 != 1
-    assert not check_quality(swing(np.arange(3000)[kept] / RATE)).masks["lost"].any()
+@pytest.mark.parametrize("lost", [0.003, 0.01, 0.03, 0.1, 0.3])
+def test_a_logger_that_loses_many_rows_leaves_enough_to_ask_about(lost):
+    rng = np.random.default_rng(0)
+    kept = rng.random(6000) > lost
+    kept[:1] = True
+    mask = check_quality(commanded(kept, np.sin(np.arange(6000) / 5))).masks["lost"][:, 0]
+    assert 0 < mask.sum() <= 2 * (1 + 30 / 3)
+
+
+@pytest.mark.parametrize("jitter", [0.1, 0.2, 0.3])
+def test_a_stamp_that_came_late_is_no_lost_row(jitter):
+    rng = np.random.default_rng(0)
+    time = np.sort(np.arange(6000) + jitter * rng.uniform(-1, 1, 6000)) / RATE
+    recording = swing(time, torque_command=np.sin(np.arange(6000) / 5)[:, None])
+    assert check_quality(recording).masks["lost"][:, 0].mean() < 0.005
 
 
 # --- masks ------------------------------------------------------------------------------------------------------------

@@ -269,7 +269,7 @@ def propose(
         plan = _compensated(scene, _repeated(scene, known, chosen, hopeful))
         repeated = scene.separations(known + known.times(plan.recording.duration / length))
         if not (plan.separations - repeated)[hopeful].max(initial=0.0) > 1.0:
-            return None
+            continue
         paths = _simulated(plan, rivals)
         if _keeps(paths, limits):
             return _experiment(plan, scene, (before, repeated, plan.separations), hopeful, paths, limits)

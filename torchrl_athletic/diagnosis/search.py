@@ -263,21 +263,18 @@ def predictable_share(bank: Bank, joint: int) -> float:
     with a memory. A basis as rich as the recordings are long would fit their noise, so that the best of several ridges
     counts; they are in units of the columns' energy on all blocks, since many columns act on few.
     """
-    columns = bank.products.touching(joint)
-    columns = np.concatenate([columns[1:], columns[:1]])  # the target is the products' first column
-    starts = np.flatnonzero(np.diff(bank.block, prepend=-1))
-    gram = np.stack([part @ part.T for part in np.split(columns, starts[1:], axis=1)])
-    count = len(gram)
-    if count < 2 * FOLDS:
+    columns = bank.products.touching(joint)  # the target comes first
+    if len(np.unique(bank.block)) < 2 * FOLDS:
         return 1.0
+    folds = (columns[:, bank.block % FOLDS == fold] for fold in range(FOLDS))  # one at a time: they are large
+    gram = np.stack([part @ part.T for part in folds])
     whole = gram.sum(0)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
     left = np.zeros(len(RIDGES))
-    for fold in range(FOLDS):
-        aside = np.arange(count) % FOLDS == fold
-        g, h = (part.sum(0) * scale * scale[:, None] for part in (gram[~aside], gram[aside]))
+    for aside in gram:
+        g, h = (part * scale * scale[:, None] for part in (whole - aside, aside))
         for k, ridge in enumerate(RIDGES):
-            x = np.append(-np.linalg.solve(g[:-1, :-1] + ridge * np.eye(len(g) - 1), g[:-1, -1]), 1.0)
+            x = np.append(1.0, -np.linalg.solve(g[1:, 1:] + ridge * np.eye(len(g) - 1), g[1:, 0]))
             left[k] += float(x @ h @ x)
     return float(np.clip(1.0 - left.min(), 0.0, 1.0))
 

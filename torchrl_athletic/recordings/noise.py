@@ -13,6 +13,10 @@ from torchrl_athletic.recordings.resampling import GAP_FACTOR
 _ORDER = 4
 _STRIDES = 6
 """Over so many samples differences are taken at most."""
+_MEMORY = 4
+"""Of these, how many tell of a memory: over more, little motions leave as much."""
+_ALIKE = 0.15
+"""Relative error of these variances up to which noise explains them."""
 _ENOUGH = 100
 """Windows that say something of noise with a memory."""
 _CONDITIONS = ("robot", "payload", "fixture", "excitation")
@@ -53,7 +57,8 @@ def sensor_noise(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.
         return np.array([_channel_noise(weights, channel[rows], encoder_step(channel)) for channel in values.T])
 
     left, step = _left_of_differences(recording)
-    steady = np.minimum(channels(recording.position), 1.1 * np.sqrt(left.min(axis=0)))
+    white, least = channels(recording.position), 1.1 * np.sqrt(left.min(axis=0))
+    steady = np.where(least > 0, np.minimum(white, least), white)
     white = np.maximum(steady, step / np.sqrt(12.0))
     correlated = np.array([sigma for sigma, _ in _first_order(left, step)])
     position = np.maximum(white, correlated)
@@ -68,8 +73,8 @@ def noise_correlation(recording: Recording) -> NDArray[np.float64]:
     .. math:: \frac{\mathrm{Var}\,\Delta_n^4 x}{70\,\sigma^2} =
         1 - \tfrac{8}{5}\rho^n + \tfrac{4}{5}\rho^{2n} - \tfrac{8}{35}\rho^{3n} + \tfrac{1}{35}\rho^{4n},
 
-    so that n = 1 and 2 tell :math:`\rho`, and n = 3 whether it is noise: a motion grows with :math:`n^4` instead, and
-    then 0 is returned.
+    so that n = 1 to 4, or to 3 at least, tell :math:`\rho`, and whether it is noise: what a motion leaves grows with
+    :math:`n^8` instead, and then 0 is returned.
 
     Returns:
         Correlation, 0 to 0.95. Shape (J,).
@@ -104,17 +109,25 @@ def _left_of_differences(recording: Recording) -> tuple[NDArray[np.float64], NDA
 
 
 def _first_order(left: NDArray[np.float64], step: NDArray[np.float64]) -> list[tuple[float, float]]:
-    """Standard deviation and correlation of each joint's noise; zeros where differences show no correlation."""
-    if len(left) < 3:
-        return [(0.0, 0.0)] * len(step)
+    """Standard deviation and correlation of each joint's noise; zeros where differences show no correlation.
+
+    Of as many numbers of samples as first-order noise explains, three at least: beyond, the motion begins.
+    """
     rho = np.linspace(0.0, 0.95, 191)
-    shares = np.array([_share_of_differences(rho**n) for n in (1, 2, 3)])
+    shares = np.log([_share_of_differences(rho**n) for n in range(1, len(left) + 1)])
     out = []
-    for one, two, three in (left[:3] - step**2 / 12).T:
-        k = int(np.argmin(np.abs(shares[1] / shares[0] - two / one))) if one > 0 else 0
-        expected = one * shares[2, k] / shares[0, k]
-        is_noise = min(one, two, three) > 0 and two <= 2.0 * one and three <= 1.15 * expected  # else a motion
-        out.append((float(np.sqrt(one / shares[0, k])), float(rho[k])) if is_noise and k else (0.0, 0.0))
+    for joint, rounding in zip((left - step**2 / 12).T, step / np.sqrt(12.0), strict=True):
+        found = (0.0, 0.0)
+        for most in range(min(len(left), _MEMORY), 2, -1):
+            if joint[:most].min() <= 0:
+                continue
+            level = np.log(joint[:most, None]) - shares[:most]
+            k = int(np.argmin(level.std(axis=0)))
+            if np.abs(level[:, k] - level[:, k].mean()).max() < _ALIKE:
+                sigma = float(np.exp(level[:, k].mean() / 2))
+                found = (sigma, float(rho[k])) if k and sigma > rounding else found
+                break
+        out.append(found)
     return out
 
 

@@ -22,8 +22,12 @@ SLOW_RATE = 100.0
 """Below this rate [Hz] they are told apart poorly: a warning."""
 LOST_FACTOR = 1.5
 """Of the median step, from which rows were lost."""
-MOST_LOST = 0.05
-"""Share of such steps above which the stamps are irregular by nature."""
+SHORT_FACTOR = 0.75
+"""Of the median step, below which a neighbour makes up for a long one: a stamp that came late, and no row was lost."""
+LOST_CHANGE = 0.1
+"""Change of the command while rows were lost from which it matters that nobody knows it, in its standard deviations."""
+LOST_EVERY = 3.0
+"""A hole is masked in each so many seconds at most, the worst first: masks reach as far as the projection looks [s]."""
 STALL_TIME = 0.1
 """A joint that rests for less [s] turns round; it is not stalled."""
 _LIKELY_RADIANS = 8 * np.pi
@@ -89,8 +93,8 @@ class Quality:
     """Reason -> what it makes unfit, shape (T, J).
 
     - 'gap': the two samples at its ends.
-    - 'lost': the two samples beside rows that the logger lost, too few for a gap: what was commanded meanwhile is not
-      known. Where more than a twentieth of the steps are so long, the stamps are irregular and nothing was lost.
+    - 'lost': the two samples beside rows that the logger lost, too few for a gap, while the command changed: what it
+      was meanwhile is not known. The worst ones, one in three seconds at most.
     - 'frozen': the logger repeats an old reading while the joint moves.
     - 'dropout': the reading jumps away and back within three samples.
     - 'saturated': the commanded or measured torque is at the given limit, or the measured one is clipped flat.
@@ -256,9 +260,16 @@ def _beside_gaps(recording: Recording, gaps: tuple[Gap, ...]) -> Mask:
 def _beside_lost(recording: Recording) -> Mask:
     mask = np.zeros(recording.position.shape, dtype=np.bool_)
     step = np.diff(recording.time) * recording.rate
-    long = (step > LOST_FACTOR) & (step <= GAP_FACTOR)
-    if long.mean() <= MOST_LOST:
-        mask[:-1][long] = mask[1:][long] = True
+    beside = np.minimum(np.append(step[1:], 1.0), np.insert(step[:-1], 0, 1.0))
+    long = (step > LOST_FACTOR) & (step <= GAP_FACTOR) & (beside > SHORT_FACTOR)
+    command = recording.command
+    acts = command if recording.position_target is None else command - recording.position  # what the motor hears of it
+    change = np.abs(np.diff(command, axis=0)) / np.maximum(acts.std(axis=0), 1e-12)
+    harm = np.where(long, change.max(axis=1) * (step - 1.0), 0.0)
+    most = 1 + int(recording.duration / LOST_EVERY)
+    worst = np.argsort(-harm, kind="stable")[:most]
+    rows = worst[harm[worst] > LOST_CHANGE]
+    mask[rows] = mask[rows + 1] = True
     return mask
 
 
