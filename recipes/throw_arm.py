@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 import torch
 import tyro
-from tensordict.nn import ProbabilisticTensorDictSequential
 from torchrl.envs import EnvBase, UnaryTransform
 
 from torchrl_athletic.envs import throw_env, throw_summary
@@ -25,17 +24,13 @@ THROW = PPO(num_envs=512, horizon=16, entropy_coeff=0.0, actor_lr=1e-4, critic_l
 
 @dataclass(frozen=True)
 class Config:
-    simulator: Path | None = None
-    """Folder that an identification wrote; the nominal model by default."""
-    minutes: float = 5.0
-    """When to stop [min]; ``iterations`` stop it in any case."""
+    simulator: Path | None = None  # folder that an identification wrote; the nominal model by default
+    minutes: float = 5.0  # when to stop; iterations stop it in any case
     iterations: int | None = None
     seed: int = 0
     device: Literal["cpu", "cuda"] = "cpu"
-    fuse: bool = True
-    """Compile what surrounds the physics on a GPU: it takes a minute, and pays after some hundred iterations."""
-    begin_with: Path | None = None
-    """``policy.pt`` that was learnt in another simulator."""
+    fuse: bool = True  # compile all on a GPU: it takes a minute, and pays after hundreds of iterations
+    begin_with: Path | None = None  # policy.pt that was learnt in another simulator
     hidden: tuple[int, ...] = (128, 64)
     ppo: PPO = THROW
     evaluate_every: int = 10  # iterations; the policy that throws farthest in its simulation is kept
@@ -100,9 +95,7 @@ def make_env(simulator: Simulator, num_envs: int, *, seed: int = 0, randomize: b
     return env.append_transform(UnaryTransform(["reward"], ["reward"], fn=lambda reward: 0.1 * reward))
 
 
-def make_policy(
-    seen: int, joints: int, adapts_to: int, hidden: tuple[int, ...], device: str = "cpu"
-) -> ProbabilisticTensorDictSequential:
+def make_policy(seen: int, joints: int, adapts_to: int, hidden: tuple[int, ...], device: str = "cpu") -> Any:
     """That begins with the reference, but for what it explores."""
     if adapts_to:
         keys = ("observation", "randomization", "observation")
@@ -114,7 +107,7 @@ def make_policy(
     return policy
 
 
-def deployed(policy: ProbabilisticTensorDictSequential, adapts_to: int) -> Any:
+def deployed(policy: Any, adapts_to: int) -> Any:
     """As it acts on a robot, where nobody tells it what was randomised; changes the policy, if that adapts."""
     if not adapts_to:
         return policy

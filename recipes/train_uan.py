@@ -29,8 +29,7 @@ ROWS = {("ppo", "cpu"): 256, ("ppo", "cuda"): 4096, ("gradient", "cpu"): 128, ("
 
 @dataclass(frozen=True)
 class Config:
-    recordings: Path = Path("outputs/recordings/z1")
-    """File or folder of takes."""
+    recordings: Path = Path("outputs/recordings/z1")  # file or folder of takes
     method: Literal["gradient", "ppo"] = "gradient"
     """Down the position error's own gradient, or the paper's reinforcement learning."""
     credit: Literal["arm", "joint"] = "joint"
@@ -39,28 +38,23 @@ class Config:
     """What the net is told of a joint: its errors, as in the paper; which one it is; how the arm stands and moves."""
     memory: tuple[float, ...] = ()
     """Ways [rad]: the net is also shown how far its joint has wound up since it turned, within each of them."""
-    hidden: tuple[int, ...] = (128, 128)
-    """Layers of the net."""
+    hidden: tuple[int, ...] = (128, 128)  # layers of the net
     robot: str = "z1"
     """``z1``, or the path of an MJCF."""
     model: Path | None = None
     """Folder of a diagnosis, or its ``corrected.json``: the net learns what that leaves."""
     num_envs: int | None = None
     """Rows; None takes what suits the method and the device."""
-    minutes: float = 3.0
-    """When to stop [min]."""
+    minutes: float = 3.0  # when to stop
     iterations: int | None = None
     """When to stop in any case. The gradient method then plans by them, however busy the machine is."""
-    seed: int = 0
-    """Of weights, starts and exploration."""
+    seed: int = 0  # of weights, starts and exploration
     device: Literal["cpu", "cuda"] = "cuda" if torch.cuda.is_available() else "cpu"
     """Of simulation and nets."""
     window: float = 5.0
     """Of what is kept aside for validation, a tenth of the takes, the length of one piece [s]."""
-    evaluate_every: int = 20
-    """Iterations between validations."""
-    logger: training.LoggerName = "csv"
-    """Where numbers go; wandb stays offline."""
+    evaluate_every: int = 20  # iterations between validations
+    logger: training.LoggerName = "csv"  # where numbers go; wandb stays offline
     output: Path = Path("outputs/identification/uan")
     """Folder for the simulator and all else that is written."""
 

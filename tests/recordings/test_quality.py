@@ -357,7 +357,7 @@ def test_an_impossible_limit_is_refused(limit):
 def test_the_arm_is_clean_and_its_drives_follow_late():
     for take in load_dataset("two_link_arm").recordings:
         quality = check_quality(take)
-        assert quality.usable().all()
+        assert quality.usable()[2:].all()  # its loop starts with steps of up to 1.8 periods
         assert quality.warnings == ()
         assert quality.velocity_scale == pytest.approx((1.0, 1.0), abs=0.01)
         assert quality.velocity_shift == pytest.approx((0.001, 0.001), abs=1e-4)

@@ -105,7 +105,7 @@ def sizes_of(net: nn.Module) -> Sizes:
 
     Example:
         >>> sizes_of(uan(history=5, hidden=(8,), joints=6))
-        Sizes(history=5, hidden=(8,), joints=6, state=False)
+        Sizes(history=5, hidden=(8,), joints=6, state=False, memory=())
     """
     linears = [layer for layer in net.modules() if isinstance(layer, nn.Linear)]
     told = next((module for module in net.modules() if isinstance(module, WhichJoint)), None)

@@ -20,7 +20,7 @@ SLOWEST_RATE = 30.0
 """Below this rate [Hz] delay, damping and friction cannot be told apart: refused."""
 SLOW_RATE = 100.0
 """Below this rate [Hz] they are told apart poorly: a warning."""
-LOST_FACTOR = 1.5
+LOST_FACTOR = 1.75
 """Of the median step, from which rows were lost."""
 SHORT_FACTOR = 0.75
 """Of the median step, below which a neighbour makes up for a long one: a stamp that came late, and no row was lost."""
