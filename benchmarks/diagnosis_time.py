@@ -104,9 +104,9 @@ def measure(xml: str, fit: list[Recording], aside: list[Recording]) -> dict[str,
 def header() -> list[str]:
     """Who made the table, and its first lines."""
     head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout
-    commit = os.environ.get("COMMIT") or head
+    commit = head.strip() or os.environ.get("COMMIT", "unknown")
     return [
-        f"Made by `python benchmarks/diagnosis_time.py` at {commit.strip()} on {platform.machine()}, {os.cpu_count()} "
+        f"Made by `python benchmarks/diagnosis_time.py` at {commit} on {platform.machine()}, {os.cpu_count()} "
         "cores, shared: CPU time is the steadier column. Whole diagnosis without the report, 200 Hz.",
         "",
         "| robot and what is concealed | recorded | time | CPU time | CPU time a recorded second | memory | said |",
