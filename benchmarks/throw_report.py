@@ -7,12 +7,13 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import fmean, median, pstdev
+from statistics import fmean, median
 from typing import Any
 
 import numpy as np
 
 from torchrl_athletic.identification import comparison
+from torchrl_athletic.identification.comparison import deviation
 
 ARM = "arm"
 """Name of the world that is real."""
@@ -104,7 +105,8 @@ def markdown(scores: Sequence[Score]) -> str:
     """All tables."""
     parts = [
         methods_table(scores),
-        "Means over policies ± standard deviation between policies. The share is of the real distance.",
+        "Means over policies ± standard deviation between policies, whose squares are divided by one less than their "
+        "number. The share is of the real distance.",
         best_table(scores),
         "Real distance over that of the best baseline; ± from the spread between policies on both sides.",
         foretelling_table(scores),
@@ -157,7 +159,7 @@ def ratio_of(these: Sequence[float], those: Sequence[float]) -> tuple[float, flo
     if fmean(those) == 0:
         return math.inf, math.inf
     ratio = fmean(these) / fmean(those)
-    return ratio, math.hypot(pstdev(these), ratio * pstdev(those)) / fmean(those)
+    return ratio, math.hypot(deviation(these), ratio * deviation(those)) / fmean(those)
 
 
 def foretelling_table(scores: Sequence[Score]) -> str:
@@ -214,7 +216,8 @@ def policies_table(scores: Sequence[Score]) -> str:
 
 
 def spread(values: Sequence[float]) -> str:
-    return f"{fmean(values):.3f} ± {pstdev(values):.3f}"
+    """Mean and standard deviation, as far as one can be told from so many."""
+    return f"{fmean(values):.3f}" + (f" ± {deviation(values):.3f}" if len(values) > 1 else "")
 
 
 def failures(group: Sequence[Score]) -> str:
@@ -249,7 +252,7 @@ def draw(scores: Sequence[Score], path: Path) -> None:
         (axes[1], "real", "real distance [m]"),
     ):
         values = [[getattr(each, which) for each in group] for group in groups.values()]
-        panel.bar(place, [fmean(x) for x in values], yerr=[pstdev(x) for x in values], capsize=3, color=colours)
+        panel.bar(place, [fmean(x) for x in values], yerr=[deviation(x) for x in values], capsize=3, color=colours)
         for x, each in zip(place, values, strict=True):
             panel.plot(x + np.linspace(-0.15, 0.15, len(each)) * (len(each) > 1), each, "k.", markersize=4)
         panel.set_xticks(place, [tick(method) for method in groups], rotation=35, ha="right")

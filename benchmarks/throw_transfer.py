@@ -67,12 +67,15 @@ class Config:
     """Where figures go."""
     throws: int = 10
     """With each policy in each world."""
+    samples: int | None = None
+    """Take of each training the policy that threw farthest in its simulation after no more samples than these; None
+    takes ``policy.pt``, the farthest of all."""
     jobs: int = 1
     """Worlds at a time."""
 
 
 def main(cfg: Config) -> None:
-    scores = score(trained(cfg.folders), cfg.throws, cfg.jobs)
+    scores = score(trained(cfg.folders, cfg.samples), cfg.throws, cfg.jobs)
     cfg.results.mkdir(parents=True, exist_ok=True)
     cfg.images.mkdir(parents=True, exist_ok=True)
     content = json.loads(
@@ -97,8 +100,12 @@ class Trained:
     samples: int = 0
 
 
-def trained(folders: Iterable[Path]) -> list[Trained]:
+def trained(folders: Iterable[Path], samples: int | None = None) -> list[Trained]:
     """The throw made by hand, and all policies that are there.
+
+    Args:
+        folders: Of trainings.
+        samples: Most that a policy may have learnt from, as of :class:`Config`.
 
     Raises:
         ValueError: If two were trained in simulators of the same name that are not the same.
@@ -107,7 +114,8 @@ def trained(folders: Iterable[Path]) -> list[Trained]:
     found = [Trained("reference", stay_on_reference, "reference", "default", recipe.load_simulator(None))]
     digests: dict[str, str] = {}
     for folder in folders:
-        if not (folder / "policy.pt").exists():
+        path = farthest(folder, samples)
+        if path is None:
             continue
         simulator: Simulator = recipe.load_simulator(folder / "simulator")
         world, now = folder.name.rpartition("-")[0], digest(folder / "simulator")
@@ -118,10 +126,25 @@ def trained(folders: Iterable[Path]) -> list[Trained]:
             )
         if simulator.correction is None and simulator.net is None:  # robots are drawn in training alone
             world = "default"
-        about = torch.load(folder / "policy.pt", map_location="cpu", weights_only=True)["metadata"]
-        policy = load_policy(recipe, folder / "policy.pt", about["sizes"])
+        about = about_policy(path)
+        policy = load_policy(recipe, path, about["sizes"])
         found.append(Trained(folder.name, policy, simulator.name, world, simulator, int(about["samples"])))
     return found
+
+
+def farthest(folder: Path, samples: int | None = None) -> Path | None:
+    """The policy of a training that threw farthest in its own simulation, of those of no more samples than these."""
+    if samples is None:
+        return folder / "policy.pt" if (folder / "policy.pt").exists() else None
+    about = {path: about_policy(path) for path in sorted((folder / "examined").glob("*.pt"))}
+    few_enough = [path for path, its in about.items() if its["samples"] <= samples]
+    return max(few_enough, key=lambda path: float(about[path]["distance_m"]), default=None)
+
+
+def about_policy(path: Path) -> dict[str, Any]:
+    """What the recipe noted of it."""
+    about: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)["metadata"]
+    return about
 
 
 def digest(simulator: Path) -> str:

@@ -31,7 +31,7 @@ from tqdm import tqdm
 RECIPE = Path(__file__).parents[1] / "recipes" / "throw_arm.py"
 FILES = ("simulator.json", "corrected.json", "net.pt")
 """Of a simulator."""
-MINIBATCH = 4096
+MINIBATCH = 8192
 """Of the actor [samples]; of a small batch a quarter."""
 STARTING = 75.0
 """Of a training's time, for what comes before its first iteration and after its last [s]."""
@@ -57,6 +57,8 @@ class Config:
     """Steps of each environment per iteration."""
     evaluate_every: int = 10
     """Iterations between measurements, each of which takes as long as some tens of iterations."""
+    keep_examined: bool = False
+    """Keep each policy that was measured, so that ``throw_transfer.py --samples`` can compare those of as many."""
     jobs: int = 2
     """Trainings at a time, which share the cores."""
     device: Literal["cpu", "cuda"] = "cpu"
@@ -158,7 +160,7 @@ def start(job: Job, cfg: Config, place: int, seconds: float) -> subprocess.Popen
     if cfg.begin_with is not None:
         flags["begin-with"] = policy_of(job.seed, cfg.begin_with)
     words = [word for name, value in flags.items() for word in (f"--{name}", str(value))]
-    words.append("--fuse" if cfg.fuse else "--no-fuse")
+    words += ["--fuse" if cfg.fuse else "--no-fuse", "--keep-examined" if cfg.keep_examined else "--no-keep-examined"]
     cores = sorted(os.sched_getaffinity(0))
     own = {"OMP_NUM_THREADS": "1", "TORCHINDUCTOR_COMPILE_THREADS": str(max(1, len(cores) // cfg.jobs))}
     if job.device == "cuda":

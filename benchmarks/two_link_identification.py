@@ -40,7 +40,7 @@ from torchrl_athletic.identification import (
     open_loop,
     table,
 )
-from torchrl_athletic.identification.comparison import COLOURS, NAMES
+from torchrl_athletic.identification.comparison import COLOURS, NAMES, deviation
 from torchrl_athletic.networks import uan
 from torchrl_athletic.recordings import Recording, resample
 from torchrl_athletic.recordings.datasets.two_link_arm import load
@@ -224,7 +224,7 @@ def efficiency_table(results: dict[Case, list[Result]], seconds: Sequence[float]
     for s in seconds:
         cells = [efficiency(results, m, s) for m in methods]
         text = [
-            f"{np.mean(v):.2e} ± {np.std(v):.0e}" if len(v) > 1 else f"{np.mean(v):.2e}" if v else "" for v in cells
+            f"{np.mean(v):.2e} ± {deviation(v):.0e}" if len(v) > 1 else f"{np.mean(v):.2e}" if v else "" for v in cells
         ]
         lines.append(f"| {s:g} s | " + " | ".join(text) + " |")
     return "\n".join(lines) + "\n"
@@ -241,7 +241,7 @@ def draw_efficiency(results: dict[Case, list[Result]], path: Path) -> None:
             continue
         seconds = sorted({c.seconds for c in results if c.method == method})
         values = [efficiency(results, method, s) for s in seconds]
-        spread = [float(np.std(v)) for v in values]
+        spread = [deviation(v) for v in values]
         means = [float(np.mean(v)) for v in values]
         axes.errorbar(seconds, means, spread, color=COLOURS[method], marker="o", capsize=3, label=NAMES[method])
     ticks = sorted({c.seconds for c in results if c.seconds})

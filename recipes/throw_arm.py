@@ -34,6 +34,7 @@ class Config:
     hidden: tuple[int, ...] = (128, 64)
     ppo: PPO = THROW
     evaluate_every: int = 10  # iterations; the policy that throws farthest in its simulation is kept
+    keep_examined: bool = False  # all of them, in a folder of their own, to compare policies of as many samples
     output: Path = Path("outputs/throw/default-0")
 
 
@@ -61,10 +62,12 @@ def main(cfg: Config) -> None:
     def evaluate() -> dict[str, float]:
         copy.load_state_dict(policy.state_dict())
         found = throw_summary(play(exam, examined, STEPS)[:, -1]["next"])
+        about = {"sizes": sizes, "iterations": learner.iteration, "samples": learner.samples, **found}
+        if cfg.keep_examined:
+            save_checkpoint(cfg.output / "examined" / f"{learner.iteration:06d}.pt", about, policy=policy)
         if found["distance_m"] >= best["distance_m"]:
             best.update(found)
-            about = {"sizes": sizes, "iterations": learner.iteration, "samples": learner.samples}
-            save_checkpoint(cfg.output / "policy.pt", about | found, policy=policy, critic=value)
+            save_checkpoint(cfg.output / "policy.pt", about, policy=policy, critic=value)
         return found
 
     train(

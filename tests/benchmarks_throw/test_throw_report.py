@@ -67,19 +67,19 @@ def test_methods_come_in_the_order_of_the_figure_and_unknown_ones_last():
 
 def test_the_table_of_methods_gives_means_and_spreads_over_policies():
     rows = cells(methods_table(ALL))
-    assert rows[1] == ["Default", "1", "3.000 ± 0.000", "0.500 ± 0.000", "2.500 ± 0.000", "500.0 %", "1 of 2"]
-    assert rows[2] == ["UAN", "2", "2.100 ± 0.100", "2.050 ± 0.150", "0.100 ± 0.000", "4.9 %", "0 of 4"]
+    assert rows[1] == ["Default", "1", "3.000", "0.500", "2.500", "500.0 %", "1 of 2"]  # one tells of no spread
+    assert rows[2] == ["UAN", "2", "2.100 ± 0.141", "2.050 ± 0.212", "0.100 ± 0.000", "4.9 %", "0 of 4"]
 
 
 def test_ours_are_held_against_the_baseline_that_throws_farthest():
     far = scored("cem", "cem-0", "default", {"default": 1.0, "uan_seed0": 1.0, "uan_seed1": 1.0}, (1.0, 1.0))
-    assert cells(best_table([*ALL, far])) == [["UAN", "CEM, 1.000 ± 0.000 m", "2.05 ± 0.15"]]
+    assert cells(best_table([*ALL, far])) == [["UAN", "CEM, 1.000 m", "2.05 ± 0.21"]]
     assert best_table([*UAN, HAND]) == ""  # thrown by hand is no baseline
 
 
 def test_a_ratio_is_as_uncertain_as_both_of_its_sides():
-    assert ratio_of([2.0, 2.2], [1.0]) == pytest.approx((2.1, 0.1))
-    assert ratio_of([2.0], [0.9, 1.1]) == pytest.approx((2.0, 0.2))
+    assert ratio_of([1.9, 2.0, 2.1], [1.0]) == pytest.approx((2.0, 0.1))
+    assert ratio_of([2.0], [0.9, 1.0, 1.1]) == pytest.approx((2.0, 0.2))
     assert ratio_of([2.0], [0.0])[0] == float("inf")
 
 

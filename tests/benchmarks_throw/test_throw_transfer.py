@@ -14,7 +14,7 @@ from benchmarks import throw_transfer
 from benchmarks.throw_report import ARM
 from benchmarks.throw_transfer import AtRelease, Config, Trained, load_recipe, score, side_by_side, stay_on_reference
 from torchrl_athletic.identification import Simulator
-from torchrl_athletic.networks import uan
+from torchrl_athletic.networks import save_checkpoint, uan
 
 recipe = load_recipe()
 
@@ -130,6 +130,15 @@ def test_every_policy_acts_on_its_own_rows():
     policies = [lambda td, k=k: td.set("action", torch.full((*td.shape, 1), float(k))) for k in (3, 5)]
     acted = side_by_side(policies, throws=2)(TensorDict(batch_size=[4]))
     assert acted["action"].flatten().tolist() == [3, 3, 5, 5]
+
+
+def test_policies_of_no_more_samples_are_compared(tmp_path):
+    for samples, distance in ((10, 1.2), (20, 1.6), (30, 1.5), (40, 2.0)):
+        about = {"samples": samples, "distance_m": distance}
+        save_checkpoint(tmp_path / "examined" / f"{samples:06d}.pt", about, policy=torch.nn.Linear(1, 1))
+    chosen = [throw_transfer.farthest(tmp_path, samples) for samples in (9, 10, 30, 40)]
+    assert [path and path.stem for path in chosen] == [None, "000010", "000020", "000040"]
+    assert throw_transfer.farthest(tmp_path) is None  # without a policy.pt
 
 
 def test_two_simulators_of_one_name_are_not_mixed(folder, tmp_path):

@@ -50,9 +50,12 @@ def test_the_policy_that_threw_farthest_is_kept(tmp_path, monkeypatch):
     distances = iter((1.0, 3.0, 2.0))
     summary = lambda step: {"distance_m": next(distances), "spread_m": 0.0, "failed": 0.0}  # noqa: E731
     monkeypatch.setattr(recipe, "throw_summary", summary)
-    recipe.main(short(tmp_path, iterations=3, evaluate_every=1))
+    recipe.main(short(tmp_path, iterations=3, evaluate_every=1, keep_examined=True))
     metadata = torch.load(tmp_path / "policy.pt", weights_only=True)["metadata"]
     assert (metadata["iterations"], metadata["distance_m"]) == (2, 3.0)
+    others = [torch.load(path, weights_only=True) for path in sorted((tmp_path / "examined").iterdir())]
+    assert [other["metadata"]["distance_m"] for other in others] == [1.0, 3.0, 2.0]
+    assert [list(other["state"]) for other in others] == [["policy"]] * 3  # small: critics are not needed to throw
 
 
 def test_what_was_learnt_elsewhere_is_where_it_begins(trained, tmp_path):

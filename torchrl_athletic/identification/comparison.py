@@ -91,7 +91,7 @@ def compare(
 
 
 def table(results: Sequence[Result], baseline: str = "default") -> str:
-    """Mean and standard deviation over seeds, in Markdown, and each method's error as a share of the baseline's.
+    """Mean and :func:`deviation` over seeds, in Markdown, and each method's error as a share of the baseline's.
 
     A method of which some rollout diverged is marked with the share of those that did. The last columns say the wall
     clock of identification, and the seconds of recordings that it looked at.
@@ -107,6 +107,18 @@ def table(results: Sequence[Result], baseline: str = "default") -> str:
         last = [f"{spent:.0f} s", f"{used:.0f} s", ", ".join(map(str, seeds))]
         lines.append("| " + " | ".join([NAMES.get(method, method), *cells, *last]) + " |")
     return "\n".join(lines) + "\n"
+
+
+def deviation(values: Sequence[float]) -> float:
+    """Standard deviation between seeds, estimated from these few: squares are divided by one less than their number.
+
+    0 of a single one, which tells nothing of it.
+
+    Example:
+        >>> deviation([1.0, 2.0, 3.0]), deviation([1.0])
+        (1.0, 0.0)
+    """
+    return float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
 
 
 def figure(
@@ -151,7 +163,7 @@ def _bars(axes: Any, results: Sequence[Result], methods: Sequence[str], column: 
         values = _values(results, method, column)
         if not values:
             continue
-        mean, spread = float(np.mean(values)), float(np.std(values))
+        mean, spread = float(np.mean(values)), deviation(values)
         colour = COLOURS.get(method, "#888888")
         axes.bar(k, mean, yerr=spread or None, color=colour, edgecolor="black", linewidth=0.6, capsize=3)
         axes.plot([k] * len(values), values, ".", color="black", markersize=3)
@@ -232,7 +244,7 @@ def _cell(of_method: Sequence[Result], column: tuple[str, str], baseline: float)
     if not values:
         return ""
     mean = float(np.mean(values))
-    spread = f" ± {np.std(values):.1e}" if len(values) > 1 else ""
+    spread = f" ± {deviation(values):.1e}" if len(values) > 1 else ""
     share = f" ({mean / baseline:.3f})" if baseline > 0 else ""
     lost = _diverged(of_method, method, column)
     return f"{mean:.2e}{spread}{share}" + (f", {100 * lost:.0f} % diverge" if lost else "")
