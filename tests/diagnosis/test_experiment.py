@@ -91,8 +91,8 @@ def logged(machine: Machine, q: np.ndarray, seed: int, **command: np.ndarray) ->
     return Recording(np.arange(len(q)) / RATE, machine.robot.joint_names, read, **command, source=f"take_{seed}")
 
 
-def searched(robot: Robot, takes, catalogue) -> tuple[Judge, Scored]:
-    signals = prepare(takes, mujoco.MjModel.from_xml_string(robot.model_xml)).signals
+def searched(robot: Robot, takes, catalogue, joined: int = 0) -> tuple[Judge, Scored]:
+    signals = prepare(takes, mujoco.MjModel.from_xml_string(robot.model_xml), joined=joined).signals
     judge = Judge(Bank(signals, candidates_for(signals, catalogue), trims_for(signals, TRIMS)))
     return judge, search(judge)[0]
 
@@ -128,7 +128,7 @@ def test_the_proposed_experiment_leaves_the_true_name_and_more_of_the_same_does_
     assert max(answers(judge, best).values()) < 0.8
 
     new = executed(robot, secret, experiment, 1)
-    assert answers(*searched(robot, [take, new], catalogue))[truth] > 0.9
+    assert answers(*searched(robot, [take, new], catalogue, 1))[truth] > 0.9
 
     again = recorded(robot, secret, shaken(sines, new.duration), 2)
     assert answers(*searched(robot, [take, again], catalogue)).get(truth, 0.0) < 0.9
@@ -216,7 +216,23 @@ def test_a_delay_and_a_lag_of_torques_are_told_apart_by_a_quick_motion():
     assert max(m.frequency for m in experiment.motions) > 1.0
 
     new = recorded(robot, secret, experiment.torque, 1)  # a robot that takes torques
-    assert answers(*searched(robot, [take, new], catalogue))["actuation_delay", "pendulum"] > 0.9
+    assert answers(*searched(robot, [take, new], catalogue, 1))["actuation_delay", "pendulum"] > 0.9
+
+
+def test_milliseconds_are_told_apart_in_a_band_that_the_recordings_do_not_have():
+    robot, secret = pendulum(), HiddenEffect("actuation_delay", "pendulum", {"delay": 0.008})
+    catalogue = (ActuationDelay(), ActuationLag())
+    takes = [recorded(robot, secret, shaken(((0.15, 0.9), (0.10, 2.1)), 4.0), k) for k in range(3)]
+    judge, best = searched(robot, takes, catalogue)
+    assert max(answers(judge, best).values()) < 0.8
+    experiment = propose(judge, rivals_of(judge, best))
+    assert max(m.frequency for m in experiment.motions) > 6.0
+    assert experiment.after > 6.0
+
+    new = recorded(robot, secret, experiment.torque, 3)
+    assert answers(*searched(robot, [*takes, new], catalogue, 1))["actuation_delay", "pendulum"] > 0.9
+    blurred = answers(*searched(robot, [*takes, new], catalogue))  # by a test function that suits the slow takes
+    assert blurred.get(("actuation_delay", "pendulum"), 0.0) < 0.9
 
 
 def test_a_motion_that_asks_too_much_torque_is_made_smaller(case):

@@ -36,6 +36,15 @@ def test_a_width_that_is_given_is_used(takes):
     assert [s.kernel for s in prepare(takes, arm(), kernel=0.017).signals] == [0.017] * 2
 
 
+def test_a_take_of_an_experiment_is_seen_in_its_own_band_and_the_others_as_ever(takes):
+    slow, quick = takes[0], takes[1]
+    quick = replace(quick, position=quick.position + 5e-3 * np.sin(2 * np.pi * 15 * quick.time)[:, None])
+    alone, together = prepare([slow], arm()), prepare([slow, quick], arm(), joined=1)
+    assert together.signals[0].kernel == alone.signals[0].kernel
+    assert together.signals[1].kernel < 0.6 * alone.signals[0].kernel
+    np.testing.assert_array_equal(together.signals[0].missing, alone.signals[0].missing)
+
+
 def test_a_gap_splits_a_take_and_nothing_is_made_up_across_it(takes):
     (first, _) = takes
     cut = np.r_[0:500, 650:1250]

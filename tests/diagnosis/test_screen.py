@@ -330,6 +330,15 @@ def test_the_row_noise_has_a_floor_below_which_nobody_asks(rng):
     command = np.stack([np.full(N, 2.0), np.full(N, 0.1)], -1)
     quiet = replace(signals(np.zeros((N, 2)), command=command), noise=np.array([1e-9, 0.5]))
     quiet.__dict__["load"] = np.zeros((N, 2))
-    noise = row_noise([quiet])
+    (noise,) = row_noise([quiet])
     assert 0.999 * TORQUE_FLOOR * 2.0 < noise[0] < 1.001 * TORQUE_FLOOR * 20.0
     assert noise[1] == pytest.approx(0.5, rel=1e-3)
+
+
+def test_takes_behind_different_test_functions_are_weighed_by_their_own_noise(rng):
+    wide, alike = (replace(signals(rng.normal(size=(N, 2))), noise=n * np.ones(2)) for n in (1.0, 7.0))
+    narrow = replace(wide, noise=100 * np.ones(2), kernel=wide.kernel / 10)
+    noise = row_noise([wide, narrow, alike])
+    np.testing.assert_allclose(noise[:, 0], [5, 100, 5], rtol=1e-3)  # the mean square of one and seven is 25
+    bank = Bank([wide, narrow], [])
+    np.testing.assert_allclose(bank.weight[:N] / bank.weight[N:], 100, rtol=1e-3)

@@ -79,7 +79,7 @@ def test_more_parameters_that_absorb_the_difference_take_it_away():
     assert planned(pair, known, SINE, -SINE)[0] > 3  # not the way round, as the larger may be the truth
     known_of_pair = known + pair.products([thinned(motion(SINE, -SINE))])
     own = pair.draws[0][0]
-    assert pair._evidence(known_of_pair, own, 0, 1, np.ones(2)) == pytest.approx(0, abs=1e-6)
+    assert pair._evidence(known_of_pair, own, 0, 1, np.ones(4)) == pytest.approx(0, abs=1e-6)
 
 
 def test_bounds_keep_a_rival_from_answering():

@@ -318,6 +318,15 @@ def test_the_kernel_spans_a_sample_and_ignores_joints_at_rest():
     assert kernel_for([take(TIME, np.zeros(len(TIME)))]) == KERNEL[1]
 
 
+def test_the_noise_of_a_coarse_encoder_is_no_motion():
+    noise = 2e-3
+    read = 0.2 * np.sin(2 * np.pi * 0.3 * TIME) + np.random.default_rng(0).normal(0, noise, len(TIME))
+    assert kernel_for([take(TIME, read)]) < 0.6 * KERNEL[1]  # slow, but a hundredth of the power is noise
+    assert kernel_for([take(TIME, read)], np.array([noise])) == KERNEL[1]
+    quick = read + 0.005 * np.sin(2 * np.pi * 12 * TIME)
+    assert kernel_for([take(TIME, quick)], np.array([noise])) == pytest.approx(0.187 / 12, rel=0.1)
+
+
 # --- model and joints ---
 
 

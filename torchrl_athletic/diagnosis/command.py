@@ -61,13 +61,14 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
         config = recall(config, config.output)
         model, recordings, heldout = inputs(config)
-        recordings += joined(config)
+        new = joined(config)
         remember(config, config.output)
         with Progress() as progress:
             diagnosis = diagnose(
                 model,
                 recordings,
                 heldout,
+                joined=new,
                 drive=config.drive,
                 seed=config.seed,
                 time_budget=config.time_budget,

@@ -135,6 +135,7 @@ def diagnose(
     drive: Drive = "command",
     seed: int = 0,
     time_budget: float | None = None,
+    joined: Sequence[Recording] = (),
     output: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -148,6 +149,7 @@ def diagnose(
         drive: Whether the commanded or the measured torque drives the simulation.
         seed: Of the bootstrap and of the choice of windows.
         time_budget: Wall-clock time after which no further combination is fitted [s].
+        joined: Takes of experiments that an earlier diagnosis proposed, to fit as well.
         output: Folder for the report. Without it nothing is written, and nothing can be resumed.
         progress: Bar to move.
 
@@ -169,10 +171,10 @@ def diagnose(
     """
     compiled, xml, name = load_model(model)
     order = recordings[0].joint_names if recordings else ()
-    fitted, aside = (tuple(r.ordered(order) for r in group) for group in (recordings, heldout))
+    fitted, aside = (tuple(r.ordered(order) for r in group) for group in ((*recordings, *joined), heldout))
     work = _Work(
         compiled, xml, name, fitted, aside, tuple(catalogue), drive, seed, time_budget,
-        None if output is None else Path(output), progress or Progress(),
+        None if output is None else Path(output), progress or Progress(), len(joined),
     )  # fmt: skip
     try:
         work.run()
@@ -248,6 +250,8 @@ class _Work:
     interrupted: bool = False
     stage: str = "quality"
     train: Prepared | None = None
+    joined: int = 0
+    """How many of the recordings, the last ones, are of experiments."""
     held: Prepared | None = None
     signals_bank: Bank | None = None
     locations: tuple[Location, ...] = ()
@@ -270,7 +274,8 @@ class _Work:
         digest = inputs_digest(self.xml, (*self.recordings, *self.heldout), settings)
         self.checkpoint = Checkpoint(None if self.output is None else self.output / CHECKPOINT, digest)
         self._begin("quality")
-        self.train = prepare(self.recordings, self.model, self.drive)
+            "joined": self.joined,
+        self.train = prepare(self.recordings, self.model, self.drive, joined=self.joined)
         self.progress.update(0.6)
         kernel = self.train.signals[0].kernel
         self.held = prepare(self.heldout, self.model, self.drive, kernel) if self.heldout else None
@@ -308,7 +313,7 @@ class _Work:
         if cut:  # the measured torque cuts the chain in two: the drive before it, the mechanics behind it
             of_drive = [e for e in catalogue if e.name in DRIVE_EFFECTS]
             self.drive_evidence = _search(drive_signals(self.train), of_drive, ())[0]
-            signals = prepare(self.recordings, self.model, "measured", signals[0].kernel).signals
+            signals = prepare(self.recordings, self.model, "measured", signals[0].kernel, self.joined).signals
         if cut or self.drive == "measured":  # what was measured has passed the drive's lags and limits
             catalogue = tuple(e for e in catalogue if e.name not in BEFORE_THE_MOTOR)
         taken = {a.candidate.key for a in self.drive_evidence.best.fit.terms} if self.drive_evidence else set()

@@ -34,10 +34,11 @@ from torchrl_athletic.effects.signals import (
     Signals,
     inertia_matrix,
     inverse_dynamics,
+    kernel_for,
     project_recording,
     smooth_dynamics,
 )
-from torchrl_athletic.recordings import Recording
+from torchrl_athletic.recordings import Recording, noise_correlation, sensor_noise
 
 Array = NDArray[np.float64]
 SECONDS = 8.0
@@ -46,7 +47,7 @@ APART = 3.0
 """Standard deviations that separate a pair; one that no plan sets so far apart is not what a plan is chosen for."""
 CONFIRMED = 5
 """Plans that are simulated under every rival before none is proposed."""
-SMALLER = (1.0, 0.6, 0.35, 0.2, 0.1)
+SMALLER = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
 """Shares of its amplitude at which a motion is tried until the torque suffices."""
 LONGEST = 60.0
 """An excitation that tells too little is repeated as long as it all lasts no longer than this [s]."""
@@ -243,7 +244,8 @@ def propose(
     takes = judge.bank.takes
     limits = limits or Limits.of(takes)
     scene = Rivals(judge, rivals, probabilities)
-    known = scene.products([thinned(s) for s in takes])
+    known = scene.products([thinned(s) for s in takes], scene.sigma)
+    sensors = _Sensors.of(takes)
     before = scene.separations(known)
     plans = []
     for mass, model in {0.0: takes[0].nominal, **(payloads or {})}.items():
@@ -251,22 +253,25 @@ def propose(
         for motion in motions(takes, limits, _joints_of(rivals), seconds):
             plan = _planned(motion, mass, model, takes, limits, loop)
             if plan is not None:
-                s = thinned(_seen(scene, plan))
-                plans.append(_judged(scene, known, plan, [s], scene.products([s])))
+                plans.append(_measured(scene, known, plan, sensors))
     if not plans:
         return None
     often = max(1, int(LONGEST / max(p.recording.duration for p in plans)))
     # what little a motion tells adds up
     hopeful = np.max([scene.separations(known + p.products.times(often)) for p in plans], axis=0) > APART
     best = max(plans, key=lambda p: _worth(scene, p, hopeful))
-    for other in [p for p in plans if p.payload == best.payload and p is not best]:
-        plans.append(
-            _judged(scene, known, _joined(best, other), [*best.signals, *other.signals], best.products + other.products)
-        )
+    enough = best.separations[hopeful].min(initial=ENOUGH) >= ENOUGH
+    for other in [] if enough else [p for p in plans if p.payload == best.payload and p is not best]:
+        both = _joined(best, other)
+        if best.signals[0].kernel == other.signals[0].kernel:
+            signals, products = (*best.signals, *other.signals), best.products + other.products
+            plans.append(_judged(scene, known, both, signals, products))
+        else:  # one take will be made of both
+            plans.append(_measured(scene, known, both, sensors))
     hopeful |= np.max([p.separations for p in plans], axis=0) > APART
     length = sum(float(np.ptp(s.time)) for s in takes)
     for chosen in sorted(plans, key=lambda p: -_worth(scene, p, hopeful))[:CONFIRMED]:
-        plan = _compensated(scene, _repeated(scene, known, chosen, hopeful))
+        plan = _compensated(scene, _repeated(scene, known, chosen, hopeful), sensors)
         repeated = scene.separations(known + known.times(plan.recording.duration / length))
         if not (plan.separations - repeated)[hopeful].max(initial=0.0) > 1.0:
             continue
@@ -339,7 +344,7 @@ class _Plan:
     """Of the speed and torque limits that it uses."""
     repeats: int = 1
     signals: tuple[Signals, ...] = ()
-    products: Products = field(default_factory=lambda: Products({}, np.zeros(0), np.zeros(0)))
+    products: Products = field(default_factory=lambda: Products({}, np.zeros(0), np.zeros(0), np.zeros(0)))
     separations: Array = field(default_factory=lambda: np.zeros(0))
     """Of the pairs, with the recordings at hand. Shape (pairs,)."""
 
@@ -349,9 +354,44 @@ class _Plan:
         return float(np.mean([*self.share, min(self.recording.duration / 30, 1.0)]))
 
 
+@dataclass(frozen=True, eq=False)
+class _Sensors:
+    """What the readings of a plan will be like: those of the recordings at hand."""
+
+    position: Array
+    """Standard deviation of one reading [rad, m]. Shape (J,)."""
+    velocity: Array | None
+    """The same [rad/s, m/s]; None if it is not read."""
+    correlation: Array
+    """Of the position's noise from one sample to the next. Shape (J,)."""
+    louder: Array
+    """Noise of the recordings' missing torque over what these numbers make of it. Shape (J,)."""
+
+    @classmethod
+    def of(cls, takes: Sequence[Signals]) -> _Sensors:
+        recordings, first = [s.recording for s in takes], takes[0]
+        positions, velocities = zip(*(sensor_noise(r) for r in recordings), strict=True)
+        position = np.median(positions, axis=0)
+        velocity = None if any(v is None for v in velocities) else np.median(np.stack(velocities), axis=0)
+        correlation = np.median([noise_correlation(r) for r in recordings], axis=0)
+        again = project_recording(
+            first.recording, first.nominal, position, velocity, kernel=first.kernel, noise_correlation=correlation
+        ).noise
+        alike = [s.noise for s in takes if s.kernel == first.kernel]
+        return cls(position, velocity, correlation, np.sqrt(np.mean(np.square(alike), axis=0)) / again)
+
+
+def _measured(rivals: Rivals, known: Products, plan: _Plan, sensors: _Sensors) -> _Plan:
+    """The plan with what its log would separate."""
+    s = thinned(_seen(rivals, plan, sensors))
+    return _judged(rivals, known, plan, [s], rivals.products([s], row_noise([*rivals.takes, s])[-1:]))
+
+
 def _judged(rivals: Rivals, known: Products, plan: _Plan, signals: Sequence[Signals], products: Products) -> _Plan:
     """The plan with what it would separate."""
-    after = rivals.separations(known + products, row_noise([*rivals.takes, *signals]))
+    noise, at_hand = row_noise([*rivals.takes, *signals]), len(rivals.takes)
+    of_groups = np.concatenate([np.sqrt(np.mean(noise[:at_hand] ** 2, axis=0)), *noise[at_hand:]])
+    after = rivals.separations(known + products, of_groups)
     return replace(plan, signals=tuple(signals), products=products, separations=after)
 
 
@@ -370,38 +410,41 @@ def _repeated(rivals: Rivals, known: Products, plan: _Plan, hopeful: NDArray[np.
     """The plan twice, four times and so on, until it tells the pairs apart with something to spare."""
     while plan.separations[hopeful].min(initial=ENOUGH) < ENOUGH / 2 and 2 * plan.recording.duration <= LONGEST:
         twice = replace(_joined(plan, plan), motions=plan.motions, repeats=2 * plan.repeats)
-        plan = _judged(rivals, known, twice, [*plan.signals, *plan.signals], plan.products.times(2.0))
+        plan = _judged(rivals, known, twice, plan.signals, plan.products.times(2.0))
     return plan
 
 
-def _compensated(rivals: Rivals, plan: _Plan) -> _Plan:
+def _compensated(rivals: Rivals, plan: _Plan, sensors: _Sensors) -> _Plan:
     """The plan with targets that make the likeliest rival, not the given model, follow the reference."""
-    r, s = plan.recording, _seen(rivals, plan)
+    r, s = plan.recording, _seen(rivals, plan, sensors)
     added = CubicSpline(s.time, rivals.known[0].prediction(s))(np.clip(r.time, s.time[0], s.time[-1]))
     assert r.kp is not None
     target = r.command - added / r.kp
     return replace(plan, recording=replace(r, position_target=target), torque=plan.torque - added)
 
 
-def _seen(rivals: Rivals, plan: _Plan) -> Signals:
+def _seen(rivals: Rivals, plan: _Plan, sensors: _Sensors) -> Signals:
     """The plan as it will be logged: with what earlier recordings have, targets and gains or torques, at their rate.
 
-    A delay of targets leaves other traces than one of the torques that a loop on the user's side sends. The noise is
-    that of the earlier recordings, whatever sensors it came from.
+    A delay of targets leaves other traces than one of the torques that a loop on the user's side sends. It has a test
+    function of its own, and the noise that the earlier recordings' sensors make there.
     """
-    r, takes = plan.recording, rivals.takes
-    like = takes[0].recording
+    r, like = plan.recording, rivals.takes[0].recording
     time = np.arange(0.0, r.duration, 1 / min(like.rate, RATE))
     held = np.searchsorted(r.time, time + 1e-9, side="right") - 1
-    path = CubicSpline(r.time, r.position)(time)
+    spline = CubicSpline(r.time, r.position)
+    path, velocity = spline(time), None if sensors.velocity is None else spline(time, 1)
     if like.position_target is None:
         log = replace(
-            r, time=time, position=path, position_target=None, kp=None, kd=None, torque_command=plan.torque[held]
-        )
+            r, time=time, position=path, velocity=velocity, position_target=None, kp=None, kd=None,
+            torque_command=plan.torque[held],
+        )  # fmt: skip
     else:
-        log = replace(r, time=time, position=path, position_target=r.command[held])
-    noise = np.sqrt(np.mean([s.noise**2 for s in takes], axis=0))
-    return replace(project_recording(log, plan.model, rivals.noise, kernel=takes[0].kernel), noise=noise)
+        log = replace(r, time=time, position=path, velocity=velocity, position_target=r.command[held])
+    s = project_recording(
+        log, plan.model, sensors.position, sensors.velocity, None, kernel_for([log]), sensors.correlation
+    )
+    return replace(s, noise=sensors.louder * s.noise)
 
 
 def _joints_of(rivals: Sequence[Scored]) -> list[int]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.effects.effect import is_slide, torque_scale
-from torchrl_athletic.effects.signals import JointAddress, Signals, torque_range
+from torchrl_athletic.effects.signals import HALF_POWER, KERNEL, JointAddress, Signals, torque_range
 from torchrl_athletic.recordings import ExcitationError, Safety, chirp, multisine, sine, square
 
 Array = NDArray[np.float64]
@@ -21,9 +21,9 @@ RATE = 200.0
 MARGIN = 0.9
 """Share of a limit that a motion may use."""
 MOST_MOTIONS = 40
-QUICK = (1.4, 0.7, 0.35)
-"""Upper ends of the bands of small quick motions, which show what slow ones hide: in units of the frequency whose
-accelerations come through the test function best. Wide bands, since in a narrow one a lag is a delay."""
+QUICK = (1.0, 0.5, 0.25, 0.12)
+"""Upper ends of the bands of small quick motions, which show what slow ones hide: in units of the highest frequency
+that the narrowest test function passes. Wide bands, since in a narrow one a lag is a delay."""
 SLOWEST = 0.2
 """Lowest frequency of a mix [Hz]."""
 ROUNDING: Mapping[str, float] = {"steps": 0.02, "sweep": 0.05}
@@ -110,7 +110,7 @@ def motions(takes: Sequence[Signals], limits: Limits, joints: Sequence[int], sec
     start = takes[0].recording.position[0]
     names, middle, half = takes[0].recording.joint_names, (low + high) / 2, (high - low) / 2
     poses = [start] if len(names) == 1 else [start, middle + 0.5 * half]
-    clearest = float(np.sqrt(2) / (2 * np.pi * takes[0].kernel))  # where f² times a Gaussian has its top
+    clearest = HALF_POWER / max(KERNEL[0], 1.2 / min(takes[0].recording.rate, RATE))
 
     def kinds(j: int, pose: Array) -> list[Iterator[Motion]]:
         own = (names, j, pose, limits, seconds)

@@ -22,6 +22,7 @@ from torchrl_athletic.recordings import (
     RecordingError,
     check_quality,
     repeat_noise,
+    sensor_noise,
     split_at_gaps,
 )
 
@@ -63,7 +64,11 @@ class Prepared:
 
 
 def prepare(
-    recordings: Sequence[Recording], model: mujoco.MjModel, drive: Drive = "command", kernel: float | None = None
+    recordings: Sequence[Recording],
+    model: mujoco.MjModel,
+    drive: Drive = "command",
+    kernel: float | None = None,
+    joined: int = 0,
 ) -> Prepared:
     """Check, split and project recordings.
 
@@ -72,6 +77,8 @@ def prepare(
         model: The model to compare them with.
         drive: Whether the commanded or the measured torque drives the simulation.
         kernel: Width of the test function [s]; chosen for the recordings if None.
+        joined: How many of the recordings, the last ones, are of experiments that were planned. Each has a test
+            function for its own band, which was chosen to show something.
 
     Raises:
         RecordingError: If there is no recording, if the joints differ between them or from the model's, or if nothing
@@ -85,17 +92,19 @@ def prepare(
         recordings = [r.driven_by_measured_torque() for r in recordings]
     limit = _limit(model, JointAddress.of(model, first.joint_names, first.source))
     quality = tuple(check_quality(r, limit) for r in recordings)
-    kernel = kernel_for(recordings) if kernel is None else kernel
+    old = len(recordings) - joined
+    kernel = kernel_for(recordings[:old] or recordings) if kernel is None else kernel
+    kernels = [kernel] * old + [kernel_for([r], sensor_noise(r)[0]) for r in recordings[old:]]
     signals: list[Signals] = []
     takes: list[Take] = []
     left_out: list[str] = []
-    for r, q in zip(recordings, quality, strict=True):
+    for r, q, own in zip(recordings, quality, kernels, strict=True):
         for piece in _pieces(r):
             start = int(np.searchsorted(r.time, piece.time[0]))
             mask = _unfit(q)[start : start + piece.num_samples]
             velocity_noise = q.velocity_noise if _velocity_fits(q) else None
             try:
-                s = project_recording(piece, model, q.position_noise, velocity_noise, mask, kernel, q.noise_correlation)
+                s = project_recording(piece, model, q.position_noise, velocity_noise, mask, own, q.noise_correlation)
             except RecordingError as error:
                 left_out.append(str(error))
                 continue

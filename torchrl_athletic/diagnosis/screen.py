@@ -187,8 +187,9 @@ class Fit:
 class Bank:
     """Predictions of every candidate for a set of recordings, and their products, which is all that a search needs.
 
-    Rows are normalised by ``noise`` (J,), so that a joint with nothing missing has a mean square of one. ``trims`` are
-    fitted beside every combination that leaves room for them. Time and memory grow linearly with the recordings.
+    Rows are normalised by ``noise`` (J,), or that of each take (takes, J), so that a joint with nothing missing has a
+    mean square of one. ``trims`` are fitted beside every combination that leaves room for them. Time and memory grow
+    linearly with the recordings.
     """
 
     def __init__(
@@ -200,7 +201,7 @@ class Bank:
     ) -> None:
         self.takes = list(takes)
         self.joints = takes[0].num_joints
-        self.noise = row_noise(takes) if noise is None else noise
+        self.noise = row_noise(takes) if noise is None else np.broadcast_to(noise, (len(self.takes), self.joints))
         self.products = Products(self.joints, self.stretch)
         self.products.add(self.target * self.weight, -1)
         self._numbers: dict[Atom, tuple[int, ...]] = {}
@@ -299,7 +300,7 @@ class Bank:
     @cached_property
     def weight(self) -> Array:
         """Inverse noise, zero where a sample is not to be used. Shape (sum of N, J)."""
-        return np.concatenate([s.valid / self.noise for s in self.takes])
+        return np.concatenate([s.valid / noise for s, noise in zip(self.takes, self.noise, strict=True)])
 
     @cached_property
     def target(self) -> Array:
@@ -490,9 +491,10 @@ def _columns(prints: Sequence[Fingerprint]) -> Array:
 def row_noise(takes: Sequence[Signals]) -> Array:
     """Standard deviation of the missing torque with nothing missing: sensor noise, and a floor below which nobody asks.
 
-    Shape (J,).
+    Of sensors it is the mean over the takes with the same test function. Shape (takes, J).
     """
-    noise = np.sqrt(np.mean([s.noise**2 for s in takes], axis=0))
+    alike = [[s.noise**2 for s in takes if s.kernel == one.kernel] for one in takes]
+    noise = np.sqrt([np.mean(squares, axis=0) for squares in alike])
     typical = np.sqrt(np.mean(np.concatenate([s.command**2 + s.load**2 for s in takes]), axis=0))
     limit = np.array([torque_scale(takes[0].nominal, takes[0].address, j) for j in range(takes[0].num_joints)])
     return np.hypot(noise, TORQUE_FLOOR * np.maximum(np.minimum(limit, 10 * typical), typical))

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from torchrl_athletic.diagnosis.screen import KERNEL_CORRELATION, Atom, Key, bounded_least_squares
 from torchrl_athletic.diagnosis.search import ACCURACY, Judge, Scored
 from torchrl_athletic.effects import Signals
-from torchrl_athletic.recordings import sensor_noise
 
 Array = NDArray[np.float64]
 Cache: TypeAlias = dict[tuple[Key, tuple[tuple[str, float], ...]], Array]
@@ -43,14 +42,18 @@ class Products:
     """Independent samples in each group. Shape (G,)."""
     bent: Array
     """Mean square of what smoothing bends into the missing torque, in variances of the noise. Shape (G,)."""
+    noise: Array
+    """Standard deviation of the missing torque that noise explains [N·m]. Shape (G,)."""
 
     def __add__(self, other: Products) -> Products:
         of = {pair: np.concatenate([own, other.of[pair]]) for pair, own in self.of.items()}
-        return Products(of, *(np.concatenate(both) for both in ((self.count, other.count), (self.bent, other.bent))))
+        groups = ((getattr(self, name), getattr(other, name)) for name in ("count", "bent", "noise"))
+        return Products(of, *(np.concatenate(both) for both in groups))
 
     def times(self, factor: float) -> Products:
         """Of takes that are longer by a factor."""
-        return Products({pair: factor * own for pair, own in self.of.items()}, factor * self.count, self.bent)
+        longer = {pair: factor * own for pair, own in self.of.items()}
+        return replace(self, of=longer, count=factor * self.count)
 
 
 class Rivals:
@@ -64,6 +67,7 @@ class Rivals:
         self.weight = np.array([p[a] * p[b] for a, b in self.pairs]) / sum(p[a] * p[b] for a, b in self.pairs)
         total, independent = judge.total, judge.independent.sum(1)
         self.sigma = bank.noise
+        """Of each take [N·m]. Shape (takes, J)."""
         self.left = (total * judge.mean_square(best.fit)).sum(1) / total.sum(1)
         """Mean square that the likeliest rival leaves, in variances of the noise. Shape (J,)."""
         self.floor = (total * judge.floor).sum(1) / total.sum(1)
@@ -71,30 +75,30 @@ class Rivals:
         self.level = np.maximum(self.left, self.floor)
         self.memory = np.minimum(bank.independent_samples(bank.rows(best.fit)) / np.maximum(independent, 1e-9), 1.0)
         """Share of the independent samples that the residual's autocorrelation leaves. Shape (J,)."""
-        noise = [sensor_noise(s.recording)[0] for s in bank.takes]
-        self.noise = np.asarray(np.median(noise, axis=0), dtype=np.float64)
-        """Of one position reading. Shape (J,)."""
         self.known = [Coefficients(s, bank.takes[0]) for s in rivals]
         self.draws: list[Array] | None = None
 
-    def products(self, takes: Sequence[Signals]) -> Products:
-        """Of some takes, as one set."""
+    def products(self, takes: Sequence[Signals], noise: Array | None = None) -> Products:
+        """Of some takes, as one set.
+
+        ``noise``: of the missing torque of each take [N·m], shape (takes, J); that of the recordings at hand if None.
+        """
+        noise = np.broadcast_to(_rms(self.sigma), (len(takes), self.sigma.shape[1])) if noise is None else noise
         columns: list[list[Array]] = [[] for _ in self.rivals]
-        count, bent = np.zeros(len(self.sigma)), np.zeros(len(self.sigma))
-        for s in takes:
+        count, bent = np.zeros(noise.shape[1]), np.zeros(noise.shape[1])
+        for s, sigma in zip(takes, noise, strict=True):
             cache: Cache = {}
             share = min(float(np.median(np.diff(s.time))) / (KERNEL_CORRELATION * s.kernel), 1.0) * self.memory
             count += share * s.valid.sum(0)
-            bent += share * (s.valid * s.bias**2).sum(0) / self.sigma**2
-            weight = s.valid * np.sqrt(share) / self.sigma
+            bent += share * (s.valid * s.bias**2).sum(0) / sigma**2
+            weight = s.valid * np.sqrt(share) / sigma
             for own, rival in zip(columns, self.known, strict=True):
                 own.append(rival.columns(s, cache) * weight[:, :, None])
         whole = [np.concatenate(own).transpose(1, 0, 2) for own in columns]
         many = range(len(whole))
         pairs = [*permutations(many, 2), *((a, a) for a in many)]
-        return Products(
-            {(a, b): whole[a].transpose(0, 2, 1) @ whole[b] for a, b in pairs}, count, bent / np.maximum(count, 1e-9)
-        )
+        of = {(a, b): whole[a].transpose(0, 2, 1) @ whole[b] for a, b in pairs}
+        return Products(of, count, bent / np.maximum(count, 1e-9), _rms(noise))
 
     def separations(self, products: Products, noise: Array | None = None) -> Array:
         """Of each pair: root of the evidence for the truth against the rival's best answer to it. Shape (pairs,).
@@ -104,14 +108,14 @@ class Rivals:
 
         Args:
             products: Of the recordings at hand, which come first, and of what is planned.
-            noise: Of a search through all of them [N·m], shape (J,); the bank's if None. Stronger motion asks for
-                torques in which more passes for noise.
+            noise: Of a search through all of them [N·m], shape (G,); that of the products if None. Stronger motion
+                asks for torques in which more passes for noise.
         """
         if self.draws is None:
             rng = np.random.default_rng(0)
             weighted = [products.of[n, n] / self.level[:, None, None] for n in range(len(self.known))]
             self.draws = [rival.draw(w.sum(0), rng) for rival, w in zip(self.known, weighted, strict=True)]
-        quiet = np.ones(len(self.sigma)) if noise is None else (self.sigma / noise) ** 2
+        quiet = np.ones(len(products.noise)) if noise is None else (products.noise / noise) ** 2
         out = []
         for a, b in self.pairs:
             ways = [
@@ -124,11 +128,11 @@ class Rivals:
     def _evidence(self, products: Products, truth: Array, a: int, b: int, quiet: Array) -> float:
         """For rival a with coefficients ``truth`` against rival b fitted to what that predicts, as a search weighs.
 
-        ``quiet``: variance of the bank's noise in that of the search's. Shape (J,).
+        ``quiet``: variance of the products' noise in that of the search's. Shape (G,).
         """
         own_square = (products.of[a, a] @ truth) @ truth
         count = np.maximum(products.count, 1e-9)
-        left, scale = (np.resize(x, len(count)) for x in (self.left * quiet, quiet))
+        left, scale = np.resize(self.left, len(count)) * quiet, quiet
         # of a strong motion more is allowed to smoothing and to laws that are right
         floor = np.maximum(np.resize(self.floor, len(count)), 1.0 + products.bent + ACCURACY**2 * own_square / count)
         level = np.maximum(left, 1.0 + (floor - 1.0) * scale)
@@ -223,6 +227,10 @@ def _fingerprint(s: Signals, atom: Atom, fixed: Mapping[str, float], cache: Cach
         f = atom.candidate.effect.fingerprint(s, atom.candidate.joint, fixed)
         cache[key] = f.columns if f.constant is None else np.concatenate([f.columns, f.constant[:, :, None]], 2)
     return cache[key]
+
+
+def _rms(noise: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(noise**2, axis=0)))
 
 
 def thinned(s: Signals, every: int = THINNED) -> Signals:
