@@ -131,11 +131,11 @@ def diagnose(
     recordings: Sequence[Recording],
     heldout: Sequence[Recording] = (),
     *,
+    joined: Sequence[Recording] = (),
     catalogue: Sequence[Effect] = CATALOGUE,
     drive: Drive = "command",
     seed: int = 0,
     time_budget: float | None = None,
-    joined: Sequence[Recording] = (),
     output: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -145,11 +145,11 @@ def diagnose(
         model: MJCF as a path, as text or as an ``MjSpec``; every joint of it must be recorded.
         recordings: Takes to fit.
         heldout: Takes of another kind, used only to compare and to score.
+        joined: Takes of experiments that an earlier diagnosis proposed, to fit as well.
         catalogue: Effects to consider.
         drive: Whether the commanded or the measured torque drives the simulation.
         seed: Of the bootstrap and of the choice of windows.
         time_budget: Wall-clock time after which no further combination is fitted [s].
-        joined: Takes of experiments that an earlier diagnosis proposed, to fit as well.
         output: Folder for the report. Without it nothing is written, and nothing can be resumed.
         progress: Bar to move.
 
@@ -246,12 +246,12 @@ class _Work:
     time_budget: float | None
     output: Path | None
     progress: Progress
+    joined: int = 0
+    """How many of the recordings, the last ones, are of experiments."""
     started: float = field(default_factory=time.monotonic)
     interrupted: bool = False
     stage: str = "quality"
     train: Prepared | None = None
-    joined: int = 0
-    """How many of the recordings, the last ones, are of experiments."""
     held: Prepared | None = None
     signals_bank: Bank | None = None
     locations: tuple[Location, ...] = ()
@@ -270,11 +270,11 @@ class _Work:
             "seed": self.seed,
             "catalogue": [e.name for e in self.catalogue],
             "fitted": len(self.recordings),
+            "joined": self.joined,
         }
         digest = inputs_digest(self.xml, (*self.recordings, *self.heldout), settings)
         self.checkpoint = Checkpoint(None if self.output is None else self.output / CHECKPOINT, digest)
         self._begin("quality")
-            "joined": self.joined,
         self.train = prepare(self.recordings, self.model, self.drive, joined=self.joined)
         self.progress.update(0.6)
         kernel = self.train.signals[0].kernel
