@@ -12,7 +12,7 @@ from torchrl.envs.utils import check_env_specs
 
 from torchrl_athletic.envs import ReplayTakes, Takes, TorqueEnv, replay_env
 from torchrl_athletic.envs.replay import HISTORY, AddedTorque
-from torchrl_athletic.functional import rewards
+from torchrl_athletic.functional import actuator_dynamics, rewards
 from torchrl_athletic.identification import Simulator, open_loop
 from torchrl_athletic.networks import uan
 from torchrl_athletic.testing import no_host_sync
@@ -264,6 +264,33 @@ def test_replays_of_training_and_of_scoring_are_one(memory):
         steps = played(env, lambda td: td.set("action", net[:-1](td["observation"]).squeeze(-1)), 50)
     np.testing.assert_allclose(steps["next", "joint_position"].numpy(), scored.position[1:3], atol=1e-5)
     assert np.abs(scored.error[1:3]).max() > 1e-2
+
+
+def test_what_moves_as_a_take_begins_has_wound_up_that_way_in_training_and_in_scoring():
+    """20 samples are known of the past, the net remembers 40."""
+    net = moved_net(memory=(0.05, 0.5))
+    simulator = Simulator("uan", ROBOT, net=net, kind="correction")
+    whole = recorded(Simulator("itself", ROBOT), commands(200, seed=7, scale=2.0, hold=15))
+    fast = int(np.abs(whole.velocity).min(1)[:100].argmax())
+    take = whole.slice(fast, fast + 80)
+    [scored] = open_loop(simulator, [take], window=20 * DT)
+    env = replay_env(
+        ROBOT,
+        takes_of([take], ROBOT),
+        chain=simulator.chain(decimation=1),
+        unit=torque_unit(net),
+        by_row=True,
+        starts=torch.tensor([20]),
+    )
+    with torch.no_grad():
+        steps = played(env, lambda td: td.set("action", net[:-1](td["observation"]).squeeze(-1)), 20)
+    np.testing.assert_allclose(steps["next", "joint_position"][0].numpy(), scored.position[1], atol=1e-5)
+    wound = torch.zeros(2, 2)
+    for k in range(-19, 21):
+        velocity = torch.tensor(take.velocity[max(k, 0)]).float()[:, None]
+        wound = actuator_dynamics.wind_up(wound, DT * velocity, torch.tensor([0.05, 0.5]))
+    torch.testing.assert_close(steps["observation"][0, 0, :, -2:], wound)
+    assert (wound[:, 0].abs() > 0.5).all()
 
 
 def test_the_reward_is_the_tables():

@@ -258,7 +258,11 @@ class ReplayTakes(RandomTransform):
 
     @torch.no_grad()
     def _past(self) -> _Past:
-        """Of every sample, by playing the recorded steps before it through the chain."""
+        """Of every sample, by playing the recorded steps before it through the chain.
+
+        What came before a take's first sample is not known: commands, torques and velocities count as those of that
+        sample, as in rollouts that are scored. So a joint that moves as the take begins has wound up that way.
+        """
         laws = [law for law in self.chain if isinstance(law, CorrectedActuation)]
         memory = [key for law in laws for key in law.memory]
         samples = torch.arange(len(self.position), device=self.position.device)
