@@ -92,7 +92,7 @@ class Row:
         said = (finding["effect"], finding["joint"])
         truth = self.case.truths[k]
         alike = self.case.equivalents[k] if k < len(self.case.equivalents) else ()
-        if said == (truth.effect, truth.joint) or said in alike:
+        if said in ((truth.effect, truth.joint), *alike) or (truth.effect, truth.joint) in _same(finding):
             return "right"
         if said[0] in SUPERSETS.get(truth.effect, ()) and said[1] == truth.joint:
             return "superset"
@@ -110,8 +110,13 @@ class Row:
         """The answer set: findings, their rivals, and single names that state the same physics."""
         out = list(self.findings)
         for f in self.findings:
-            out += [*f.get("rivals", ()), *(names[0] for names in f.get("alternatives", ()) if len(names) == 1)]
+            out += [*f.get("rivals", ()), *({"effect": effect, "joint": joint} for effect, joint in _same(f))]
         return out
+
+
+def _same(finding: Mapping[str, Any]) -> list[tuple[str, str | None]]:
+    """Single names that are printed with a finding, because its values make them the same physics."""
+    return [(names[0]["effect"], names[0]["joint"]) for names in finding.get("alternatives", ()) if len(names) == 1]
 
 
 def main(cfg: Config) -> None:

@@ -10,7 +10,8 @@ import pytest
 from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
-from torchrl_athletic.diagnosis.diagnose import ModelError, load_model
+from torchrl_athletic.diagnosis.diagnose import ModelError, _decide, load_model
+from torchrl_athletic.diagnosis.gates import Evidence
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import RecordingError
 
@@ -117,6 +118,24 @@ def test_what_was_saved_loads_as_it_was(diagnosis, output):
 def test_the_folder_holds_the_four_files_and_nothing_else(diagnosis, output):
     assert {p.name for p in output.iterdir()} == {"diagnosis.json", "report.html", "corrected.xml", "corrected.json"}
     mujoco.MjModel.from_xml_path(str(output / "corrected.xml"))
+
+
+@pytest.mark.parametrize(
+    ("better", "behind", "strain", "is_richer", "expected"),
+    [
+        (0.0, 2.0, 0.0, False, 0),  # the torques decide between equals
+        (0.05, 2.0, 0.0, False, 1),  # a little on every window is enough for a rival
+        (0.05, 2.0, 20.0, False, 0),  # not where the model's numbers have to be bent for it
+        (0.05, 0.0, 0.0, True, 0),  # nor for a law that contains the first: that always gains a little
+        (0.30, 0.0, 0.0, True, 1),
+    ],
+)
+def test_the_simulation_decides_between_what_the_torques_leave_open(better, behind, strain, is_richer, expected):
+    noise = 0.01 * np.random.default_rng(0).normal(size=(2, 100))
+    options = [Evidence(None, None), Evidence(None, None, behind, is_richer)]
+    chosen, against = _decide(options, [noise[0], noise[1] - better], np.array([0.0, strain]))
+    assert chosen == expected
+    assert against.min() >= 0
 
 
 def test_a_folder_without_a_diagnosis_says_so(tmp_path):

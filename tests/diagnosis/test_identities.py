@@ -37,8 +37,11 @@ def test_friction_by_direction_is_dry_friction_and_an_offset_unless_it_grows_dif
 def test_dry_friction_and_an_offset_on_one_joint_are_friction_by_direction():
     pair = finding("coulomb_friction", "knee"), finding("torque_offset", "knee")
     assert names(*pair) == [{(Name("asymmetric_friction", "knee"),)}] * 2
+    viscous = finding("viscous_friction", "knee")
+    assert names(*pair, viscous) == [{(Name("asymmetric_friction", "knee"),)}] * 3
+    assert names(pair[0], viscous) == [set(), set()]
     apart = finding("coulomb_friction", "knee"), finding("torque_offset", "hip")
-    assert names(*apart) == [set(), set()]
+    assert names(*apart, viscous) == [set()] * 3
 
 
 def test_gains_that_are_off_by_one_factor_are_a_torque_scale_where_targets_are_followed():

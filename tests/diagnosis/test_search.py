@@ -13,12 +13,15 @@ from torchrl_athletic.diagnosis.search import (
     RIVAL_PRICE,
     TERM,
     Judge,
+    _invariant,
     _merge,
     _simplest,
     _simplify,
     alternatives,
     noisy_joints,
     predictable_share,
+    richer,
+    rivals,
     search,
 )
 from torchrl_athletic.effects import Fingerprint, Parameter
@@ -240,6 +243,52 @@ def test_what_took_the_place_of_a_richer_law_is_given_up_as_well_where_less_will
     assert middle.evidence < plain.evidence
     assert names(_simplify(weigh, rich)) == names(middle)
     assert names(_simplest(weigh, rich)) == names(plain)
+
+
+@pytest.mark.parametrize(("second", "expected"), [(0.0, set()), (1.0, {"asymmetric"}), (8.0, {"asymmetric"})])
+def test_a_richer_law_that_was_given_up_is_left_to_the_simulation_where_its_evidence_is_decisive(second, expected):
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    take = on_shoulder(9 * a + second * b, 2 * rng.normal(size=(N, 2)))
+    larger = Given("asymmetric", np.stack([a, b], -1), excludes=("symmetric",))
+    weigh = judge(take, candidate(larger), candidate(Given("symmetric", a)))
+    rich = richer(weigh, weigh.score(weigh.bank.atoms[1:]))
+    assert (set() if rich is None else {name for name, _ in names(rich)}) == expected
+
+
+def test_a_richer_law_whose_special_cases_do_as_well_is_asked_about_as_these():
+    """Friction by direction, beside viscous friction that was found: what it has in addition is the dry part."""
+    rng = np.random.default_rng(0)
+    dry, viscous, side = smooth(rng, (3, N))
+    take = on_shoulder(2 * dry + 9 * viscous, rng.normal(size=(N, 2)))
+    whole = Given("by_direction", np.stack([dry, viscous, side], -1), excludes=("dry", "viscous"))
+    whole.special_cases = frozenset({"dry", "viscous"})  # type: ignore[misc]
+    weigh = judge(take, candidate(whole), candidate(Given("dry", dry)), candidate(Given("viscous", viscous)))
+    assert names(richer(weigh, weigh.score(weigh.bank.atoms[2:]))) == {("dry", "shoulder"), ("viscous", "shoulder")}
+
+
+def test_close_rivals_are_told_with_the_evidence_that_they_lie_behind():
+    rng = np.random.default_rng(0)
+    a, other = smooth(rng, (2, N))
+    effects = (("true", a), ("twin", a + 0.002 * other), ("else", other))
+    weigh = judge(on_shoulder(6 * a, rng.normal(size=(N, 2))), *(candidate(Given(*e)) for e in effects))
+    best = weigh.score(weigh.bank.atoms[:1])
+    ((twin, behind),) = rivals(weigh, best, within=6.0)
+    assert names(twin) == {("twin", "shoulder")}
+    expected = weigh.score(twin.fit.terms).evidence - best.evidence
+    assert behind == pytest.approx(max(expected, 0.0), abs=0.5)
+    assert rivals(weigh, best, within=behind) == []
+
+
+def test_a_term_with_another_strength_on_each_take_goes_unless_it_accounts_for_much():
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    unsteady = b * (1 + np.sin(np.arange(N) / 160))
+    for size, expected in ((1.0, {"a"}), (8.0, {"a", "b"})):
+        take = on_shoulder(6 * a + size * unsteady, 0.5 * rng.normal(size=(N, 2)))
+        weigh = judge(take, candidate(Given("a", a)), candidate(Given("b", b)))
+        kept = _invariant(weigh, weigh.score(weigh.bank.atoms))
+        assert {name for name, _ in names(kept)} == expected
 
 
 def test_a_rival_is_weighed_at_its_own_best_value():

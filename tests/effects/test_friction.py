@@ -201,6 +201,13 @@ def test_at_the_stribeck_speed_37_percent_of_the_excess_are_left(sign):
     assert friction == pytest.approx(coulomb + excess * np.exp(-1), rel=0.01)
 
 
+def test_dry_friction_that_all_but_vanishes_at_speed_is_a_spline_of_something_else():
+    parameters = StribeckFriction().parameters(arm(), address(), 1)
+    assert StribeckFriction().is_physical(parameters, np.array([0.5, 0.9, 0.1]))
+    assert not StribeckFriction().is_physical(parameters, np.array([0.5, 1.1, 0.1]))
+    assert not StribeckFriction().is_physical(parameters, np.array([0.0, 0.1, 0.1]))
+
+
 def test_without_excess_stribeck_friction_is_dry_friction():
     stribeck = push(SWING, (StribeckFriction(), [1.2, 0.0, 0.1]))
     np.testing.assert_allclose(stribeck, push(SWING, (CoulombFriction(), [1.2, 0.0])), atol=1e-12)

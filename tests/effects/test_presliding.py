@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from effects.arm import JOINTS, address, arm, record
@@ -78,6 +80,17 @@ def test_widths_shrink_with_the_travel_but_stay_beyond_those_of_dry_friction():
     assert widths == sorted(widths)
     assert widths[0] >= 0.01 * min(travel, 1.0)
     assert widths[-1] < travel
+
+
+def test_what_builds_up_within_the_presliding_of_dry_friction_is_no_hysteresis():
+    s = projected(Hysteresis(), 0, (0.0, 0.1))
+    parameters = Hysteresis().parameters(s.nominal, s.address, 0)
+    narrowest = parameters[1].lower
+    assert not Hysteresis().is_physical(parameters, np.array([1.0, narrowest]))
+    assert Hysteresis().is_physical(parameters, np.array([1.0, 1.1 * narrowest]))
+    slow = replace(s, fine_position=0.1 * s.fine_position)  # a tenth of the way: the finest widths would be narrower
+    assert 0 < len(Hysteresis().grid(slow, 0)) < len(Hysteresis().grid(s, 0))
+    assert min(point["width"] for point in Hysteresis().grid(slow, 0)) > narrowest
 
 
 def test_the_sentence_says_torque_and_way():

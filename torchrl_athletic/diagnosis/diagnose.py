@@ -38,7 +38,7 @@ from torchrl_athletic.diagnosis.screen import (
     is_trim,
     trims_for,
 )
-from torchrl_athletic.diagnosis.search import Judge, keys, noisy_joints, search
+from torchrl_athletic.diagnosis.search import Judge, Scored, keys, noisy_joints, richer, rivals, search
 from torchrl_athletic.effects import CATALOGUE, Effect
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.recordings import Recording
@@ -49,7 +49,11 @@ Model: TypeAlias = str | Path | mujoco.MjSpec
 CHECKPOINT = "progress.json"
 CLOSE = 10.0
 """Evidence within which combinations are left to the simulation to decide."""
-MOST_FITS = 3
+MOST_FITS = 4
+ASKED = 6.0
+"""Evidence behind which a rival is not asked about in the simulation: a twentieth of the odds."""
+RICH = 0.15
+"""By which the logarithm of the windows' error must fall for a richer law to take a simpler one's place."""
 DRIVE_EFFECTS = ("actuation_delay", "actuation_lag", "torque_scale", "torque_offset")
 """What can happen between a command and a measured torque."""
 BEFORE_THE_MOTOR = frozenset({"actuation_delay", "actuation_lag", "torque_saturation", "speed_torque_limit"})
@@ -323,7 +327,7 @@ class _Work:
         assert self.train is not None
         takes = self.train.takes
         for k, option in enumerate(self.options[:MOST_FITS]):
-            if k and (self._late() or option.best.evidence - self.options[0].best.evidence > CLOSE):
+            if k and (self._late() or option.behind > CLOSE):
                 break
             hypothesis, start = _hypothesis(option, self.drive_evidence)
             key = "fit " + " ".join(f"{c.effect.name}/{c.where}" for c in (*hypothesis.terms, *hypothesis.trims))
@@ -367,9 +371,8 @@ class _Work:
             self.progress.update((k + 1) / len(self.fits))
         if not errors:
             return
-        best = min(errors, key=lambda e: float(e.mean()))
-        against = np.array([_against(e - best) for e in errors])
-        self.chosen = int(np.argmin(against + [o.best.evidence for o in self.options[: len(errors)]]))
+        strain = np.array([fitted.hypothesis.strain(fitted.values) for fitted in self.fits])
+        self.chosen, against = _decide(self.options[: len(errors)], errors, strain)
         simulated = {keys(o.best.fit.terms): float(a) for o, a in zip(self.options, against, strict=False)}
         self.options = tuple(replace(o, simulated=simulated) for o in self.options)
 
@@ -479,7 +482,19 @@ def _search(
     if noisy := noisy_joints(judge):
         judge = Judge(bank, noisy)
         found = search(judge)
-    return [Evidence(judge, s) for s in found]
+    return _options(judge, found)
+
+
+def _options(judge: Judge, found: Sequence[Scored]) -> list[Evidence]:
+    """What the simulation decides about: the best combination, a richer law that it gave up, what rivals it closely."""
+    first, rich = found[0], richer(judge, found[0])
+    out = [Evidence(judge, first)] + ([Evidence(judge, rich, 0.0, True)] if rich is not None else [])
+    near = [Evidence(judge, s, behind) for s, behind in rivals(judge, first, ASKED)]
+    near += [Evidence(judge, s, s.evidence - first.evidence) for s in found[1:]]
+    for option in sorted(near, key=lambda e: e.behind):
+        if all(keys(option.best.fit.terms) != keys(e.best.fit.terms) for e in out):
+            out.append(option)
+    return out
 
 
 def _hypothesis(option: Evidence, drive: Evidence | None) -> tuple[Hypothesis, Array]:
@@ -532,6 +547,23 @@ def _trimmed(corrected: Simulation) -> tuple[str, ...]:
     if not changes:
         return ()
     return (f"Beside the findings the corrected model was adjusted within its tolerances: {', '.join(changes)}.",)
+
+
+def _decide(options: Sequence[Evidence], errors: Sequence[Array], strain: Array) -> tuple[int, Array]:
+    """Which option the recordings' torques and the simulation speak for, and what the latter says against each.
+
+    Args:
+        options: What was fitted, the preferred one first.
+        errors: Logarithm of every window's error, of each option. Shapes (W,).
+        strain: How far each option's fit bends the trims. Shape (options,).
+    """
+    best = min(errors, key=lambda e: float(e.mean()))
+    against = np.array([_against(e - best) for e in errors]) + strain - strain.min()
+    behind = np.array([option.behind for option in options])
+    for k, option in enumerate(options):
+        if option.richer and float((errors[0] - errors[k]).mean()) < RICH:
+            behind[k] = np.inf
+    return int(np.argmin(against + behind)), against
 
 
 def _against(worse: Array) -> float:

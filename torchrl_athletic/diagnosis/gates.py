@@ -45,6 +45,10 @@ class Evidence:
 
     judge: Judge
     best: Scored
+    behind: float = 0.0
+    """Evidence that the recordings' torques give against it, beside the first."""
+    richer: bool = False
+    """Whether it holds the first as a special case, which the simulation has to show to be too simple."""
     simulated: Mapping[frozenset[Key], float] = field(default_factory=dict)
     """Combination -> twice the log odds that the simulation gives against it, for those that were fitted."""
 
@@ -190,7 +194,7 @@ def _certainty(candidate: Candidate, values: Array, samples: Array) -> float:
 
 
 def _is_plain(candidate: Candidate, values: Array, samples: Array) -> bool:
-    """Whether all that sets an effect apart from simpler laws may be nothing, by its 95 % intervals."""
+    """Whether all that sets an effect apart from simpler laws may be nothing, by its intervals, or makes no sense."""
     of = {p.name: (values[k], samples[:, k]) for k, p in enumerate(candidate.parameters)}
     given = {p.name: p.nominal for p in candidate.parameters}
 
@@ -203,6 +207,8 @@ def _is_plain(candidate: Candidate, values: Array, samples: Array) -> bool:
         low, high = np.quantile(apart, [0.025, 0.975])
         return bool(low > least or high < -least)
 
+    if not candidate.effect.is_physical(candidate.parameters, values):
+        return True
     contrasts = candidate.effect.sets_apart
     return bool(contrasts) and not any(is_seen(what) for what in contrasts)
 

@@ -61,7 +61,8 @@ def _is_part(f: Finding, whole: Effect, findings: Sequence[Finding], joints: Seq
         parts = [g for g in findings if g.effect in names and g.joint in where]
         if not all(_holds(g) for g in parts):
             continue
-        if f in parts and len(parts) == len(names) * len(where):
+        damps = whole.name == "asymmetric_friction" and f.effect == "viscous_friction" and f.joint in where
+        if (f in parts or damps) and len(parts) == len(names) * len(where):
             return not whole.whole_robot or _agree([e for g in parts for e in g.parameters.values()])
     return False
 

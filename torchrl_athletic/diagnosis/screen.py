@@ -157,10 +157,13 @@ class Fit:
     def at_bound(self) -> bool:
         """Whether a parameter of the combination stops at a physical bound, zero excepted: no estimate, but a stand-in.
 
-        A motor three times too strong is one, whose torque something else then takes away.
+        A motor three times too strong is one, whose torque something else then takes away. So are values that make no
+        sense together.
         """
         at = 0
         for atom, values in zip(self.terms, self.values(), strict=False):
+            if not atom.candidate.effect.is_physical(atom.candidate.parameters, values):
+                return True
             for k, parameter in enumerate(atom.linear, at):
                 low, high, x = self.bounds[0][k], self.bounds[1][k], self.coefficients[k]
                 if parameter >= 0 and min(x - low, high - x) <= 1e-6 * (high - low):

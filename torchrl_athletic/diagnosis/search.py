@@ -42,8 +42,12 @@ ACCURACY = 0.01
 """Error of a right law, of the torque that is missing without it: below, evidence speaks of tangents and time steps."""
 RICHER = 0.25
 """Share of what is open that an effect must close beyond a simpler one that it contains."""
+SEEN = 0.05
+"""The same from which on the simulation is asked whether the richer law is the true one."""
 INVARIANT = 0.4
 """Relative scatter between stretches of the recordings up to which a term is the same physics everywhere."""
+MUCH = 0.3
+"""Share of a joint's missing torque that a term must account for to stay without that."""
 REWEIGHTED = 2
 """Rounds of least squares with the joints weighed by what the last one left."""
 SHORTLIST = 2
@@ -96,6 +100,7 @@ class Judge:
         if noisy:
             self.floor[noisy] = np.maximum(self.floor, OPEN * self.usual(bank.fit(()))[:, None])[noisy]
         self._scores: dict[frozenset[Atom], Scored] = {}
+        self._alternatives: dict[tuple[frozenset[Atom], Atom], list[Scored]] = {}
 
     def mean_square(self, fit: Fit) -> Array:
         """Of the normalised residual, per joint and stretch. Shape (J, S)."""
@@ -239,6 +244,51 @@ def _polish(judge: Judge, scored: Scored) -> Scored:
     return kept if kept is simple else _prune(judge, _simplest(judge, kept))
 
 
+def richer(judge: Judge, best: Scored) -> Scored | None:
+    """The combination with a richer law for one that it contains, if its evidence is decisively better.
+
+    The search gave it up, since every superset wins by a little. Whether that little is physics, the simulation knows:
+    in the torque domain a joint that mostly sticks says nothing of how it slides.
+    """
+    terms, joints = best.fit.terms, {a.candidate.joint_name for a in best.fit.terms}
+    trials = []
+    for candidate in {a.candidate: None for a in judge.bank.atoms if a.candidate.joint_name in joints}:
+        beside = [t for t in terms if t.candidate.joint_name == candidate.joint_name]
+        parts = tuple(t for t in beside if not candidate.allows(t.candidate))
+        if parts and all(t.candidate is not candidate for t in parts):
+            trial = _merged(judge, terms, parts, candidate)
+            more = [a for a in trial.fit.terms if a.candidate is candidate]
+            if more and all(_is_richer(more[0], t) for t in parts):
+                trials.append(trial)
+    if not trials:
+        return None
+    rich = min(trials, key=lambda s: s.evidence)
+    parts = _simplest(judge, rich)  # friction by direction may be the dry part that viscous friction alone lacked
+    for trial in (rich,) if keys(parts.fit.terms) == keys(best.fit.terms) else (parts, rich):
+        if best.evidence - trial.evidence > DECISIVE and judge.closes(best.fit, trial.fit) > SEEN:
+            return trial
+    return None
+
+
+def rivals(judge: Judge, best: Scored, within: float) -> list[tuple[Scored, float]]:
+    """Combinations with another effect in the place of one term, each with the evidence that it lies behind.
+
+    Args:
+        judge: Of the search.
+        best: What it found.
+        within: Evidence behind which a rival is left out.
+    """
+    out: dict[frozenset[Key], tuple[Scored, float]] = {}
+    for term in best.fit.terms:
+        found = alternatives(judge, best, term)
+        own = next(s for s in found if keys(s.fit.terms) == keys(best.fit.terms))
+        for s in found:
+            behind = max(s.evidence - own.evidence, 0.0)
+            if s is not own and behind < within and keys(s.fit.terms) not in out:
+                out[keys(s.fit.terms)] = judge.score(s.fit.terms), behind
+    return sorted(out.values(), key=lambda r: r[1])
+
+
 def noise_level(bank: Bank) -> Array:
     """Mean square of the normalised missing torque where nothing is missing: sensor noise, and what smoothing bends.
 
@@ -286,6 +336,13 @@ def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
     special case is no rival where the search gave it up for the term, and pays the full price for its numbers: at
     Akaike's, it would keep its share however much is recorded.
     """
+    key = frozenset(best.fit.terms), term
+    if key not in judge._alternatives:
+        judge._alternatives[key] = _alternatives(judge, best, term)
+    return judge._alternatives[key]
+
+
+def _alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
     samples = judge.bank.independent_samples(judge.bank.rows(best.fit))
     independent = judge.independent * np.minimum(1.0, samples / np.maximum(judge.independent.sum(1), 1e-9))[:, None]
     rest = [a for a in best.fit.terms if a is not term]
@@ -545,13 +602,23 @@ def scatter(bank: Bank, fit: Fit, term: Atom) -> float:
 
 
 def _invariant(judge: Judge, scored: Scored) -> Scored:
-    """Drop terms that do not hold everywhere, the worst first; the last one stays, as a stand-in of low probability."""
+    """Drop terms that do not hold everywhere, the worst first.
+
+    The last one stays, and one that accounts for much of what is missing: as a stand-in of low probability.
+    """
+    kept: set[Candidate] = set()
     while len(scored.fit.terms) > 1:
-        scatters = [scatter(judge.bank, scored.fit, term) for term in scored.fit.terms]
-        worst = int(np.argmax(scatters))
-        if scatters[worst] <= INVARIANT:
+        terms = [t for t in scored.fit.terms if t.candidate not in kept]
+        scatters = [scatter(judge.bank, scored.fit, term) for term in terms]
+        if not terms or max(scatters) <= INVARIANT:
             break
-        scored = judge.score([t for k, t in enumerate(scored.fit.terms) if k != worst])
+        worst = terms[int(np.argmax(scatters))]
+        smaller = judge.score([t for t in scored.fit.terms if t is not worst])
+        missing, without, left = (judge.excess(f)[worst.candidate.joint] for f in (judge.bare, smaller.fit, scored.fit))
+        if without - left > MUCH * missing:
+            kept.add(worst.candidate)
+        else:
+            scored = smaller
     return scored
 
 

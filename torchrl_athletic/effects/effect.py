@@ -119,6 +119,10 @@ class Effect(ABC):
         """Value of the parameter that a coefficient stands for: the inverse of :meth:`change`."""
         return parameter.nominal + change
 
+    def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
+        """Whether values (P,), each within its bounds, make sense together."""
+        return True
+
     @abstractmethod
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         """Put the effect into a batch of simulations. ``values`` has shape (rows, P), in the parameters' order."""

@@ -31,6 +31,8 @@ _TURNOVER = (0.5, 1.0)
 """Turnovers to try, per the one of the model's time constant."""
 _EARLY = 0.004
 """Above it, friction is said to turn over before the motion does [s]."""
+_BREAKAWAY = 3.0
+"""Most that a joint takes to break away, per its dry friction at speed. Measured ones take 1.1 to 2.5 times as much."""
 _STRIBECK = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35)
 """Stribeck speeds to try, per the joint's greatest speed."""
 
@@ -273,6 +275,10 @@ class StribeckFriction(Effect):
             Parameter("stribeck", torque_unit(model, address, joint), 0.0, 0.0, bound, 0.02 * scale),
             Parameter("stribeck_speed", speed, 1.0, 1e-9, 20.0, 0.02),  # any will do where nothing depends on it
         )
+
+    def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
+        """Friction that all but vanishes at speed is a spline of something else."""
+        return bool(values[1] <= (_BREAKAWAY - 1) * values[0])
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         fastest = float(np.abs(s.velocity[:, joint]).max())

@@ -22,6 +22,8 @@ from torchrl_athletic.effects.effect import (
 from torchrl_athletic.effects.plant import Law, Now, Plant, Start
 from torchrl_athletic.effects.signals import JointAddress, Signals, presliding_width
 
+NARROWEST = 6e-3
+"""Width below which what builds up after a reversal is dry friction's presliding [rad]; a tenth of it in metres."""
 WIDTHS = (0.012, 0.02, 0.033, 0.055, 0.09, 0.15, 0.24, 0.4)
 """Of a hysteresis, on a joint that travels a radian or more [rad]. Below them lies the presliding of dry friction."""
 
@@ -147,8 +149,8 @@ class Hysteresis(Effect):
     """Friction that builds up over a way: a seal, a cable or a preloaded strain-wave gear that winds up, then slides.
 
     Parameters, in total, in the corrected model: ``torque`` [N·m, N for slides] once it slides, and ``width`` [rad, m],
-    the way over which it turns to 1/e of the new direction after a reversal. Widths start at 10 mrad on a joint that
-    travels a radian; what turns over sooner is dry friction.
+    the way over which it turns to 1/e of the new direction after a reversal. Widths start at 12 mrad on a joint that
+    travels a radian, and at 6 mrad at least; what turns over sooner is dry friction.
 
     Fingerprint: -z, the direction of sliding with that width, relaxed at the start of the take.
 
@@ -171,16 +173,22 @@ class Hysteresis(Effect):
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
         limit, unit = torque_scale(model, address, joint), torque_unit(model, address, joint)
-        way = Parameter("width", "rad", 1.0, 1e-9, 3.0, 0.01)
+        way = Parameter("width", "rad", 1.0, NARROWEST, 3.0, 0.01)
         if is_slide(model, address, joint):
-            way = Parameter("width", "m", 1.0, 1e-9, 3.0, 0.001)
+            way = Parameter("width", "m", 1.0, 0.1 * NARROWEST, 3.0, 0.001)
         return (Parameter("torque", unit, 0.0, 0.0, torque_bound(model, address, joint), 0.02 * limit), way)
+
+    def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
+        """At the least width it is dry friction."""
+        return bool(values[1] > 1.01 * parameters[1].lower)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         travel = float(np.ptp(s.fine_position[:, joint]))
         if travel <= 0:
             return []
-        return [{"width": width * min(travel, 1.0)} for width in WIDTHS]
+        narrowest = (0.1 if is_slide(s.nominal, s.address, joint) else 1.0) * NARROWEST
+        widths = [width * min(travel, 1.0) for width in WIDTHS]
+        return [{"width": width} for width in widths if width > 1.01 * narrowest]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         return self.fingerprints(s, joint, [fixed])[0]
