@@ -43,7 +43,7 @@ from benchmarks.concealed.cases import (
     prepare,
     source_digest,
 )
-from benchmarks.concealed.hidden import Truth
+from benchmarks.concealed.hidden import Truth, conceal
 from benchmarks.concealed.robots import Robot
 from benchmarks.concealed.run import _pin, export, is_done, program_digest
 from benchmarks.concealed.score import Row, load
@@ -150,9 +150,16 @@ def _rounds(cfg: Config, session: Session, folder: Path, result: dict[str, Any])
         if not (out / "next_experiment.npz").exists():
             break
         recording = replayed(session, out / "next_experiment.npz", TAKE + k)
-        result["experiments"].append(_read(out / "next_experiment.json"))
+        plan = _read(out / "next_experiment.json")
+        result["experiments"].append(plan)
         write_recording(recording, folder / f"experiment_{k + 1}.npz")
-        result["answers"].append(_diagnosis(["--continue", folder / f"experiment_{k + 1}.npz"], out, cfg.timeout))
+        flags: list[str | Path] = [
+            "--continue",
+            folder / f"experiment_{k + 1}.npz",
+            "--payload",
+            str(plan["payload_kg"]),
+        ]
+        result["answers"].append(_diagnosis(flags, out, cfg.timeout))
 
 
 def _diagnosis(flags: Sequence[str | Path], out: Path, timeout: float) -> dict[str, Any]:
@@ -178,6 +185,7 @@ def replayed(session: Session, command: Path, take: int) -> Recording:
     case, robot = session.case, session.robot
     with np.load(command, allow_pickle=False) as file:
         stamps, target, kp, kd = (np.asarray(file[k]) for k in ("time", "position_target", "kp", "kd"))
+        weight = float(json.loads(str(file["metadata"]))["payload_kg"])
     time_ = np.arange(0.0, stamps[-1], 1.0 / case.rate)
     # a target is held until the next one comes
     held = target[np.clip(np.searchsorted(stamps, time_ + 1e-9, side="right") - 1, 0, None)]
@@ -185,7 +193,9 @@ def replayed(session: Session, command: Path, take: int) -> Recording:
     rng = generator(case.split, case.block, case.index, case.seed + 7919 * (take + 1))
     motion = Plan("experiment", time_, held, still, still, still)
     drive = drive_for(robot, motion, case.mode, kp, kd, session.sensors, take, rng)._replace(feedforward=still)
-    logged, reading, speed, clean, _ = move(session.body, robot, drive)
+    fastened = Truth("payload", robot.joint_names[-1], {"mass": weight})
+    body = conceal(session.body, robot, fastened, False, rng) if weight else session.body
+    logged, reading, speed, clean, _ = move(body, robot, drive)
     if not _inside(robot, clean):
         raise RuntimeError(f"{case.name}: the proposed experiment drives the robot out of its range.")
     return log(robot, drive, session.sensors, logged, reading, speed, f"experiment_{take}", rng)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -29,12 +30,13 @@ def session_of(mode: str) -> Session:
     )
 
 
-def command_file(session, folder, swing=0.3):
+def command_file(session, folder, swing=0.3, payload=0.0):
     time = np.arange(round(6 * RATE)) / RATE
     target = session.robot.centre + swing * np.sin(2 * np.pi * 0.25 * time)[:, None]
     kp, kd = (session.kp, session.kd) if session.case.mode == "position_target" else (np.array([20.0]), np.array([2.0]))
     path = folder / "next_experiment.npz"
-    np.savez(path, time=time, position_target=target, kp=kp, kd=kd)
+    metadata = np.array(json.dumps({"payload_kg": payload}))
+    np.savez(path, time=time, position_target=target, kp=kp, kd=kd, metadata=metadata)
     return path, target, kp, kd
 
 
@@ -58,6 +60,16 @@ def test_who_takes_targets_is_sent_the_files_and_follows(tmp_path):
     assert log.torque_command is None
     assert set(np.unique(log.position_target)) <= set(np.unique(target))
     assert np.corrcoef(log.position[:, 0], log.position_target[:, 0])[0, 1] > 0.8
+
+
+def test_what_the_file_asks_to_fasten_is_fastened(tmp_path):
+    session = session_of("torque_command")
+    bare, loaded = (
+        replayed(session, command_file(session, tmp_path, payload=p)[0], 1000)
+        for p in (0.0, float(session.robot.tree.mass[0]))
+    )
+    # about the level, a loop on the user's side sends more torque for more weight
+    assert np.abs(loaded.torque_command - bare.torque_command).max() > 0.2 * np.abs(bare.torque_command).max()
 
 
 def test_a_robot_that_is_driven_away_is_no_experiment(tmp_path):

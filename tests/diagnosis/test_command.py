@@ -13,6 +13,7 @@ from diagnosis.plants import pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import command
 from torchrl_athletic.diagnosis.command import Config, inputs, main
+from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.result import Answer
 from torchrl_athletic.recordings import RecordingError, write_recording
 
@@ -78,6 +79,18 @@ def test_every_flag_reaches_the_diagnosis(folder, asked, capsys):
     assert "The same command goes on from here." in capsys.readouterr().out
 
 
+def test_what_was_fastened_goes_with_the_recordings_that_join_and_stays_with_them(folder, asked):
+    flags = "--model robot.xml --recordings train --output there"
+    main(parsed(*flags.split()))
+    main(parsed(*"--output there --continue c.npz --payload 0.5".split()))
+    main(parsed(*"--output there --continue train/a.npz".split()))
+    new = [settings["joined"] for _, settings in asked]
+    assert [[r.metadata.get(PAYLOAD) for r in group] for group in new] == [[], [0.5], [0.5, None]]
+    np.testing.assert_array_equal(
+        new[1][0].position, inputs(parsed(*flags.split(), "--heldout", "c.npz"))[2][0].position
+    )
+
+
 def test_without_arguments_the_demo_runs(asked, monkeypatch):
     import torchrl_athletic.recordings.demo as demo
 
@@ -132,6 +145,7 @@ def test_half_of_what_is_needed_is_refused(flags, missing):
         ("--model robot.xml --recordings train --columns nowhere.json", "nowhere.json"),
         ("--model robot.xml --recordings train --columns broken.npz", "broken.npz"),
         ("--model knee.xml --recordings train", "joint_names has 'pendulum', the model has ['knee']"),
+        ("--model robot.xml --recordings train --payload 0.5", "--payload speaks of the recordings of --continue"),
         ("--model robot.xml --recordings train --drive measured", "there is no torque_measured"),
         ("--model robot.xml --recordings train --output robot.xml", "--output robot.xml is a file. Name a folder."),
     ],

@@ -14,12 +14,11 @@ from torchrl_athletic.diagnosis.experiment import (
     next_experiment,
     propose,
     shares,
-    with_payload,
     write,
 )
 from torchrl_athletic.diagnosis.gates import Evidence
 from torchrl_athletic.diagnosis.motions import RATE, Limits
-from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.prepare import PAYLOAD, prepare
 from torchrl_athletic.diagnosis.result import Finding, Rival
 from torchrl_athletic.diagnosis.screen import TRIMS, Bank, candidates_for, trims_for
 from torchrl_athletic.diagnosis.search import Judge, Scored, search
@@ -34,7 +33,9 @@ from torchrl_athletic.effects import (
     LinkMass,
     ReflectedInertia,
     TorqueOffset,
+    TorqueScale,
 )
+from torchrl_athletic.effects.payload import with_payload
 from torchrl_athletic.recordings import Recording
 from torchrl_athletic.recordings.demo import (
     HiddenEffect,
@@ -92,7 +93,8 @@ def logged(machine: Machine, q: np.ndarray, seed: int, **command: np.ndarray) ->
 
 
 def searched(robot: Robot, takes, catalogue, joined: int = 0) -> tuple[Judge, Scored]:
-    signals = prepare(takes, mujoco.MjModel.from_xml_string(robot.model_xml), joined=joined).signals
+    xml = robot.model_xml
+    signals = prepare(takes, mujoco.MjModel.from_xml_string(xml), joined=joined, xml=xml).signals
     judge = Judge(Bank(signals, candidates_for(signals, catalogue), trims_for(signals, TRIMS)))
     return judge, search(judge)[0]
 
@@ -279,6 +281,37 @@ def test_the_finding_with_the_most_doubtful_name_is_asked_about():
     e = next_experiment([Evidence(judge, best)], [sure, finding])
     assert set(e.rivals) == set(share)
     assert next_experiment([Evidence(judge, best)], [sure]) is None
+
+
+def loaded(robot: Robot, weight: float) -> Robot:
+    """With a point at the tip of its link, as one body."""
+    (link,) = robot.links
+    mass = link.mass + weight
+    com = (link.mass * link.com + weight * link.length) / mass
+    inertia = link.inertia + link.mass * (link.com - com) ** 2 + weight * (link.length - com) ** 2
+    return replace(robot, links=(replace(link, mass=mass, com=com, inertia=inertia),))
+
+
+def test_a_weight_is_asked_for_where_no_motion_tells_a_weak_motor_from_a_heavy_link():
+    (link,) = pendulum().links  # neither rotor nor friction, which a scale makes smaller, too
+    robot = replace(pendulum(), links=(replace(link, armature=0.0, damping=0.0, frictionloss=0.0),))
+    secret, catalogue = HiddenEffect("torque_scale", "pendulum", {"scale": 0.8}), (TorqueScale(), LinkMass())
+    take = recorded(robot, secret, shaken(((0.15, 0.9), (0.10, 2.1))), 0)
+    judge, best = searched(robot, [take], catalogue)
+    share = answers(judge, best)
+    assert max(share.values()) < 0.8
+    assert propose(judge, rivals_of(judge, best)) is None
+    key = best.fit.terms[0].candidate.key
+    finding = Finding(*key, share[key], "", {}, "", tuple(Rival(*k, p, "") for k, p in share.items() if k != key))
+    evidence = [Evidence(judge, best)]
+    assert next_experiment(evidence, [finding]) is None
+    experiment = next_experiment(evidence, [finding], xml=robot.model_xml)
+    assert experiment.payload == pytest.approx(0.5 * robot.links[0].mass, rel=0.2)
+    assert "kg fastened to the end" in experiment.sentence
+
+    new = recorded(loaded(robot, experiment.payload), secret, experiment.torque, 1)
+    told = replace(new, metadata={PAYLOAD: experiment.payload})
+    assert answers(*searched(robot, [take, told], catalogue, 1)).get(("torque_scale", "pendulum"), 0.0) > 0.9
 
 
 def test_a_fastened_payload_weighs_and_resists_as_a_point_at_the_end_of_the_last_link():

@@ -1,11 +1,14 @@
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
+from diagnosis.plants import pendulum, smooth_torque
+from diagnosis.plants import record as swing
 from effects.arm import JOINTS, arm, record
 from scipy.signal import lfilter
 
-from torchrl_athletic.diagnosis.prepare import drive_signals, prepare
+from torchrl_athletic.diagnosis.prepare import PAYLOAD, drive_signals, prepare
 from torchrl_athletic.effects import ActuationDelay, TorqueScale
 from torchrl_athletic.recordings import Recording, RecordingError
 
@@ -43,6 +46,21 @@ def test_a_take_of_an_experiment_is_seen_in_its_own_band_and_the_others_as_ever(
     assert together.signals[0].kernel == alone.signals[0].kernel
     assert together.signals[1].kernel < 0.6 * alone.signals[0].kernel
     np.testing.assert_array_equal(together.signals[0].missing, alone.signals[0].missing)
+
+
+def test_a_take_with_a_known_weight_is_compared_with_the_model_that_carries_it():
+    xml, weight = pendulum(), 0.2
+    model = mujoco.MjModel.from_xml_string(xml)
+    point = f'<body pos="0 0 -0.8"><inertial pos="0 0 0" mass="{weight}" diaginertia="1e-9 1e-9 1e-9"/></body>'
+    take = swing(xml.replace("</body>", f"{point}</body>"), smooth_torque(3.0))
+    told = replace(take, metadata={PAYLOAD: weight})
+    silent, carried = (prepare([r], model, xml=xml) for r in (take, told))
+    assert np.abs(carried.signals[0].missing).max() < 0.05 * np.abs(silent.signals[0].missing).max()
+    assert carried.takes[0].model.nbody == model.nbody + 1
+    with pytest.raises(RecordingError, match="the model's MJCF is needed"):
+        prepare([told], model)
+    with pytest.raises(RecordingError, match="A mass of 0 kg or more"):
+        prepare([replace(take, metadata={PAYLOAD: -1.0})], model, xml=xml)
 
 
 def test_a_gap_splits_a_take_and_nothing_is_made_up_across_it(takes):

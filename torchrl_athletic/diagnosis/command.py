@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,9 +12,17 @@ import tyro
 
 from torchrl_athletic.diagnosis.continuation import recall, remember
 from torchrl_athletic.diagnosis.diagnose import Diagnosis, ModelError, diagnose
+from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.report import terminal_summary
-from torchrl_athletic.recordings import ColumnMap, FetchError, Recording, RecordingError, read_recordings
+from torchrl_athletic.recordings import (
+    ColumnMap,
+    FetchError,
+    Recording,
+    RecordingError,
+    read_recordings,
+    write_recording,
+)
 
 
 @dataclass(frozen=True)
@@ -32,6 +40,8 @@ class Config:
     continue_with: Annotated[tuple[Path, ...], tyro.conf.arg(name="continue")] = ()
     """New files or folders that join those of the earlier diagnosis in the output folder, such as a recording of its
     next_experiment.npz."""
+    payload: float = 0.0
+    """Mass fastened to the end of the last link while the files of --continue were recorded, as the plan asked [kg]."""
     columns: Path | None = None
     """JSON column map for foreign names and units."""
     drive: Literal["command", "measured"] = "command"
@@ -59,7 +69,7 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
     try:
         if config.output.is_file():  # said now, not after the fit
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
-        config = recall(config, config.output)
+        config = fastened(config, recall(config, config.output))
         model, recordings, heldout = inputs(config)
         new = joined(config)
         remember(config, config.output)
@@ -90,6 +100,22 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
     if not diagnosis.answer.complete:
         print("Stopped early. The same command goes on from here.")
     return diagnosis
+
+
+def fastened(asked: Config, config: Config) -> Config:
+    """The recalled settings with copies of the files that joined now, which say what was fastened."""
+    if not asked.payload:
+        return config
+    if not asked.continue_with:
+        raise RecordingError("--payload speaks of the recordings of --continue. Name them, too.")
+    folder, copies = config.output / "with_payload", []
+    folder.mkdir(parents=True, exist_ok=True)
+    for r in joined(replace(config, continue_with=asked.continue_with)):
+        copies.append(folder / f"{Path(r.source).stem}.npz")
+        write_recording(replace(r, metadata={**r.metadata, PAYLOAD: asked.payload}), copies[-1])
+    new = {p.resolve() for p in asked.continue_with}
+    kept = tuple(p for p in config.continue_with if p.resolve() not in new)
+    return replace(config, continue_with=(*kept, *copies), payload=0.0)
 
 
 def joined(config: Config) -> list[Recording]:

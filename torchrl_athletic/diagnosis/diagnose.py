@@ -22,7 +22,7 @@ from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, id
 from torchrl_athletic.diagnosis.gates import Evidence, judge_findings, summarise, verdict_of
 from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.locate import locate, regime_maps
-from torchrl_athletic.diagnosis.prepare import Drive, Prepared, drive_signals, prepare
+from torchrl_athletic.diagnosis.prepare import PAYLOAD, Drive, Prepared, drive_signals, prepare
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.remainder import remarks_on
 from torchrl_athletic.diagnosis.report import write_report
@@ -86,7 +86,7 @@ class Diagnosis:
     @cached_property
     def experiment(self) -> Experiment | None:
         """What to record next, where a finding has rivals."""
-        return next_experiment(self.evidence, self.answer.findings)
+        return next_experiment(self.evidence, self.answer.findings, xml=self.xml)
 
     @cached_property
     def overlays(self) -> tuple[Overlay, ...]:
@@ -279,10 +279,10 @@ class _Work:
         digest = inputs_digest(self.xml, (*self.recordings, *self.heldout), settings)
         self.checkpoint = Checkpoint(None if self.output is None else self.output / CHECKPOINT, digest)
         self._begin("quality")
-        self.train = prepare(self.recordings, self.model, self.drive, joined=self.joined)
+        self.train = prepare(self.recordings, self.model, self.drive, joined=self.joined, xml=self.xml)
         self.progress.update(0.6)
         kernel = self.train.signals[0].kernel
-        self.held = prepare(self.heldout, self.model, self.drive, kernel) if self.heldout else None
+        self.held = prepare(self.heldout, self.model, self.drive, kernel, xml=self.xml) if self.heldout else None
         self._begin("floor")
         self._begin("locate")
         self.signals_bank = Bank(self.train.signals, ())
@@ -317,7 +317,9 @@ class _Work:
         if cut:  # the measured torque cuts the chain in two: the drive before it, the mechanics behind it
             of_drive = [e for e in catalogue if e.name in DRIVE_EFFECTS]
             self.drive_evidence = _search(drive_signals(self.train), of_drive, ())[0]
-            signals = prepare(self.recordings, self.model, "measured", signals[0].kernel, self.joined).signals
+            signals = prepare(
+                self.recordings, self.model, "measured", signals[0].kernel, self.joined, self.xml
+            ).signals
         if cut or self.drive == "measured":  # what was measured has passed the drive's lags and limits
             catalogue = tuple(e for e in catalogue if e.name not in BEFORE_THE_MOTOR)
         taken = {a.candidate.key for a in self.drive_evidence.best.fit.terms} if self.drive_evidence else set()
@@ -425,7 +427,11 @@ class _Work:
         if not complete:
             return Diagnosis(answer, nominal, corrected, self.xml, maps)
         recordings, heldout = (
-            tuple(r.driven_by_measured_torque() if self.drive == "measured" else r for r in group)
+            tuple(
+                r.driven_by_measured_torque() if self.drive == "measured" else r
+                for r in group
+                if not r.metadata.get(PAYLOAD)  # neither simulation carries it
+            )
             for group in (self.recordings, self.heldout)
         )
         return Diagnosis(answer, nominal, corrected, self.xml, maps, recordings, heldout, tuple(evidence))

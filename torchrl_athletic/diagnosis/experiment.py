@@ -28,7 +28,7 @@ from torchrl_athletic.diagnosis.screen import Atom, Key, row_noise
 from torchrl_athletic.diagnosis.search import Judge, Scored, alternatives
 from torchrl_athletic.diagnosis.separation import ENOUGH, Products, Rivals, thinned
 from torchrl_athletic.effects.effect import is_slide
-from torchrl_athletic.effects.payload import far_end
+from torchrl_athletic.effects.payload import with_payload
 from torchrl_athletic.effects.signals import (
     JointAddress,
     Signals,
@@ -47,7 +47,7 @@ APART = 3.0
 """Standard deviations that separate a pair; one that no plan sets so far apart is not what a plan is chosen for."""
 CONFIRMED = 5
 """Plans that are simulated under every rival before none is proposed."""
-SMALLER = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
+SMALLER = (1.0, 0.75, 0.55, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05)
 """Shares of its amplitude at which a motion is tried until the torque suffices."""
 LONGEST = 60.0
 """An excitation that tells too little is repeated as long as it all lasts no longer than this [s]."""
@@ -55,6 +55,8 @@ SLACK = 0.02
 """Share of the range by which a rival may predict that the robot leaves it: the limits are clear of the stops."""
 GENTLE = 0.2
 """Share of its worth that a plan loses by using up all limits and half a minute."""
+HEAVY = 0.5
+"""Mass to fasten to the last link where motions alone tell too little, as a share of its own."""
 BANDWIDTH = 1.5
 """Natural frequency of the position loop where the recordings state no gains [Hz].
 
@@ -169,16 +171,17 @@ class Experiment:
 
 
 def next_experiment(
-    evidence: Sequence[Evidence], findings: Sequence[Finding], limits: Limits | None = None
+    evidence: Sequence[Evidence], findings: Sequence[Finding], limits: Limits | None = None, xml: str = ""
 ) -> Experiment | None:
     """The experiment for the finding whose rivals share most of the evidence, of those that one would help.
 
-    None where no finding has rivals that a motion separates.
+    None where no finding has rivals that a motion separates, with or without a weight fastened to the last link.
 
     Args:
         evidence: The parts of the search.
         findings: What is stated, each with its rivals.
         limits: Of the robot; :meth:`Limits.of` the recordings if None.
+        xml: MJCF of the given model; without it no weight is asked for.
     """
     for finding in sorted((f for f in findings if f.rivals), key=lambda f: f.probability):
         asked = {(r.effect, r.joint): r.probability for r in finding.rivals}
@@ -190,10 +193,22 @@ def next_experiment(
                         (s, asked[key]) for key, s in answer_set(part.judge, part.best, term).items() if key in asked
                     ]
                     if len(options) > 1:
-                        plan = propose(part.judge, [s for s, _ in options], [p for _, p in options], limits)
+                        rivals, shared = [s for s, _ in options], [p for _, p in options]
+                        plan = propose(part.judge, rivals, shared, limits)
+                        if (plan is None or plan.inseparable) and xml:
+                            loaded = propose(part.judge, rivals, shared, limits, _weights(part.judge, xml))
+                            if loaded is not None and (plan is None or len(loaded.inseparable) < len(plan.inseparable)):
+                                plan = loaded
                         if plan is not None:
                             return plan
     return None
+
+
+def _weights(judge: Judge, xml: str) -> dict[float, mujoco.MjModel]:
+    """A weight that the last link feels well, and the model with it; none where its weight is unknown."""
+    s = judge.bank.takes[0]
+    mass = float(f"{HEAVY * s.nominal.body_subtreemass[s.address.body[-1]]:.1g}")
+    return {mass: with_payload(xml, s.recording.joint_names, mass)} if mass else {}
 
 
 def answer_set(judge: Judge, best: Scored, term: Atom) -> dict[Key, Scored]:
@@ -309,25 +324,6 @@ def write(experiment: Experiment | None, folder: str | Path) -> None:
             metadata=np.array(json.dumps(report)),
         )
     write_json(folder / "next_experiment.json", report)
-
-
-def with_payload(xml: str, joint_names: Sequence[str], mass: float) -> mujoco.MjModel:
-    """The model with a point mass welded to the far end of the last link.
-
-    Args:
-        xml: MJCF.
-        joint_names: The recorded joints; the last one moves the link.
-        mass: [kg]
-    """
-    spec = mujoco.MjSpec.from_string(xml)
-    model = spec.compile()
-    address = JointAddress.of(model, tuple(joint_names))
-    last = len(joint_names) - 1
-    body = spec.body(model.body(int(address.body[last])).name)
-    weight = body.add_body(name="fastened_payload", pos=far_end(model, address, last))
-    tiny = 1e-6 * mass
-    weight.mass, weight.ipos, weight.inertia, weight.explicitinertial = mass, (0, 0, 0), (tiny, tiny, tiny), True
-    return spec.compile()
 
 
 @dataclass(frozen=True, eq=False)

@@ -165,15 +165,26 @@ def _sweeps(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, sec
 def _mixes(
     names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float, clearest: float
 ) -> Iterator[Motion]:
-    """One joint quickly, as far as its speed allows."""
+    """One joint quickly, as far as its speed allows, with the same speed at every frequency.
+
+    With the same amplitude nearly all torque would be at the upper end, and a narrow band tells no lag from a delay.
+    """
     low, high = limits.position[joint]
-    name, fastest, faded = names[joint], MARGIN * limits.velocity[joint], Safety(fade=0.5)
+    name, fastest = names[joint], MARGIN * limits.velocity[joint]
     for share in QUICK:
         band = SLOWEST, max(share * clearest, SLOWEST + 2 / seconds)
-        wave = multisine(names, [name], 1.0, band, seconds, rate=RATE, field="position_target", safety=faded)
-        speed = RATE * float(np.abs(np.diff(wave.command, axis=0)).max())
+        velocity = multisine(names, [name], 1.0, band, seconds, rate=RATE, field="position_target").command
+        way = np.cumsum(velocity, axis=0) - np.cumsum(velocity, axis=0).mean(0)
+        wave = way / np.abs(way).max() * _fade(len(way))[:, None]
+        speed = RATE * float(np.abs(np.diff(wave, axis=0)).max())
         amplitude = min(0.5 * MARGIN * float(high - low) / 2, float(fastest) / speed)
-        yield Motion(name, "mix", amplitude, band[1], _about(pose, joint, amplitude, limits), amplitude * wave.command)
+        yield Motion(name, "mix", amplitude, band[1], _about(pose, joint, amplitude, limits), amplitude * wave)
+
+
+def _fade(samples: int) -> Array:
+    """From zero to one and back to zero within half a second of both ends. Shape (samples,)."""
+    time = np.arange(samples) / RATE
+    return np.asarray(np.sin(np.pi / 2 * np.clip(np.minimum(time, time[::-1]) / 0.5, 0.0, 1.0)) ** 2)
 
 
 def _sines(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[Motion]:

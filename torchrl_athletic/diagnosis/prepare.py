@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.replay import Take, take_of
 from torchrl_athletic.effects import JointAddress, Signals, project_recording
+from torchrl_athletic.effects.payload import with_payload
 from torchrl_athletic.effects.signals import kernel_for, torque_range
 from torchrl_athletic.recordings import (
     Quality,
@@ -28,6 +29,9 @@ from torchrl_athletic.recordings import (
 
 Array = NDArray[np.float64]
 Drive = Literal["command", "measured"]
+
+PAYLOAD = "payload_kg"
+"""Key of a recording's metadata: known mass fastened to the far end of the last link, which the model lacks [kg]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +73,7 @@ def prepare(
     drive: Drive = "command",
     kernel: float | None = None,
     joined: int = 0,
+    xml: str = "",
 ) -> Prepared:
     """Check, split and project recordings.
 
@@ -79,6 +84,7 @@ def prepare(
         kernel: Width of the test function [s]; chosen for the recordings if None.
         joined: How many of the recordings, the last ones, are of experiments that were planned. Each has a test
             function for its own band, which was chosen to show something.
+        xml: MJCF of the model, for takes with a known weight fastened to the last link (:data:`PAYLOAD`).
 
     Raises:
         RecordingError: If there is no recording, if the joints differ between them or from the model's, or if nothing
@@ -99,17 +105,18 @@ def prepare(
     takes: list[Take] = []
     left_out: list[str] = []
     for r, q, own in zip(recordings, quality, kernels, strict=True):
+        carried = _carrying(model, xml, r)
         for piece in _pieces(r):
             start = int(np.searchsorted(r.time, piece.time[0]))
             mask = _unfit(q)[start : start + piece.num_samples]
             velocity_noise = q.velocity_noise if _velocity_fits(q) else None
             try:
-                s = project_recording(piece, model, q.position_noise, velocity_noise, mask, own, q.noise_correlation)
+                s = project_recording(piece, carried, q.position_noise, velocity_noise, mask, own, q.noise_correlation)
             except RecordingError as error:
                 left_out.append(str(error))
                 continue
             signals.append(s)
-            takes.append(take_of(piece, model, q.position_noise, velocity_noise, q.noise_correlation))
+            takes.append(take_of(piece, carried, q.position_noise, velocity_noise, q.noise_correlation))
     if not signals:
         raise RecordingError(left_out[0])
     if not any(s.valid.any() for s in signals):
@@ -119,6 +126,16 @@ def prepare(
         )
     noise = np.median([q.position_noise for q in quality], axis=0)
     return Prepared(quality, tuple(signals), tuple(takes), noise, repeat_noise(recordings), tuple(left_out))
+
+
+def _carrying(model: mujoco.MjModel, xml: str, recording: Recording) -> mujoco.MjModel:
+    """The model with what a take says was fastened to it."""
+    mass = float(recording.metadata.get(PAYLOAD, 0.0))
+    if not 0.0 <= mass < np.inf:
+        raise RecordingError(f"{recording.source}: {PAYLOAD} is {mass}. A mass of 0 kg or more was needed.")
+    if mass and not xml:
+        raise RecordingError(f"{recording.source}: {mass:g} kg were fastened, so that the model's MJCF is needed: xml.")
+    return with_payload(xml, recording.joint_names, mass) if mass else model
 
 
 def _velocity_fits(q: Quality) -> bool:

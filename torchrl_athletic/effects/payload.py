@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import mujoco
@@ -79,6 +79,27 @@ class Payload(Effect):
 
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
         return f"A payload of {values['mass']:.3g} kg sits at the end of the link moved by {joint}; the model has none."
+
+
+def with_payload(xml: str, joint_names: Sequence[str], mass: float) -> mujoco.MjModel:
+    """The model with a point mass welded to the far end of the last link.
+
+    The link keeps its own mass, so that what an effect says of it still holds.
+
+    Args:
+        xml: MJCF.
+        joint_names: The recorded joints; the last one moves the link.
+        mass: [kg]
+    """
+    spec = mujoco.MjSpec.from_string(xml)
+    model = spec.compile()
+    address = JointAddress.of(model, tuple(joint_names))
+    last = len(joint_names) - 1
+    body = spec.body(model.body(int(address.body[last])).name)
+    weight = body.add_body(name="fastened_payload", pos=far_end(model, address, last))
+    tiny = 1e-6 * mass
+    weight.mass, weight.ipos, weight.inertia, weight.explicitinertial = mass, (0, 0, 0), (tiny, tiny, tiny), True
+    return spec.compile()
 
 
 def far_end(model: mujoco.MjModel, address: JointAddress, joint: int) -> Array:
