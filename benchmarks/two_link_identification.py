@@ -12,6 +12,7 @@ Results: docs/identification.md.
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from typing import Literal, get_args
 import numpy as np
 import torch
 import tyro
+from torch import nn
 from tqdm import tqdm
 
 from torchrl_athletic import training
@@ -41,7 +43,7 @@ from torchrl_athletic.identification import (
     table,
 )
 from torchrl_athletic.identification.comparison import COLOURS, NAMES, deviation
-from torchrl_athletic.networks import uan
+from torchrl_athletic.networks import averaged, uan
 from torchrl_athletic.recordings import Recording, resample
 from torchrl_athletic.recordings.datasets.two_link_arm import load
 from torchrl_athletic.robots import Robot, from_mjcf
@@ -52,17 +54,23 @@ Method = Literal[
     "cem",
     "actuator_net",
     "uan",
+    "uan_joint",
     "uan_arm",
     "uan_arm_memory",
     "diagnosed",
     "diagnosed_uan",
+    "diagnosed_uan_joint",
     "diagnosed_uan_arm_memory",
 ]
 STEP = 0.005
 MEMORY = (0.003, 0.03)
 """Ways over which a net remembers, as in recipes/train_uan.py's example [rad]."""
-ON_A_DIAGNOSIS = ("diagnosed_uan", "diagnosed_uan_arm_memory")
-SEEDED = ("cem", "actuator_net", "uan", "uan_arm", "uan_arm_memory", *ON_A_DIAGNOSIS)
+TORQUE = 0.5
+"""Unit of a net's torque, about that of the commands [N·m]."""
+OUTLIER = 0.3
+"""Errors far beyond it count by their logarithm [rad]."""
+ON_A_DIAGNOSIS = ("diagnosed_uan", "diagnosed_uan_joint", "diagnosed_uan_arm_memory")
+SEEDED = ("cem", "actuator_net", "uan", "uan_joint", "uan_arm", "uan_arm_memory", *ON_A_DIAGNOSIS)
 GROUPS = {"swing-up": "swing-up", "open-loop sines on the elbow": "elbow alone"}
 
 
@@ -74,11 +82,13 @@ class Config:
     """Of data to fit."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Of methods that draw random numbers, with all the data; the first ``seeds_with_less`` of them with less."""
-    seeds_with_less: int = 1
+    seeds_with_less: int = 3
     methods: tuple[Method, ...] = get_args(Method)
     """Which to run."""
     iterations: int = 200
-    """Of training a UAN, by gradient descent: some two minutes of a core, however busy it is."""
+    """Of training each net, by gradient descent: a minute of a core, however busy it is."""
+    members: int = 3
+    """Nets that become one, their mean: what each learnt of the noise of a few takes is another with each."""
     jobs: int = 1
     """Cases at a time."""
     score_only: bool = False
@@ -138,8 +148,12 @@ def cases_of(cfg: Config) -> Iterator[Case]:
 
 
 def arm() -> Robot:
-    """The gains belong to the drive that nets imagine behind a torque command; the arm has none."""
-    return from_mjcf(two_link_arm(timestep=STEP), kp=20.0, kd=0.5)
+    """The gains belong to the drive that nets imagine behind a torque command; the arm has none.
+
+    With little damping the position errors that nets see tell of the torque as much as of the velocity, which nets see
+    besides; with 0.5 N·m·s/rad they told of little else.
+    """
+    return from_mjcf(two_link_arm(timestep=STEP), kp=20.0, kd=0.1)
 
 
 def takes() -> tuple[list[Recording], list[Recording]]:
@@ -173,7 +187,12 @@ def identify(case: Case, cfg: Config) -> None:
         if case.method in ON_A_DIAGNOSIS:
             folder = cfg.output / Case("diagnosed", case.seconds, cfg.seeds[0]).name
             simulator = Simulator.load(folder, robot)
-        simulator = with_uan(replace(simulator, name=case.method), fit, case.seed, cfg.iterations)
+        started, first = time.perf_counter(), case.seed * cfg.members
+        given = replace(simulator, name=case.method)
+        nets = [trained_net(given, fit, seed, cfg.iterations) for seed in range(first, first + cfg.members)]
+        seconds = float(sum(r.duration for r in fit))
+        notes = {"seed": case.seed, "training_seconds": time.perf_counter() - started, "data_seconds": seconds}
+        simulator = replace(given, net=averaged(nets), kind="correction", notes=notes)
     simulator.save(cfg.output / case.name)
 
 
@@ -181,24 +200,23 @@ def search(case: Case) -> CEM:
     return CEM(generations=60, population=12, windows=max(4, min(48, round(case.seconds))), window=0.5)
 
 
-def with_uan(given: Simulator, recordings: Sequence[Recording], seed: int, iterations: int) -> Simulator:
+def trained_net(given: Simulator, recordings: Sequence[Recording], seed: int, iterations: int) -> nn.Sequential:
     """An Unsupervised Actuator Net on what a simulator leaves, down the gradient of the position's error.
 
     The simulator's name says what the net is told.
     """
     torch.manual_seed(seed)
-    knows: training.Knows = "arm" if "_arm" in given.name else "errors"
+    knows: training.Knows = "arm" if "_arm" in given.name else "joint" if "_joint" in given.name else "errors"
     memory = MEMORY if given.name.endswith("memory") else ()
     takes = training.takes_of(recordings, given.robot)
-    net = uan(**training.units_of(takes, given.robot, knows, memory))
+    units = training.units_of(takes, given.robot, knows, memory) | {"torque_unit": TORQUE}
+    net = uan(**units, odd=knows == "joint")
     base = training.DifferentiableTorqueEnv(given.robot, num_envs=128)
     unit, chain = training.torque_unit(net), training.chain_with(given, net, takes)
     env = replay_env(given.robot, takes, chain=chain, unit=unit, base=base, max_steps=100, seed=seed)
-    learner = training.GradientLearner(env, net, minutes=1.0, iterations=iterations, outlier=0.1)
+    learner = training.GradientLearner(env, net, minutes=1.0, iterations=iterations, outlier=OUTLIER)
     training.train(learner, iterations=iterations, step=training.descend, progress=False)
-    seconds = float(sum(r.duration for r in recordings))
-    notes = {"seed": seed, "training_seconds": learner.seconds, "data_seconds": seconds}
-    return replace(given, net=net, kind="correction", notes=notes)
+    return net
 
 
 def overlays(simulators: dict[Method, Simulator], groups: dict[str, list[Recording]]) -> dict[str, dict[str, Rollout]]:

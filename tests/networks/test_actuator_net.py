@@ -6,7 +6,16 @@ from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_athletic.losses import SplitClipPPOLoss
-from torchrl_athletic.networks import Sizes, critic, load_checkpoint, save_checkpoint, sizes_of, uan, uan_actor
+from torchrl_athletic.networks import (
+    Sizes,
+    averaged,
+    critic,
+    load_checkpoint,
+    save_checkpoint,
+    sizes_of,
+    uan,
+    uan_actor,
+)
 
 
 def moved():
@@ -32,6 +41,18 @@ def test_every_joint_is_corrected_by_the_same_network_and_by_its_own_errors_alon
     errors[:, 2] += 1.0
     changed = (net(errors) - out).abs().amax((0, 2)) > 1e-6
     assert changed.tolist() == [False, False, True, False, False, False]
+
+
+@pytest.mark.parametrize("told", [{}, {"joints": 3}, {"joints": 3, "state_unit": [1.0] * 9, "memory": (0.01,)}])
+def test_an_odd_net_turns_about_with_the_motion_and_knows_its_joint_all_the_same(told):
+    torch.manual_seed(0)
+    net = uan(odd=True, unit=(0.5, 2.0), sharpness_of_velocity=30.0, **told)
+    move(net)
+    seen = torch.randn(4, 3, 40 + 9 * ("state_unit" in told) + len(told.get("memory", ())))
+    torch.testing.assert_close(net(-seen), -net(seen))
+    assert net(seen).abs().max() > 1e-3
+    alike = net(seen[:, :1].expand(-1, 3, -1))
+    assert (alike.std(1).max() > 1e-3) == ("joints" in told)
 
 
 def test_in_units_a_joint_of_twice_the_strength_gets_twice_the_torque():
@@ -119,16 +140,33 @@ def test_what_the_arm_does_is_seen_in_its_units_and_by_every_joint():
         {"joints": 3, "state_unit": [1.0] * 9},
         {"memory": (0.01, 0.1)},
         {"joints": 3, "memory": (0.1,)},
+        {"joints": 3, "odd": True},
     ],
-    ids=["errors", "joint", "arm", "memory", "joint and memory"],
+    ids=["errors", "joint", "arm", "memory", "joint and memory", "odd"],
 )
 def test_sizes_tell_how_to_make_such_a_net_again(told):
     net = uan(7, (16, 8), **told)
     sizes = sizes_of(net)
-    assert sizes == Sizes(7, (16, 8), told.get("joints"), "state_unit" in told, told.get("memory", ()))
+    known = told.get("joints"), "state_unit" in told, told.get("memory", ()), told.get("odd", False)
+    assert sizes == Sizes(7, (16, 8), *known)
     again = sizes.net()
     again.load_state_dict(net.state_dict())
     assert [p.shape for p in again.parameters()] == [p.shape for p in net.parameters()]
+
+
+@pytest.mark.parametrize("odd", [False, True])
+def test_nets_side_by_side_give_their_mean(odd):
+    torch.manual_seed(0)
+    nets = [uan(hidden=(8, 4), unit=(0.3, 2.0), torque_unit=0.5, joints=3, odd=odd) for _ in range(3)]
+    for net in nets:
+        move(net)
+    both, seen = averaged(nets), torch.randn(5, 3, 40)
+    torch.testing.assert_close(both(seen), sum(net(seen) for net in nets) / 3)
+    assert sizes_of(both) == Sizes(20, (24, 12), 3, odd=odd, state=False)
+    with pytest.raises(ValueError, match="sizes or units"):
+        averaged([nets[0], uan(hidden=(8, 4), unit=(0.4, 2.0), torque_unit=0.5, joints=3, odd=odd)])
+    with pytest.raises(ValueError, match="sizes or units"):
+        averaged([nets[0], uan(hidden=(8, 5), unit=(0.3, 2.0), torque_unit=0.5, joints=3, odd=odd)])
 
 
 def test_a_state_without_joints_is_refused():

@@ -290,7 +290,7 @@ def read_correction(path: str | os.PathLike[str]) -> dict[str, Any]:
 def load_net(path: str | os.PathLike[str]) -> nn.Module:
     """The net of a ``net.pt``, of whatever sizes it was saved with."""
     sizes = torch.load(path, map_location="cpu", weights_only=True)["metadata"]
-    told = sizes.get("joints"), sizes.get("state", False), tuple(sizes.get("memory", ()))
+    told = sizes.get("joints"), sizes.get("state", False), tuple(sizes.get("memory", ())), sizes.get("odd", False)
     net = Sizes(sizes["history"], tuple(sizes["hidden"]), *told).net()
     load_checkpoint(Path(path), net=net)
     return net.eval().requires_grad_(False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from tensordict import NestedKey
@@ -30,6 +30,7 @@ def uan(
     joints: int | None = None,
     state_unit: Sequence[float] | None = None,
     memory: Sequence[float] = (),
+    odd: bool = False,
 ) -> nn.Sequential:
     """Network from a joint's recent tracking errors to a corrective torque.
 
@@ -52,6 +53,8 @@ def uan(
         state_unit: For a net of ``joints`` that is also shown positions, velocities and torques of all of them
             (:func:`~.functional.actuation.uan_features`), what they are divided by. Length 3 J.
         memory: Ways [rad] within which a joint winds up when it turns: for each the net is shown how far, -1 to 1.
+        odd: Whether its torque turns about with all that it is shown (:class:`Odd`), as friction and inertia do. Where
+            the state is shown, the arm then has to hang as it is mirrored, with all positions at 0.
 
     Raises:
         ValueError: If there is a ``state_unit`` without ``joints``, or not one for each value.
@@ -77,7 +80,8 @@ def uan(
     net = MLP(len(units) + (joints or 0), 1, num_cells=list(hidden), activation_class=nn.ELU, device=device)
     nn.init.zeros_(net[-1].weight)
     nn.init.zeros_(net[-1].bias)
-    return nn.Sequential(InUnits(units, sharpness, memory), *told, net, OutUnits(torque_unit, device))
+    law = Odd(net, stays=joints or 0) if odd else net
+    return nn.Sequential(InUnits(units, sharpness, memory), *told, law, OutUnits(torque_unit, device))
 
 
 @dataclass(frozen=True)
@@ -93,11 +97,13 @@ class Sizes:
     """Whether it is shown positions, velocities and torques of all joints."""
     memory: tuple[float, ...] = ()
     """Ways over which it is shown how far the joint has wound up [rad]."""
+    odd: bool = False
+    """Whether its torque turns about with what it is shown."""
 
     def net(self) -> nn.Sequential:
         """An untrained one of these sizes."""
         unit = [1.0] * (3 * (self.joints or 0)) if self.state else None
-        return uan(self.history, self.hidden, joints=self.joints, state_unit=unit, memory=self.memory)
+        return uan(self.history, self.hidden, joints=self.joints, state_unit=unit, memory=self.memory, odd=self.odd)
 
 
 def sizes_of(net: nn.Module) -> Sizes:
@@ -105,7 +111,7 @@ def sizes_of(net: nn.Module) -> Sizes:
 
     Example:
         >>> sizes_of(uan(history=5, hidden=(8,), joints=6))
-        Sizes(history=5, hidden=(8,), joints=6, state=False, memory=())
+        Sizes(history=5, hidden=(8,), joints=6, state=False, memory=(), odd=False)
     """
     linears = [layer for layer in net.modules() if isinstance(layer, nn.Linear)]
     told = next((module for module in net.modules() if isinstance(module, WhichJoint)), None)
@@ -113,7 +119,53 @@ def sizes_of(net: nn.Module) -> Sizes:
     state = told is not None and told.state
     memory = next((module.memory for module in net.modules() if isinstance(module, InUnits)), ())
     features = linears[0].in_features - (joints or 0) * (4 if state else 1) - len(memory)
-    return Sizes(features // 2, tuple(layer.out_features for layer in linears[:-1]), joints, state, memory)
+    odd = any(isinstance(module, Odd) for module in net.modules())
+    return Sizes(features // 2, tuple(layer.out_features for layer in linears[:-1]), joints, state, memory, odd)
+
+
+def averaged(nets: Sequence[nn.Sequential]) -> nn.Sequential:
+    """One net that gives the mean of several, as wide as all of them side by side.
+
+    What nets of several seeds learnt of the robot they share; what they learnt of a few takes' noise they do not.
+
+    Args:
+        nets: Of :func:`uan`, of the same sizes and units.
+
+    Raises:
+        ValueError: If they differ in these.
+
+    Example:
+        >>> one, other, seen = uan(hidden=(8,)), uan(hidden=(8,)), torch.randn(4, 6, 40)
+        >>> nn.init.ones_(one[1][-1].bias), nn.init.ones_(other[1][-1].weight)  # doctest: +ELLIPSIS
+        (...)
+        >>> both = averaged([one, other])
+        >>> torch.allclose(both(seen), 0.5 * (one(seen) + other(seen)), atol=1e-5), sizes_of(both).hidden
+        (True, (16,))
+    """
+    first, sizes = nets[0], sizes_of(nets[0])
+    units = [torch.cat([n[0].get_buffer("unit"), n[0].get_buffer("sharpness")]) for n in nets]
+    scales = [n[-1].get_buffer("unit") for n in nets]
+    alike = all(torch.equal(a, units[0]) and torch.equal(b, scales[0]) for a, b in zip(units, scales, strict=True))
+    if not alike or any(sizes_of(net) != sizes for net in nets):
+        raise ValueError(
+            "the nets differ in their sizes or units, so that layers side by side would not mean the same. Average "
+            "those that were trained on the same takes with the same settings."
+        )
+    wide = replace(sizes, hidden=tuple(len(nets) * width for width in sizes.hidden)).net()
+    wide[0].load_state_dict(first[0].state_dict())
+    wide[-1].load_state_dict(first[-1].state_dict())
+    layers = [[m for m in net.modules() if isinstance(m, nn.Linear)] for net in (wide, *nets)]
+    last = len(layers[0]) - 1
+    with torch.no_grad():
+        for k, (layer, *parts) in enumerate(zip(*layers, strict=True)):
+            weights, biases = [part.weight for part in parts], [part.bias for part in parts]
+            if k == last:
+                layer.weight.copy_(torch.cat(weights, 1) / len(nets))
+                layer.bias.copy_(torch.stack(biases).mean(0))
+            else:
+                layer.weight.copy_(torch.cat(weights) if k == 0 else torch.block_diag(*weights))
+                layer.bias.copy_(torch.cat(biases))
+    return wide
 
 
 def uan_actor(
@@ -189,6 +241,28 @@ class WhichJoint(nn.Module):
 
     def forward(self, value: Tensor) -> Tensor:
         return torch.cat((value, self.which.to(value.dtype).expand(*value.shape[:-1], -1)), -1)
+
+
+class Odd(nn.Module):
+    """The odd part of a net, (f(x) - f(-x)) / 2: what it learns of a motion holds for the mirrored one too.
+
+    Dry and viscous friction and a missing inertia are odd in a joint's errors, so that a few takes teach twice as much;
+    a friction that is stronger one way is not, and is left out. (*B, F) -> (*B, 1).
+
+    Args:
+        net: f.
+        stays: How many of the last features are not mirrored: which joint it is.
+    """
+
+    def __init__(self, net: nn.Module, stays: int = 0):
+        super().__init__()
+        self.net, self.stays = net, stays
+
+    def forward(self, value: Tensor) -> Tensor:
+        turns = value.shape[-1] - self.stays
+        mirrored = torch.cat((-value[..., :turns], value[..., turns:]), -1)
+        here, there = self.net(torch.stack((value, mirrored)))
+        return 0.5 * (here - there)
 
 
 class OutUnits(nn.Module):
