@@ -53,12 +53,14 @@ from torchrl_athletic.recordings import Recording, write_recording
 
 Array = NDArray[np.float64]
 Name = tuple[str, str | None]
-Grade = Literal["one", "identical", "several", "wrong", "lost", "not proposed", "failed"]
+Grade = Literal["one", "identical", "several", "wrong", "lost", "not proposed", "failed", "clear"]
 GRADES: tuple[Grade, ...] = get_args(Grade)
 
 BLOCKS = ("unidentifiable", "single")
 LEFT = 0.9
 """Share of an answer set's probability from which a name is the one that is left."""
+INERTIA = 0.15
+"""Share of a link's inertia that any model may be off, without that being a finding."""
 TAKE = 1000
 """Number of the first experiment's take, far from those of the case: it has random numbers of its own."""
 RECIPE = Path(__file__).parents[2] / "recipes" / "diagnose.py"
@@ -105,8 +107,15 @@ def main(cfg: Config) -> None:
 
 
 def ambiguous(row: Row) -> bool:
-    """Whether an answer set leaves several names."""
-    return any(max(answer_set(f).values()) < LEFT for f in row.findings)
+    """Whether an answer leaves several names for what is hidden.
+
+    One that stands in for something else, beside a finding with the right name alone, has no name to be left with.
+    """
+    sets = [answer_set(f) for f in row.findings]
+    if all(max(s.values()) >= LEFT for s in sets):
+        return False
+    same = same_physics(row.case)
+    return any(max(s.values()) < LEFT for s in [s for s in sets if s.keys() & same] or sets)
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -209,7 +218,8 @@ def grade(case: Case, result: Mapping[str, Any]) -> Grade:
 
     ``one``: the truth has nine tenths of the answer set's probability or more; ``identical``: names that are the same
     physics of this robot in any motion have; ``several``: the truth is among others; ``wrong``: another name has;
-    ``lost``: nothing in any answer set is true; ``not proposed``: there was no experiment, and more than one name.
+    ``lost``: nothing in any answer set is true; ``not proposed``: there was no experiment, and more than one name;
+    ``clear``: nor was there more than one, since another program gave the answers that were ambiguous.
     """
     if "error" in result:
         return "failed"
@@ -221,7 +231,7 @@ def grade(case: Case, result: Mapping[str, Any]) -> Grade:
         return "lost"
     shares = max(about, key=lambda s: sum(p for name, p in s.items() if name in same))
     if shares.get(right, 0.0) >= LEFT:
-        return "one" if result["experiments"] else "not proposed"  # another finding had rivals
+        return "one" if result["experiments"] else "clear"
     if sum(p for name, p in shares.items() if name in same) >= LEFT:
         return "identical"
     if max(shares.values()) >= LEFT:
@@ -240,7 +250,23 @@ def same_physics(case: Case) -> set[Name]:
         {(e, first) for e in ("payload", "link_mass", "reflected_inertia")} if is_level(robot) else set()
     )
     more = [name for group in (turned, heavier) if right in group for name in group]
-    return {right, *identities(truth, robot, case.mode), *others, *more}
+    return {right, *identities(truth, robot, case.mode), *others, *more, *weights_alike(truth, robot)}
+
+
+def weights_alike(truth: Truth, robot: Robot) -> set[Name]:
+    """What else gives a single hinge the same moment of weight, and an inertia within what any model's may be off.
+
+    Weight and inertia are all that such a robot has, and a known weight at its end adds the same to both names.
+    """
+    tree, own, p = robot.tree, robot.joint_names[0], truth.parameters
+    if robot.joints > 1 or tree.slide[0] or truth.effect not in ("payload", "link_com") or not p:
+        return set()
+    mass, near, far = float(tree.mass[0]), float(np.linalg.norm(tree.com[0])), float(np.linalg.norm(robot.tip[0]))
+    moved = p["mass"] * far if truth.effect == "payload" else mass * (p["distance"] - near)
+    by_payload, by_centre = moved * far, mass * ((near + moved / mass) ** 2 - near**2)
+    inertia = float(tree.axis[0] @ tree.inertia[0] @ tree.axis[0]) + mass * near**2
+    alike = moved > 0 and abs(by_payload - by_centre) < INERTIA * inertia
+    return {("payload", own), ("link_com", own)} if alike else set()
 
 
 def is_level(robot: Robot) -> bool:
@@ -275,11 +301,11 @@ def report(graded: Sequence[tuple[Case, Mapping[str, Any]]], split: str, seed: i
     """Counts before and after, and every case."""
     out = [f"# The proposed experiment: the split `{split}`, seed {seed}", ""]
     out += ["| block | ambiguous cases | one name left | or names of the same physics | several | wrong | lost | "
-            "not proposed | failed |", "|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
+            "not proposed | failed | clear from the start |", "|---|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
     for block in (*BLOCKS, "all"):
         n = Counter(grade(case, r) for case, r in graded if block in (case.block, "all"))
         out.append(f"| {block} | {n.total()} | {' | '.join(str(n[g]) for g in GRADES)} |")
-    told = n.total() - n["identical"]  # of all blocks, which come last
+    told = n.total() - n["identical"] - n["clear"]  # of all blocks, which come last
     out += ["", f"Of the {told} cases whose names are not all the same physics, {n['one']} are left with one name."]
     out += ["", "| case | robot | hidden | before | experiment | after | left |", "|---|---|---|---|---|---|---|"]
     for case, r in graded:

@@ -13,9 +13,18 @@ import pytest
 from benchmarks.concealed import next_experiment
 from benchmarks.concealed.cases import Case, Session, prepare
 from benchmarks.concealed.hidden import Truth
-from benchmarks.concealed.next_experiment import ambiguous, grade, is_level, is_planar, replayed, report, same_physics
+from benchmarks.concealed.next_experiment import (
+    ambiguous,
+    grade,
+    is_level,
+    is_planar,
+    replayed,
+    report,
+    same_physics,
+    weights_alike,
+)
 from benchmarks.concealed.plant import inverse
-from benchmarks.concealed.robots import SEALED, TUNING
+from benchmarks.concealed.robots import SEALED, TUNING, with_point
 from benchmarks.concealed.score import Row
 from torchrl_athletic.diagnosis.experiment import RATE
 
@@ -124,6 +133,29 @@ def test_on_a_level_slide_all_that_is_heavier_is_one_and_on_a_steep_one_a_rotor_
         assert same_physics(loaded) == {("payload", "carriage"), ("link_mass", "carriage"), *rotor}
 
 
+def test_on_a_pendulum_a_small_payload_is_a_centre_that_lies_farther_out_and_a_large_one_is_not():
+    robot = SEALED["pendulum"](np.random.default_rng(0))
+    tree, joint = robot.tree, robot.joint_names[0]
+    both = {("payload", joint), ("link_com", joint)}
+    pose, still, pushed = np.array([[0.4]]), np.zeros((1, 1)), np.array([[10.0]])
+    near, far = float(np.linalg.norm(tree.com[0])), float(np.linalg.norm(robot.tip[0]))
+    for share, alike in ((0.1, True), (1.0, False)):
+        moved = share * float(tree.mass[0]) * far
+        loaded = with_point(tree, 0, share * float(tree.mass[0]), robot.tip[0])
+        distance = near + moved / float(tree.mass[0])
+        longer = tree._replace(com=tree.com * distance / near)
+        weights, torques = zip(
+            *((inverse(t, pose, still, still)[0], inverse(t, pose, still, pushed)[0]) for t in (loaded, longer)),
+            strict=True,
+        )
+        np.testing.assert_allclose(*weights, rtol=0.01)  # the centre lies towards the tip but for a few milliradians
+        own = inverse(tree, pose, still, pushed)[0] - inverse(tree, pose, still, still)[0]
+        assert (abs(torques[0] - torques[1]) < 0.15 * abs(own)).all() == alike
+        for truth in (Truth("payload", joint, {"mass": moved / far}), Truth("link_com", joint, {"distance": distance})):
+            assert weights_alike(truth, robot) == (both if alike else set())
+    assert weights_alike(Truth("link_mass", joint, {"mass": 1.0}), robot) == set()
+
+
 @pytest.mark.parametrize(
     ("last", "experiments", "left"),
     [
@@ -131,6 +163,7 @@ def test_on_a_level_slide_all_that_is_heavier_is_one_and_on_a_steep_one_a_rotor_
         ([("encoder_offset", "J", 0.6, ("gravity_tilt", None, 0.3))], 1, "identical"),
         ([("encoder_offset", "J", 0.4, ("joint_spring", "J", 0.3))], 1, "several"),
         ([("encoder_offset", "J", 0.4, ("joint_spring", "J", 0.3))], 0, "not proposed"),
+        ([("gravity_tilt", None, 0.6, ("joint_spring", "J", 0.03))], 0, "clear"),
         ([("joint_spring", "J", 0.9, ("gravity_tilt", None, 0.05))], 1, "wrong"),
         ([("joint_spring", "J", 0.9)], 1, "lost"),
         ([], 1, "lost"),
@@ -156,12 +189,16 @@ def test_an_answer_is_ambiguous_where_no_name_has_nine_tenths_of_its_set():
     )
     assert not ambiguous(clear)
     assert ambiguous(vague)
+    stand_in = finding("joint_spring", "a", 0.2, ("torque_ripple", "a", 0.1))
+    right, wrong = (finding(effect, None, 0.8) for effect in ("gravity_tilt", "joint_stop"))
+    assert not ambiguous(Row(case, {"answer": {"findings": [right, stand_in]}}))
+    assert ambiguous(Row(case, {"answer": {"findings": [wrong, stand_in]}}))
     assert not ambiguous(Row(case, {"error": "broke"}))
 
 
 def test_every_case_is_in_the_report_those_that_failed_included():
     case = hidden("gravity_tilt", None)
     lines = report([(case, {"error": "broke", "answers": [], "experiments": []})], "tuning", 0)
-    assert "| all | 1 | 0 | 0 | 0 | 0 | 0 | 0 | 1 |" in lines
+    assert "| all | 1 | 0 | 0 | 0 | 0 | 0 | 0 | 1 | 0 |" in lines
     assert "Of the 1 cases whose names are not all the same physics, 0 are left with one name." in lines
     assert lines[-1].endswith("| broke | failed |")
