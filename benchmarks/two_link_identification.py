@@ -12,7 +12,6 @@ Results: docs/identification.md.
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
@@ -23,7 +22,6 @@ from typing import Literal, get_args
 import numpy as np
 import torch
 import tyro
-from torch import nn
 from tqdm import tqdm
 
 from torchrl_athletic import training
@@ -43,7 +41,7 @@ from torchrl_athletic.identification import (
     table,
 )
 from torchrl_athletic.identification.comparison import COLOURS, NAMES, deviation
-from torchrl_athletic.networks import averaged, uan
+from torchrl_athletic.networks import uan
 from torchrl_athletic.recordings import Recording, resample
 from torchrl_athletic.recordings.datasets.two_link_arm import load
 from torchrl_athletic.robots import Robot, from_mjcf
@@ -87,8 +85,6 @@ class Config:
     """Which to run."""
     iterations: int = 200
     """Of training each net, by gradient descent: a minute of a core, however busy it is."""
-    members: int = 3
-    """Nets that become one, their mean: what each learnt of the noise of a few takes is another with each."""
     jobs: int = 1
     """Cases at a time."""
     score_only: bool = False
@@ -187,12 +183,7 @@ def identify(case: Case, cfg: Config) -> None:
         if case.method in ON_A_DIAGNOSIS:
             folder = cfg.output / Case("diagnosed", case.seconds, cfg.seeds[0]).name
             simulator = Simulator.load(folder, robot)
-        started, first = time.perf_counter(), case.seed * cfg.members
-        given = replace(simulator, name=case.method)
-        nets = [trained_net(given, fit, seed, cfg.iterations) for seed in range(first, first + cfg.members)]
-        seconds = float(sum(r.duration for r in fit))
-        notes = {"seed": case.seed, "training_seconds": time.perf_counter() - started, "data_seconds": seconds}
-        simulator = replace(given, net=averaged(nets), kind="correction", notes=notes)
+        simulator = with_uan(replace(simulator, name=case.method), fit, case.seed, cfg.iterations)
     simulator.save(cfg.output / case.name)
 
 
@@ -200,7 +191,7 @@ def search(case: Case) -> CEM:
     return CEM(generations=60, population=12, windows=max(4, min(48, round(case.seconds))), window=0.5)
 
 
-def trained_net(given: Simulator, recordings: Sequence[Recording], seed: int, iterations: int) -> nn.Sequential:
+def with_uan(given: Simulator, recordings: Sequence[Recording], seed: int, iterations: int) -> Simulator:
     """An Unsupervised Actuator Net on what a simulator leaves, down the gradient of the position's error.
 
     The simulator's name says what the net is told.
@@ -216,7 +207,9 @@ def trained_net(given: Simulator, recordings: Sequence[Recording], seed: int, it
     env = replay_env(given.robot, takes, chain=chain, unit=unit, base=base, max_steps=100, seed=seed)
     learner = training.GradientLearner(env, net, minutes=1.0, iterations=iterations, outlier=OUTLIER)
     training.train(learner, iterations=iterations, step=training.descend, progress=False)
-    return net
+    seconds = float(sum(r.duration for r in recordings))
+    notes = {"seed": seed, "training_seconds": learner.seconds, "data_seconds": seconds}
+    return replace(given, net=net, kind="correction", notes=notes)
 
 
 def overlays(simulators: dict[Method, Simulator], groups: dict[str, list[Recording]]) -> dict[str, dict[str, Rollout]]:

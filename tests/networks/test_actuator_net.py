@@ -154,21 +154,6 @@ def test_sizes_tell_how_to_make_such_a_net_again(told):
     assert [p.shape for p in again.parameters()] == [p.shape for p in net.parameters()]
 
 
-@pytest.mark.parametrize("odd", [False, True])
-def test_nets_side_by_side_give_their_mean(odd):
-    torch.manual_seed(0)
-    nets = [uan(hidden=(8, 4), unit=(0.3, 2.0), torque_unit=0.5, joints=3, odd=odd) for _ in range(3)]
-    for net in nets:
-        move(net)
-    both, seen = averaged(nets), torch.randn(5, 3, 40)
-    torch.testing.assert_close(both(seen), sum(net(seen) for net in nets) / 3)
-    assert sizes_of(both) == Sizes(20, (24, 12), 3, odd=odd, state=False)
-    with pytest.raises(ValueError, match="sizes or units"):
-        averaged([nets[0], uan(hidden=(8, 4), unit=(0.4, 2.0), torque_unit=0.5, joints=3, odd=odd)])
-    with pytest.raises(ValueError, match="sizes or units"):
-        averaged([nets[0], uan(hidden=(8, 5), unit=(0.3, 2.0), torque_unit=0.5, joints=3, odd=odd)])
-
-
 def test_a_state_without_joints_is_refused():
     with pytest.raises(ValueError, match="joints=6 and 18 numbers"):
         uan(state_unit=[1.0] * 18)

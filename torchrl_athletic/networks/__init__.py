@@ -4,7 +4,7 @@ Checkpoints are written and read here too.
 """
 
 from torchrl_athletic.networks.actor_critic import actor, critic
-from torchrl_athletic.networks.actuator_net import Sizes, averaged, sizes_of, uan, uan_actor
+from torchrl_athletic.networks.actuator_net import Sizes, sizes_of, uan, uan_actor
 from torchrl_athletic.networks.checkpoint import load_checkpoint, save_checkpoint
 from torchrl_athletic.networks.normalizer import RunningNormalizer
 from torchrl_athletic.networks.roa import deploy, roa_actor
@@ -13,7 +13,6 @@ __all__ = [
     "RunningNormalizer",
     "Sizes",
     "actor",
-    "averaged",
     "critic",
     "deploy",
     "load_checkpoint",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from tensordict import NestedKey
@@ -121,51 +121,6 @@ def sizes_of(net: nn.Module) -> Sizes:
     features = linears[0].in_features - (joints or 0) * (4 if state else 1) - len(memory)
     odd = any(isinstance(module, Odd) for module in net.modules())
     return Sizes(features // 2, tuple(layer.out_features for layer in linears[:-1]), joints, state, memory, odd)
-
-
-def averaged(nets: Sequence[nn.Sequential]) -> nn.Sequential:
-    """One net that gives the mean of several, as wide as all of them side by side.
-
-    What nets of several seeds learnt of the robot they share; what they learnt of a few takes' noise they do not.
-
-    Args:
-        nets: Of :func:`uan`, of the same sizes and units.
-
-    Raises:
-        ValueError: If they differ in these.
-
-    Example:
-        >>> one, other, seen = uan(hidden=(8,)), uan(hidden=(8,)), torch.randn(4, 6, 40)
-        >>> nn.init.ones_(one[1][-1].bias), nn.init.ones_(other[1][-1].weight)  # doctest: +ELLIPSIS
-        (...)
-        >>> both = averaged([one, other])
-        >>> torch.allclose(both(seen), 0.5 * (one(seen) + other(seen)), atol=1e-5), sizes_of(both).hidden
-        (True, (16,))
-    """
-    first, sizes = nets[0], sizes_of(nets[0])
-    units = [torch.cat([n[0].get_buffer("unit"), n[0].get_buffer("sharpness")]) for n in nets]
-    scales = [n[-1].get_buffer("unit") for n in nets]
-    alike = all(torch.equal(a, units[0]) and torch.equal(b, scales[0]) for a, b in zip(units, scales, strict=True))
-    if not alike or any(sizes_of(net) != sizes for net in nets):
-        raise ValueError(
-            "the nets differ in their sizes or units, so that layers side by side would not mean the same. Average "
-            "those that were trained on the same takes with the same settings."
-        )
-    wide = replace(sizes, hidden=tuple(len(nets) * width for width in sizes.hidden)).net()
-    wide[0].load_state_dict(first[0].state_dict())
-    wide[-1].load_state_dict(first[-1].state_dict())
-    layers = [[m for m in net.modules() if isinstance(m, nn.Linear)] for net in (wide, *nets)]
-    last = len(layers[0]) - 1
-    with torch.no_grad():
-        for k, (layer, *parts) in enumerate(zip(*layers, strict=True)):
-            weights, biases = [part.weight for part in parts], [part.bias for part in parts]
-            if k == last:
-                layer.weight.copy_(torch.cat(weights, 1) / len(nets))
-                layer.bias.copy_(torch.stack(biases).mean(0))
-            else:
-                layer.weight.copy_(torch.cat(weights) if k == 0 else torch.block_diag(*weights))
-                layer.bias.copy_(torch.cat(biases))
-    return wide
 
 
 def uan_actor(
