@@ -6,16 +6,7 @@ from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_athletic.losses import SplitClipPPOLoss
-from torchrl_athletic.networks import (
-    Sizes,
-    averaged,
-    critic,
-    load_checkpoint,
-    save_checkpoint,
-    sizes_of,
-    uan,
-    uan_actor,
-)
+from torchrl_athletic.networks import Sizes, critic, load_checkpoint, save_checkpoint, sizes_of, uan, uan_actor
 
 
 def moved():
