@@ -45,6 +45,8 @@ SECONDS = 8.0
 """Length of the excitation, without the ways there and back [s]."""
 APART = 3.0
 """Standard deviations that separate a pair; one that no plan sets so far apart is not what a plan is chosen for."""
+FOLLOWERS = 10
+"""Motions that are tried as the second of two."""
 CONFIRMED = 5
 """Plans that are simulated under every rival before none is proposed."""
 SMALLER = (1.0, 0.75, 0.55, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05)
@@ -275,8 +277,7 @@ def propose(
     # what little a motion tells adds up
     hopeful = np.max([scene.separations(known + p.products.times(often)) for p in plans], axis=0) > APART
     best = max(plans, key=lambda p: _worth(scene, p, hopeful))
-    enough = best.separations[hopeful].min(initial=ENOUGH) >= ENOUGH
-    for other in [] if enough else [p for p in plans if p.payload == best.payload and p is not best]:
+    for other in _followers(plans, best, hopeful):
         both = _joined(best, other)
         if best.signals[0].kernel == other.signals[0].kernel:
             signals, products = (*best.signals, *other.signals), best.products + other.products
@@ -348,6 +349,15 @@ class _Plan:
     def effort(self) -> float:
         """Of speed, torque and time, 0..1."""
         return float(np.mean([*self.share, min(self.recording.duration / 30, 1.0)]))
+
+
+def _followers(plans: Sequence[_Plan], best: _Plan, hopeful: NDArray[np.bool_]) -> list[_Plan]:
+    """Motions that may follow the best one, if it leaves a pair too close: those that tell this pair best."""
+    weakest = int(np.argmin(np.where(hopeful, best.separations, np.inf)))
+    if best.separations[weakest] >= ENOUGH:
+        return []
+    others = [p for p in plans if p.payload == best.payload and p is not best]
+    return sorted(others, key=lambda p: -p.separations[weakest])[:FOLLOWERS]
 
 
 @dataclass(frozen=True, eq=False)
