@@ -215,6 +215,23 @@ def policies_table(scores: Sequence[Score]) -> str:
     return table(["policy", "samples", "simulated [m]", "real [m]", "difference [m]", "failed"], rows)
 
 
+def samples_table(scores: Sequence[Score]) -> str:
+    """Simulated and real distance after as many samples, of the policies whose training went on for so long."""
+    sizes = sorted({each.samples for each in scores})
+    rows = []
+    for method, group in by_method(scores).items():
+        cells = [label(method)]
+        for samples in sizes:
+            of_size = [each for each in group if each.samples == samples]
+            found = [spread([getattr(each, which) for each in of_size]) for which in ("simulated", "real") if of_size]
+            cells += [*(found or ["-", "-"]), str(len(of_size))]
+        rows.append(cells)
+    heads = [
+        f"{samples / 1e6:.1f} M: {what}" for samples in sizes for what in ("simulated [m]", "real [m]", "policies")
+    ]
+    return table(["trained in", *heads], rows) + "\n"
+
+
 def spread(values: Sequence[float]) -> str:
     """Mean and standard deviation, as far as one can be told from so many."""
     return f"{fmean(values):.3f}" + (f" ± {deviation(values):.3f}" if len(values) > 1 else "")

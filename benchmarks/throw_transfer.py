@@ -20,7 +20,8 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,7 +38,16 @@ ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT))  # last: the package under test is the installed one
 
 from benchmarks.concealed.arm import ConcealedArm  # noqa: E402
-from benchmarks.throw_report import ARM, Score, Throws, draw, draw_matrix, in_order, markdown  # noqa: E402
+from benchmarks.throw_report import (  # noqa: E402
+    ARM,
+    Score,
+    Throws,
+    draw,
+    draw_matrix,
+    in_order,
+    markdown,
+    samples_table,
+)
 from torchrl_athletic.envs import BallFlight, throw_distance, throw_env, throw_task  # noqa: E402
 from torchrl_athletic.envs.throw import ARM_POWER, BUCKET, STEPS  # noqa: E402
 from torchrl_athletic.identification import Simulator  # noqa: E402
@@ -70,22 +80,45 @@ class Config:
     samples: int | None = None
     """Take of each training the policy that threw farthest in its simulation after no more samples than these; None
     takes ``policy.pt``, the farthest of all."""
+    by_samples: tuple[int, ...] = ()
+    """Instead of all else, throw with the policies of as many samples as each of these, in their own simulator and on
+    the arm, and write ``throw_samples.md`` and ``.json``."""
     jobs: int = 1
     """Worlds at a time."""
 
 
 def main(cfg: Config) -> None:
-    scores = score(trained(cfg.folders, cfg.samples), cfg.throws, cfg.jobs)
     cfg.results.mkdir(parents=True, exist_ok=True)
     cfg.images.mkdir(parents=True, exist_ok=True)
-    content = json.loads(
-        json.dumps([asdict(each) for each in scores]), parse_float=lambda number: round(float(number), 4)
-    )
-    (cfg.results / "throw_transfer.json").write_text(json.dumps(content) + "\n", encoding="utf-8")
-    (cfg.results / "throw_transfer.md").write_text(markdown(scores), encoding="utf-8")
+    if cfg.by_samples:
+        return compare_samples(cfg)
+    scores = score(trained(cfg.folders, cfg.samples), cfg.throws, cfg.jobs)
+    write(scores, markdown(scores), cfg.results / "throw_transfer")
     draw(scores, cfg.images / "throw_transfer.svg")
     draw_matrix(scores, cfg.images / "throw_matrix.svg")
     print(markdown(scores))
+
+
+def compare_samples(cfg: Config) -> None:
+    """Policies of as many samples, in their own simulator and on the arm."""
+    scores: list[Score] = []
+    for samples in cfg.by_samples:
+        long_enough = [folder for folder in cfg.folders if examined_up_to(folder) >= samples]
+        _, *policies = trained(long_enough, samples)
+        of_these = score(policies, cfg.throws, cfg.jobs, everywhere=False) if policies else []
+        scores += [replace(each, samples=samples) for each in of_these]
+    text = samples_table(scores)
+    write(scores, text, cfg.results / "throw_samples")
+    print(text)
+
+
+def write(scores: Sequence[Score], text: str, path: Path) -> None:
+    """Numbers and tables."""
+    content = json.loads(
+        json.dumps([asdict(each) for each in scores]), parse_float=lambda number: round(float(number), 4)
+    )
+    path.with_suffix(".json").write_text(json.dumps(content) + "\n", encoding="utf-8")
+    path.with_suffix(".md").write_text(text, encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -141,6 +174,11 @@ def farthest(folder: Path, samples: int | None = None) -> Path | None:
     return max(few_enough, key=lambda path: float(about[path]["distance_m"]), default=None)
 
 
+def examined_up_to(folder: Path) -> int:
+    """Samples of a training's last policy that was kept."""
+    return max((int(about_policy(path)["samples"]) for path in (folder / "examined").glob("*.pt")), default=0)
+
+
 def about_policy(path: Path) -> dict[str, Any]:
     """What the recipe noted of it."""
     about: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)["metadata"]
@@ -160,13 +198,15 @@ def load_policy(recipe: Any, path: Path, sizes: Mapping[str, Any]) -> Policy:
     return deployed
 
 
-def score(policies: Sequence[Trained], throws: int, jobs: int = 1) -> list[Score]:
-    """Throws with all policies in all of their worlds and on the arm, from the same starts."""
+def score(policies: Sequence[Trained], throws: int, jobs: int = 1, *, everywhere: bool = True) -> list[Score]:
+    """Throws with policies in all of their worlds, or each in its own, and on the arm, always from the same starts."""
     worlds = {each.world: each.simulator for each in policies}
     first = simulated_env(next(iter(worlds.values())), throws * len(policies))
     starts = first.reset()["joint_position"]  # rows start alike in every world: their draws are their own
     groups = [part.tolist() for part in np.array_split(range(len(policies)), min(jobs, len(policies)))]
-    tasks = [(name, list(range(len(policies)))) for name in in_order(worlds)] + [(ARM, group) for group in groups]
+    everyone = [(name, list(range(len(policies)))) for name in in_order(worlds)]
+    alone = [(each.world, [k]) for k, each in enumerate(policies)]
+    tasks = (everyone if everywhere else alone) + [(ARM, group) for group in groups]
     _TASK.update(policies=policies, throws=throws, worlds=worlds, starts=starts, tasks=tasks)  # forks find it there
     outcomes: list[dict[str, Throws]] = [{} for _ in policies]
     with forks(jobs) as mapped:
@@ -183,7 +223,7 @@ _TASK: dict[str, Any] = {}
 
 
 def throws_of(number: int) -> list[Throws]:
-    """A world with all policies, or some policies on the arm."""
+    """Policies that follow each other in a world, or on the arm."""
     name, group = _TASK["tasks"][number]
     throws, policies = _TASK["throws"], [_TASK["policies"][k] for k in group]
     if name == ARM:
@@ -192,7 +232,7 @@ def throws_of(number: int) -> list[Throws]:
         rows = torch.arange(throws) + throws * torch.tensor(group)[:, None]
         env = real_env(arms, _TASK["starts"][rows.flatten()])
     else:
-        env = simulated_env(_TASK["worlds"][name], throws * len(group))
+        env = simulated_env(_TASK["worlds"][name], throws * len(group), first_row=throws * group[0])
     end = throw_all(env, side_by_side([each.policy for each in policies], throws))
     return [outcome(rows) for rows in end.split(throws)]
 
@@ -226,10 +266,11 @@ def side_by_side(policies: Sequence[Policy], throws: int) -> Policy:
     return act
 
 
-def simulated_env(simulator: Simulator, count: int) -> EnvBase:
+def simulated_env(simulator: Simulator, count: int, first_row: int = 0) -> EnvBase:
     """The task in a simulator, which notes what happens at the release."""
     chain = [AtRelease("joint_velocity"), *simulator.chain(arm_power=ARM_POWER, randomize=False)]
-    return throw_env(simulator.robot, num_envs=count, chain=chain, tolerance=TOLERANCE, ends=False, seed=7)
+    task = partial(throw_env, tolerance=TOLERANCE, ends=False, seed=7, first_row=first_row)
+    return task(simulator.robot, num_envs=count, chain=chain)
 
 
 def real_env(arms: Sequence[ConcealedArm], starts: Tensor) -> EnvBase:

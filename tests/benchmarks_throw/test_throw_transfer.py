@@ -1,6 +1,7 @@
 """Throws with policies that hardly learnt anything, on an arm that hides nothing."""
 
 import json
+import shutil
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from benchmarks import throw_transfer
 from benchmarks.throw_report import ARM
 from benchmarks.throw_transfer import AtRelease, Config, Trained, load_recipe, score, side_by_side, stay_on_reference
 from torchrl_athletic.identification import Simulator
+from torchrl_athletic.identification.cem import correction_of
 from torchrl_athletic.networks import save_checkpoint, uan
 
 recipe = load_recipe()
@@ -124,6 +126,41 @@ def test_throws_in_several_processes_are_those_of_one(monkeypatch):
     simulator = recipe.load_simulator(None)
     policies = [Trained(f"default-{k}", stay_on_reference, "m", "default", simulator) for k in range(3)]
     assert score(policies, throws=1, jobs=2) == score(policies, throws=1)
+
+
+def test_thrown_in_their_own_simulators_alone_policies_throw_as_they_do_everywhere(monkeypatch):
+    monkeypatch.setattr(throw_transfer, "ConcealedArm", OpenArm)
+    monkeypatch.setattr(throw_transfer, "STEPS", 3)
+    monkeypatch.setattr(throw_transfer, "outcome", lambda end: end["joint_position"].tolist())
+    default = recipe.load_simulator(None)
+    weak = Simulator("cem", default.nominal, {**correction_of(["joint2"], [20.0, 1.0, 0.1])})
+    worlds = {"default": default, "cem_seed0": weak}
+    policies = [Trained(f"{world}-0", stay_on_reference, "m", world, s) for world, s in worlds.items()]
+    everywhere, alone = (score(policies, throws=2, everywhere=everywhere) for everywhere in (True, False))
+    for whole, own in zip(everywhere, alone, strict=True):
+        assert list(own.throws) == [own.own, ARM]
+        assert own.throws == {world: whole.throws[world] for world in own.throws}
+    assert alone[0].throws["default"] != alone[1].throws["cem_seed0"]
+
+
+def test_policies_are_compared_after_as_many_samples(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(throw_transfer, "ConcealedArm", OpenArm)
+    other = tmp_path / "uan_seed0-0"
+    for copy, sizes in ((tmp_path / "default-0", (32, 64)), (other, (32,))):
+        shutil.copytree(folder, copy)
+        for samples in sizes:
+            kept = torch.load(folder / "policy.pt", weights_only=True)
+            kept["metadata"]["samples"] = samples
+            (copy / "examined").mkdir(exist_ok=True)
+            torch.save(kept, copy / "examined" / f"{samples:06d}.pt")
+    found = sorted(tmp_path.iterdir())
+    throw_transfer.main(Config(found, results=tmp_path, images=tmp_path, throws=1, by_samples=(32, 64, 128)))
+    numbers = json.loads((tmp_path / "throw_samples.json").read_text())
+    assert [(each["name"], each["samples"]) for each in numbers] == [
+        *(("default-0", 32), ("uan_seed0-0", 32)),
+        ("default-0", 64),  # none had 128
+    ]
+    assert "| Default | " in (tmp_path / "throw_samples.md").read_text()
 
 
 def test_every_policy_acts_on_its_own_rows():

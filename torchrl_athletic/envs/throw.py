@@ -101,6 +101,7 @@ def throw_env(
     tolerance: float = 0.01,
     ends: bool = True,
     seed: int = 0,
+    first_row: int = 0,
 ) -> TransformedEnv:
     """The task in a simulation: physics at 200 Hz, a policy at 50 Hz.
 
@@ -118,6 +119,7 @@ def throw_env(
         tolerance: How far joints may be beyond their ranges [rad].
         ends: Whether a failed throw ends the episode.
         seed: Of starts.
+        first_row: As of :class:`~torchrl_athletic.transforms.RandomTransform`.
 
     Example:
         >>> from torchrl_athletic.robots import with_bucket, z1
@@ -133,7 +135,7 @@ def throw_env(
         base,
         Compose(
             *sensing,
-            InitialState(still, seed=seed),
+            InitialState(still, seed=seed, first_row=first_row),
             BallFlight(base.physics.timestep),
             *chain,
             *extra,
