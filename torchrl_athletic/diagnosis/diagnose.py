@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.checkpoint import Checkpoint, inputs_digest
-from torchrl_athletic.diagnosis.compare import harms, score
+from torchrl_athletic.diagnosis.compare import harms, open_share, score
 from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml, write_atomically, write_json
 from torchrl_athletic.diagnosis.experiment import Experiment, next_experiment, write
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, idle_terms, without
@@ -38,7 +38,7 @@ from torchrl_athletic.diagnosis.screen import (
     is_trim,
     trims_for,
 )
-from torchrl_athletic.diagnosis.search import Judge, Scored, keys, noisy_joints, richer, rivals, search
+from torchrl_athletic.diagnosis.search import RICHER, Judge, Scored, keys, noisy_joints, richer, rivals, search, singles
 from torchrl_athletic.effects import CATALOGUE, Effect
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.recordings import Recording
@@ -52,12 +52,16 @@ CLOSE = 10.0
 MOST_FITS = 4
 ASKED = 6.0
 """Evidence behind which a rival is not asked about in the simulation: a twentieth of the odds."""
-RICH = 0.15
-"""By which the logarithm of the windows' error must fall for a richer law to take a simpler one's place."""
+LOST = 0.5
+"""Share of the error energy that the best may leave before each effect is asked about alone."""
+ALONE = 2
+"""How many of these."""
 DRIVE_EFFECTS = ("actuation_delay", "actuation_lag", "torque_scale", "torque_offset")
 """What can happen between a command and a measured torque."""
 BEFORE_THE_MOTOR = frozenset({"actuation_delay", "actuation_lag", "torque_saturation", "speed_torque_limit"})
 """What a measured torque has behind it."""
+ALIKE = 0.05
+"""Difference of the logarithm of the windows' error below which two fits are equally good."""
 EXERCISED = 0.02
 """Share of usable instants below which a joint counts as not exercised."""
 WORTH = 0.1
@@ -265,6 +269,8 @@ class _Work:
     fits: list[Fitted] = field(default_factory=list)
     """One for each option that was fitted."""
     scores: list[dict[str, Score]] = field(default_factory=list)
+    errors: list[Array] = field(default_factory=list)
+    """Logarithm of every window's error, of each fit."""
     chosen: int = 0
 
     def run(self) -> None:
@@ -293,6 +299,7 @@ class _Work:
         self._fit()
         self._begin("compare")
         self._compare()
+        self._start_over()
         self._begin("gates")
         self._begin("report")
 
@@ -317,21 +324,21 @@ class _Work:
         if cut:  # the measured torque cuts the chain in two: the drive before it, the mechanics behind it
             of_drive = [e for e in catalogue if e.name in DRIVE_EFFECTS]
             self.drive_evidence = _search(drive_signals(self.train), of_drive, ())[0]
-            signals = prepare(
-                self.recordings, self.model, "measured", signals[0].kernel, self.joined, self.xml
-            ).signals
+            signals = prepare(self.recordings, self.model, "measured", signals[0].kernel, self.joined, self.xml).signals
         if cut or self.drive == "measured":  # what was measured has passed the drive's lags and limits
             catalogue = tuple(e for e in catalogue if e.name not in BEFORE_THE_MOTOR)
         taken = {a.candidate.key for a in self.drive_evidence.best.fit.terms} if self.drive_evidence else set()
         self.options = tuple(_search(signals, catalogue, trims_for(signals, TRIMS), taken, self.progress))
 
     def _fit(self) -> None:
+        """Fit the options that are not fitted yet, all with the same trims."""
         assert self.train is not None
         takes = self.train.takes
-        for k, option in enumerate(self.options[:MOST_FITS]):
-            if k and (self._late() or option.behind > CLOSE):
+        adjusted = set().union(*map(_adjusted, self.options))
+        for k, option in list(enumerate(self.options))[len(self.fits) :]:
+            if k and self._late():
                 break
-            hypothesis, start = _hypothesis(option, self.drive_evidence)
+            hypothesis, start = _hypothesis(option, self.drive_evidence, adjusted)
             key = "fit " + " ".join(f"{c.effect.name}/{c.where}" for c in (*hypothesis.terms, *hypothesis.trims))
 
             def compute(hypothesis: Hypothesis = hypothesis, start: Array = start) -> Fitted:
@@ -356,9 +363,9 @@ class _Work:
         self.fits.append(as_trims(fitted, small))
 
     def _compare(self) -> None:
+        """Score the fits that are not scored yet, and choose."""
         assert self.train is not None
-        errors = []
-        for k, fitted in enumerate(self.fits):
+        for k, fitted in list(enumerate(self.fits))[len(self.scores) :]:
             scores: dict[str, Score] = {}
             for split, prepared in (("train", self.train), ("heldout", self.held)):
                 if prepared is not None:
@@ -368,15 +375,28 @@ class _Work:
                     )  # fmt: skip
                     if split == "train":  # what was kept aside scores the answer, it does not choose it
                         floor = np.array([joint["floor"] for joint in scores["train"].per_joint.values()])
-                        errors.append(np.log(np.maximum(after, np.maximum(floor, 1e-12))).sum(1))
+                        self.errors.append(np.log(np.maximum(after, np.maximum(floor, 1e-12))).sum(1))
             self.scores.append(scores)
             self.progress.update((k + 1) / len(self.fits))
-        if not errors:
+        if not self.errors:
             return
-        strain = np.array([fitted.hypothesis.strain(fitted.values) for fitted in self.fits])
-        self.chosen, against = _decide(self.options[: len(errors)], errors, strain)
+        self.chosen, against = _decide(self.options, self.errors, [open_share(s["train"]) for s in self.scores])
         simulated = {keys(o.best.fit.terms): float(a) for o, a in zip(self.options, against, strict=False)}
         self.options = tuple(replace(o, simulated=simulated) for o in self.options)
+
+    def _start_over(self) -> None:
+        """Where what fits the torques best leaves most of the motion open, ask about each effect alone.
+
+        A combination may mimic the torques of a joint that sticks, and move otherwise.
+        """
+        if not self.scores or open_share(self.scores[self.chosen]["train"]) < LOST or self._late():
+            return
+        known = {keys(o.best.fit.terms) for o in self.options}
+        judge = self.options[0].judge
+        alone = [s for s in singles(judge) if keys(s.fit.terms) not in known]
+        self.options = (*self.options[: len(self.fits)], *(Evidence(judge, s) for s in alone[:ALONE]))
+        self._fit()
+        self._compare()
 
     def conclude(self) -> Diagnosis:
         """State what there is."""
@@ -500,13 +520,18 @@ def _options(judge: Judge, found: Sequence[Scored]) -> list[Evidence]:
     for option in sorted(near, key=lambda e: e.behind):
         if all(keys(option.best.fit.terms) != keys(e.best.fit.terms) for e in out):
             out.append(option)
-    return out
+    return [option for option in out if option.behind <= CLOSE][:MOST_FITS]
 
 
-def _hypothesis(option: Evidence, drive: Evidence | None) -> tuple[Hypothesis, Array]:
+def _hypothesis(option: Evidence, drive: Evidence | None, adjusted: Collection[Key]) -> tuple[Hypothesis, Array]:
     """Terms of the mechanics and of the drive, with the values that the torque domain gave them.
 
     What the two torque channels say of the drive is direct; the simulation may move it by a tenth only.
+
+    Args:
+        option: The mechanics.
+        drive: The drive, if it was looked at alone.
+        adjusted: Trims that may move: the same for all options, which are compared.
     """
     terms, start = [], []
     if drive is not None:
@@ -525,10 +550,17 @@ def _hypothesis(option: Evidence, drive: Evidence | None) -> tuple[Hypothesis, A
     trims = [
         t
         for t in trims_for(option.judge.bank.takes, FIT_TRIMS)
-        if all(t.moves_beside(c) for c in terms) and _moved(t, known.get(t.key))
+        if t.key in adjusted and all(t.moves_beside(c) for c in terms)
     ]
     start += [known.get(t.key, np.array([p.nominal for p in t.parameters])) for t in trims]
     return Hypothesis(tuple(terms), tuple(trims)), np.concatenate(start) if start else np.zeros(0)
+
+
+def _adjusted(option: Evidence) -> set[Key]:
+    """Trims that the torque domain asked for, and those that it was not asked about."""
+    fitted = option.best.fit
+    known = {a.candidate.key: v for a, v in zip(fitted.atoms, fitted.values(), strict=True)}
+    return {t.key for t in trims_for(option.judge.bank.takes, FIT_TRIMS) if _moved(t, known.get(t.key))}
 
 
 def _moved(trim: Candidate, value: Array | None) -> bool:
@@ -555,19 +587,19 @@ def _trimmed(corrected: Simulation) -> tuple[str, ...]:
     return (f"Beside the findings the corrected model was adjusted within its tolerances: {', '.join(changes)}.",)
 
 
-def _decide(options: Sequence[Evidence], errors: Sequence[Array], strain: Array) -> tuple[int, Array]:
-    """Which option the recordings' torques and the simulation speak for, and what the latter says against each.
+def _decide(options: Sequence[Evidence], errors: Sequence[Array], left: Sequence[float]) -> tuple[int, Array]:
+    """Which option torques and simulation speak for, and what the simulation says against each.
 
     Args:
         options: What was fitted, the preferred one first.
         errors: Logarithm of every window's error, of each option. Shapes (W,).
-        strain: How far each option's fit bends the trims. Shape (options,).
+        left: Share of the error energy above the floor that each leaves.
     """
     best = min(errors, key=lambda e: float(e.mean()))
-    against = np.array([_against(e - best) for e in errors]) + strain - strain.min()
-    behind = np.array([option.behind for option in options])
-    for k, option in enumerate(options):
-        if option.richer and float((errors[0] - errors[k]).mean()) < RICH:
+    against = np.array([_against(e - best) for e in errors])
+    behind = np.array([option.behind for option in options[: len(errors)]])
+    for k, option in enumerate(options[: len(errors)]):
+        if option.richer and (against[0] - against[k] < CLOSE or left[k] > (1 - RICHER) * left[0]):
             behind[k] = np.inf
     return int(np.argmin(against + behind)), against
 
@@ -575,10 +607,11 @@ def _decide(options: Sequence[Evidence], errors: Sequence[Array], strain: Array)
 def _against(worse: Array) -> float:
     """Twice the log odds against a combination whose windows have larger log errors.
 
-    The square of their paired z-score.
+    The square of their paired z-score, beyond the few per cent by which optimisers that stop sooner differ.
     """
     error = float(worse.std() / np.sqrt(max(len(worse), 1)))
-    return float(np.clip((worse.mean() / error) ** 2, 0.0, CLOSE)) if error > 0 else 0.0
+    beyond = max(float(worse.mean()) - ALIKE, 0.0)
+    return float(np.clip((beyond / error) ** 2, 0.0, CLOSE)) if error > 0 else 0.0
 
 
 def _encode(fitted: Fitted) -> dict[str, Any]:

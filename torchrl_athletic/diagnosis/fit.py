@@ -61,12 +61,6 @@ class Hypothesis:
         """Physical bounds of the terms, tolerances of the trims. Shapes (P,)."""
         return np.array([p.lower for p in self.parameters]), np.array([p.upper for p in self.parameters])
 
-    def strain(self, values: Array) -> float:
-        """Sum of squares of the trims' values, each in standard deviations of what it may be: half its tolerance."""
-        free = sum(len(c.parameters) for c in self.terms)
-        reach = (self.bounds[1] - self.nominal)[free:]
-        return float((4 * ((values - self.nominal)[free:] / np.maximum(reach, 1e-12)) ** 2).sum())
-
     def build(self, plant: Plant, values: Array) -> None:
         """Put values (rows, P) into a plant."""
         parts = [(c, self.values_of(c, values)) for c in (*self.terms, *self.trims)]

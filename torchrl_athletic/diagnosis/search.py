@@ -263,8 +263,8 @@ def richer(judge: Judge, best: Scored) -> Scored | None:
     if not trials:
         return None
     rich = min(trials, key=lambda s: s.evidence)
-    parts = _simplest(judge, rich)  # friction by direction may be the dry part that viscous friction alone lacked
-    for trial in (rich,) if keys(parts.fit.terms) == keys(best.fit.terms) else (parts, rich):
+    plain = _simplest(judge, rich)  # friction by direction may be the dry part that viscous friction alone lacked
+    for trial in (rich,) if keys(plain.fit.terms) == keys(best.fit.terms) else (plain, rich):
         if best.evidence - trial.evidence > DECISIVE and judge.closes(best.fit, trial.fit) > SEEN:
             return trial
     return None
@@ -287,6 +287,11 @@ def rivals(judge: Judge, best: Scored, within: float) -> list[tuple[Scored, floa
             if s is not own and behind < within and keys(s.fit.terms) not in out:
                 out[keys(s.fit.terms)] = judge.score(s.fit.terms), behind
     return sorted(out.values(), key=lambda r: r[1])
+
+
+def singles(judge: Judge) -> list[Scored]:
+    """Every effect alone that helps, best first."""
+    return _extensions(judge, judge.score(()))
 
 
 def noise_level(bank: Bank) -> Array:

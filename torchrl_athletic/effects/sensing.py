@@ -84,7 +84,7 @@ class EncoderScale(Effect):
     }
 
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
-        return (Parameter("scale", "1", 1.0, 0.5, 2.0, 0.01),)
+        return (Parameter("scale", "1", 1.0, 0.75, 1.33, 0.01),)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         return [{}]

@@ -267,6 +267,10 @@ class SpeedTorqueLimit(Effect):
         )
 
 
+FEWEST = 3.0
+"""Waves a turn below which what repeats along the position is no ripple of poles or teeth."""
+
+
 class TorqueRipple(Effect):
     """A torque that comes back with every tooth, pole or screw turn: cogging, gear teeth, a bent shaft.
 
@@ -310,8 +314,14 @@ class TorqueRipple(Effect):
         if travel <= 0:
             return []
         waves = {n / min(travel, 1.0) for n in _PERIODS if n * max(travel, 1.0) > np.pi}
-        per_wave = 1.0 / (2 * np.pi) if is_slide(takes[0].model, takes[0].address, joint) else 1.0
-        return [{"periods": per_wave * n} for n in sorted({*waves, *_spectral_peaks(takes, joint, travel)})]
+        waves |= set(_spectral_peaks(takes, joint, travel))
+        if is_slide(takes[0].model, takes[0].address, joint):
+            return [{"periods": n / (2 * np.pi)} for n in sorted(waves)]
+        return [{"periods": n} for n in sorted(waves) if n >= FEWEST]
+
+    def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
+        """With fewer waves a turn it is a weight's lever, or the inertia's change with the pose."""
+        return bool(parameters[2].unit != "1/rev" or values[2] >= FEWEST)
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         return self.fingerprints(s, joint, [fixed])[0]
