@@ -48,6 +48,15 @@ def test_a_take_of_an_experiment_is_seen_in_its_own_band_and_the_others_as_ever(
     np.testing.assert_array_equal(together.signals[0].missing, alone.signals[0].missing)
 
 
+def test_a_motion_of_few_samples_a_period_does_not_pass_for_noise_of_the_encoder(takes):
+    slow, quick = takes
+    rough = 2e-3 * np.sin(2 * np.pi * 60 * quick.time)[:, None]  # four samples a period
+    quick = replace(quick, position=quick.position + rough)
+    alone, together = prepare([quick], arm()), prepare([slow, quick], arm(), joined=1)
+    np.testing.assert_allclose(together.quality[1].position_noise, NOISE, rtol=0.2)
+    assert alone.quality[0].position_noise.max() > 2 * NOISE
+
+
 def test_a_take_with_a_known_weight_is_compared_with_the_model_that_carries_it():
     xml, weight = pendulum(), 0.2
     model = mujoco.MjModel.from_xml_string(xml)

@@ -23,7 +23,6 @@ from torchrl_athletic.recordings import (
     RecordingError,
     check_quality,
     repeat_noise,
-    sensor_noise,
     split_at_gaps,
 )
 
@@ -97,10 +96,12 @@ def prepare(
     if drive == "measured":
         recordings = [r.driven_by_measured_torque() for r in recordings]
     limit = _limit(model, JointAddress.of(model, first.joint_names, first.source))
-    quality = tuple(check_quality(r, limit) for r in recordings)
     old = len(recordings) - joined
+    quality = tuple(_with_known_noise([check_quality(r, limit) for r in recordings], old))
     kernel = kernel_for(recordings[:old] or recordings) if kernel is None else kernel
-    kernels = [kernel] * old + [kernel_for([r], sensor_noise(r)[0]) for r in recordings[old:]]
+    kernels = [kernel] * old + [
+        kernel_for([r], q.position_noise) for r, q in zip(recordings[old:], quality[old:], strict=True)
+    ]
     signals: list[Signals] = []
     takes: list[Take] = []
     left_out: list[str] = []
@@ -126,6 +127,22 @@ def prepare(
         )
     noise = np.median([q.position_noise for q in quality], axis=0)
     return Prepared(quality, tuple(signals), tuple(takes), noise, repeat_noise(recordings), tuple(left_out))
+
+
+def _with_known_noise(quality: Sequence[Quality], old: int) -> list[Quality]:
+    """The same, with the earlier recordings' noise for takes of experiments.
+
+    The sensors are the same, and a motion with few samples a period looks like noise.
+    """
+    known = quality[:old]
+    if not known:
+        return list(quality)
+    position = np.median([q.position_noise for q in known], axis=0)
+    correlation = np.median([q.noise_correlation for q in known], axis=0)
+    speeds = [q.velocity_noise for q in known if q.velocity_noise is not None]
+    velocity = np.median(speeds, axis=0) if speeds else None
+    told = [replace(q, position_noise=position, noise_correlation=correlation) for q in quality[old:]]
+    return [*known, *(q if q.velocity_noise is None else replace(q, velocity_noise=velocity) for q in told)]
 
 
 def _carrying(model: mujoco.MjModel, xml: str, recording: Recording) -> mujoco.MjModel:
