@@ -144,14 +144,14 @@ def write_table(cfg: Config) -> None:
 def draw(runs: list[Run], path: Path) -> None:
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(6, 3.4), layout="constrained")
+    figure, axes = plt.subplots(figsize=(7.5, 3.4), layout="constrained")
     named: set[str] = set()
     for run in runs:
         label = None if run.method in named else run.method.replace("_", ", ")
         named.add(run.method)
         axes.semilogy(run.seconds, run.mse, color=COLOURS[run.method], label=label, linewidth=1.2)
     axes.set(xlabel="training [s]", ylabel="open-loop error of 5 s [rad²]")
-    axes.legend(frameon=False)
+    figure.legend(loc="outside right upper", frameon=False, fontsize=8)
     axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(path)
 
