@@ -93,6 +93,8 @@ def main(cfg: Config) -> None:
     folder = cfg.folder / "experiment"
     folder.mkdir(parents=True, exist_ok=True)
     todo = [] if cfg.table else [case for case in wanted if not is_done(folder / f"{case.name}.json")]
+    alike = {r.case.name for r in rows if is_alike(r)}
+    todo.sort(key=lambda case: case.name in alike)  # what a run cut short leaves out is what a motion hardly tells
     print(f"{len(wanted)} ambiguous cases, {len(wanted) - len(todo)} of them not to be run")
     with ProcessPoolExecutor(cfg.jobs, initializer=_pin, initargs=(Value("i", 0),)) as pool:
         pending = [pool.submit(run_case, cfg, case.block, case.index) for case in todo]
@@ -116,6 +118,12 @@ def ambiguous(row: Row) -> bool:
         return False
     same = same_physics(row.case)
     return any(max(s.values()) < LEFT for s in [s for s in sets if s.keys() & same] or sets)
+
+
+def is_alike(row: Row) -> bool:
+    """Whether all that an answer leaves open is which name of the same physics to use."""
+    same = same_physics(row.case)
+    return all(s.keys() <= same for s in map(answer_set, row.findings) if max(s.values()) < LEFT)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from benchmarks.concealed.hidden import Truth
 from benchmarks.concealed.next_experiment import (
     ambiguous,
     grade,
+    is_alike,
     is_level,
     is_planar,
     replayed,
@@ -194,6 +195,17 @@ def test_an_answer_is_ambiguous_where_no_name_has_nine_tenths_of_its_set():
     assert not ambiguous(Row(case, {"answer": {"findings": [right, stand_in]}}))
     assert ambiguous(Row(case, {"answer": {"findings": [wrong, stand_in]}}))
     assert not ambiguous(Row(case, {"error": "broke"}))
+
+
+def test_names_of_one_physics_are_told_from_names_of_several():
+    joint = session_of("torque_command").robot.joint_names[0]
+    case = hidden("gravity_tilt", None, ("encoder_offset", joint))
+
+    def answered(*rival):
+        return Row(case, {"answer": {"findings": [finding("gravity_tilt", None, 0.6, rival)]}})
+
+    assert is_alike(answered("encoder_offset", joint, 0.4))
+    assert not is_alike(answered("joint_spring", joint, 0.4))
 
 
 def test_every_case_is_in_the_report_those_that_failed_included():
