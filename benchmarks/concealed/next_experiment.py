@@ -257,7 +257,8 @@ def same_physics(case: Case) -> set[Name]:
     heavier: set[Name] = (
         {(e, first) for e in ("payload", "link_mass", "reflected_inertia")} if is_level(robot) else set()
     )
-    more = [name for group in (turned, heavier) if right in group for name in group]
+    measured: set[Name] = {(e, first) for e in ("torque_scale", "encoder_scale")} if is_level(robot) else set()
+    more = [name for group in (turned, heavier, measured) if right in group for name in group]
     return {right, *identities(truth, robot, case.mode), *others, *more, *weights_alike(truth, robot)}
 
 
@@ -278,7 +279,10 @@ def weights_alike(truth: Truth, robot: Robot) -> set[Name]:
 
 
 def is_level(robot: Robot) -> bool:
-    """Whether the robot is one level slide, on which all that is heavier only resists."""
+    """Whether the robot is one level slide, on which all that is heavier only resists.
+
+    There is no place on it either: read in other units, all of its motion needs more torque by one factor.
+    """
     tree = robot.tree
     return robot.joints == 1 and bool(tree.slide[0]) and abs(float(tree.turn[0][2] @ tree.axis[0])) < 1e-9
 

@@ -157,6 +157,17 @@ def test_on_a_pendulum_a_small_payload_is_a_centre_that_lies_farther_out_and_a_l
     assert weights_alike(Truth("link_mass", joint, {"mass": 1.0}), robot) == set()
 
 
+def test_a_level_slide_that_is_read_in_other_units_is_a_stronger_motor(monkeypatch):
+    sliders = [SEALED["slider"](np.random.default_rng(seed)) for seed in range(8)]
+    motion = np.random.default_rng(1).normal(size=(3, 20, 1))
+    for slider in sliders:
+        torque, other = (inverse(slider.tree, *(scale * motion))[0] for scale in (1.0, 1.3))
+        assert np.allclose(other, 1.3 * torque) == is_level(slider)
+        monkeypatch.setattr(next_experiment, "prepare", lambda *_, robot=slider: SimpleNamespace(robot=robot))
+        same = same_physics(hidden("torque_scale", "carriage"))
+        assert (("encoder_scale", "carriage") in same) == is_level(slider)
+
+
 @pytest.mark.parametrize(
     ("last", "experiments", "left"),
     [
