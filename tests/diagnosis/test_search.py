@@ -23,6 +23,7 @@ from torchrl_athletic.diagnosis.search import (
     richer,
     rivals,
     search,
+    singles,
 )
 from torchrl_athletic.effects import Fingerprint, Parameter
 
@@ -265,6 +266,14 @@ def test_a_richer_law_whose_special_cases_do_as_well_is_asked_about_as_these():
     whole.special_cases = frozenset({"dry", "viscous"})  # type: ignore[misc]
     weigh = judge(take, candidate(whole), candidate(Given("dry", dry)), candidate(Given("viscous", viscous)))
     assert names(richer(weigh, weigh.score(weigh.bank.atoms[2:]))) == {("dry", "shoulder"), ("viscous", "shoulder")}
+
+
+def test_effects_alone_are_told_by_what_they_close_whatever_their_evidence():
+    rng = np.random.default_rng(0)
+    a, b, c = smooth(rng, (3, N))
+    take = on_shoulder(6 * a + 3 * b, rng.normal(size=(N, 2)))
+    alone = singles(judge(take, *(candidate(Given(*e)) for e in (("b", b), ("a", a), ("c", c)))))
+    assert [name for s in alone for name, _ in names(s)] == ["a", "b"]
 
 
 def test_close_rivals_are_told_with_the_evidence_that_they_lie_behind():

@@ -197,10 +197,12 @@ def _is_plain(candidate: Candidate, values: Array, samples: Array) -> bool:
     """Whether all that sets an effect apart from simpler laws may be nothing, by its intervals, or makes no sense."""
     of = {p.name: (values[k], samples[:, k]) for k, p in enumerate(candidate.parameters)}
     given = {p.name: p.nominal for p in candidate.parameters}
+    units = {p.name: p.unit for p in candidate.parameters}
+    beside_it = {n: max((abs(of[m][0]) for m in of if m != n and units[m] == units[n]), default=0.0) for n in of}
 
     def is_seen(what: str | tuple[str, str]) -> bool:
         if isinstance(what, str):
-            apart, least = of[what][1] - given[what], 0.0
+            apart, least = of[what][1] - given[what], ALIKE * beside_it[what]
         else:
             (one, drawn), (other, beside) = of[what[0]], of[what[1]]
             apart, least = drawn - beside, ALIKE * max(abs(one), abs(other))

@@ -43,7 +43,7 @@ ACCURACY = 0.01
 RICHER = 0.25
 """Share of what is open that an effect must close beyond a simpler one that it contains."""
 SEEN = 0.05
-"""The same from which on the simulation is asked whether the richer law is the true one."""
+"""The same, or of the evidence, from which on the simulation is asked whether the richer law is the true one."""
 INVARIANT = 0.4
 """Relative scatter between stretches of the recordings up to which a term is the same physics everywhere."""
 MUCH = 0.3
@@ -264,8 +264,10 @@ def richer(judge: Judge, best: Scored) -> Scored | None:
         return None
     rich = min(trials, key=lambda s: s.evidence)
     plain = _simplest(judge, rich)  # friction by direction may be the dry part that viscous friction alone lacked
+    found = judge.score(()).evidence - best.evidence
     for trial in (rich,) if keys(plain.fit.terms) == keys(best.fit.terms) else (plain, rich):
-        if best.evidence - trial.evidence > DECISIVE and judge.closes(best.fit, trial.fit) > SEEN:
+        gained = best.evidence - trial.evidence
+        if gained > DECISIVE and (gained > SEEN * found or judge.closes(best.fit, trial.fit) > SEEN):
             return trial
     return None
 
@@ -290,8 +292,11 @@ def rivals(judge: Judge, best: Scored, within: float) -> list[tuple[Scored, floa
 
 
 def singles(judge: Judge) -> list[Scored]:
-    """Every effect alone that helps, best first."""
-    return _extensions(judge, judge.score(()))
+    """Effects that close a material share alone, whatever their evidence; what closes most first."""
+    nothing = judge.score(())
+    alone = [judge.score([atom]) for atom in _promising(judge, nothing, _shortlist(judge, nothing))]
+    closed = {s: judge.closes(nothing.fit, s.fit) for s in alone if not s.fit.at_bound}
+    return sorted((s for s in closed if closed[s] > MATERIAL), key=lambda s: -closed[s])
 
 
 def noise_level(bank: Bank) -> Array:
