@@ -57,8 +57,6 @@ class Config:
     """Steps of each environment per iteration."""
     evaluate_every: int = 10
     """Iterations between measurements, each of which takes as long as some tens of iterations."""
-    keep_examined: bool = False
-    """Keep each policy that was measured, so that ``throw_transfer.py --samples`` can compare those of as many."""
     jobs: int = 2
     """Trainings at a time, which share the cores."""
     device: Literal["cpu", "cuda"] = "cpu"
@@ -160,7 +158,7 @@ def start(job: Job, cfg: Config, place: int, seconds: float) -> subprocess.Popen
     if cfg.begin_with is not None:
         flags["begin-with"] = policy_of(job.seed, cfg.begin_with)
     words = [word for name, value in flags.items() for word in (f"--{name}", str(value))]
-    words += ["--fuse" if cfg.fuse else "--no-fuse", "--keep-examined" if cfg.keep_examined else "--no-keep-examined"]
+    words.append("--fuse" if cfg.fuse else "--no-fuse")
     cores = sorted(os.sched_getaffinity(0))
     own = {"OMP_NUM_THREADS": "1", "TORCHINDUCTOR_COMPILE_THREADS": str(max(1, len(cores) // cfg.jobs))}
     if job.device == "cuda":

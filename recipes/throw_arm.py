@@ -33,8 +33,7 @@ class Config:
     begin_with: Path | None = None  # policy.pt that was learnt in another simulator
     hidden: tuple[int, ...] = (128, 64)
     ppo: PPO = THROW
-    evaluate_every: int = 10  # iterations; the policy that throws farthest in its simulation is kept
-    keep_examined: bool = False  # all of them, in a folder of their own, to compare policies of as many samples
+    evaluate_every: int = 10  # iterations; policy.pt is the one that threw farthest in its simulation
     output: Path = Path("outputs/throw/default-0")
 
 
@@ -42,8 +41,7 @@ def main(cfg: Config) -> None:
     torch.manual_seed(cfg.seed)
     simulator = load_simulator(cfg.simulator)
     env = make_env(simulator, cfg.ppo.num_envs, device=cfg.device, seed=cfg.seed)
-    again = load_simulator(cfg.simulator)  # with a net of its own: few rows are faster on the CPU
-    exam = make_env(again, 32, seed=1_000_000, randomize=False, ends=False)
+    exam = make_env(load_simulator(cfg.simulator), 32, seed=1_000_000, randomize=False, ends=False)  # has its own net
     width = {key: env.observation_spec[key].shape[-1] for key in ("observation", "privileged")}
     sizes = {"seen": width["observation"], "joints": env.action_spec.shape[-1], "hidden": list(cfg.hidden)}
     sizes["adapts_to"] = env.observation_spec["randomization"].shape[-1] if simulator.name == "roa" else 0
@@ -63,8 +61,7 @@ def main(cfg: Config) -> None:
         copy.load_state_dict(policy.state_dict())
         found = throw_summary(play(exam, examined, STEPS)[:, -1]["next"])
         about = {"sizes": sizes, "iterations": learner.iteration, "samples": learner.samples, **found}
-        if cfg.keep_examined:
-            save_checkpoint(cfg.output / "examined" / f"{learner.iteration:06d}.pt", about, policy=policy)
+        save_checkpoint(cfg.output / "examined" / f"{learner.iteration:06d}.pt", about, policy=policy)
         if found["distance_m"] >= best["distance_m"]:
             best.update(found)
             save_checkpoint(cfg.output / "policy.pt", about, policy=policy, critic=value)

@@ -104,11 +104,10 @@ def call_of(monkeypatch, job, cfg, place=0, seconds=600.0):
 
 def test_a_training_is_told_all_that_it_needs(simulators, tmp_path, monkeypatch):
     job = Job(simulators[1], 3, tmp_path / "uan_seed0-3", "cuda")
-    cfg = Config(simulators, device="cuda", num_envs=2048, jobs=4, gpus=2, iterations=7, keep_examined=True)
+    cfg = Config(simulators, device="cuda", num_envs=2048, jobs=4, gpus=2, iterations=7)
     told, env, cores = call_of(monkeypatch, job, cfg, place=3)
     assert (told.seed, told.iterations, told.device, told.begin_with) == (3, 7, "cuda", None)
     assert (told.ppo.num_envs, told.ppo.actor_minibatches) == (2048, 4)
-    assert told.keep_examined
     assert told.simulator == tmp_path / "uan_seed0-3" / "simulator"
     assert (told.simulator / "simulator.json").read_text() == "uan_seed0"
     assert told.minutes == pytest.approx((600 - train_throws.STARTING) / 60)

@@ -50,7 +50,7 @@ def test_the_policy_that_threw_farthest_is_kept(tmp_path, monkeypatch):
     distances = iter((1.0, 3.0, 2.0))
     summary = lambda step: {"distance_m": next(distances), "spread_m": 0.0, "failed": 0.0}  # noqa: E731
     monkeypatch.setattr(recipe, "throw_summary", summary)
-    recipe.main(short(tmp_path, iterations=3, evaluate_every=1, keep_examined=True))
+    recipe.main(short(tmp_path, iterations=3, evaluate_every=1))
     metadata = torch.load(tmp_path / "policy.pt", weights_only=True)["metadata"]
     assert (metadata["iterations"], metadata["distance_m"]) == (2, 3.0)
     others = [torch.load(path, weights_only=True) for path in sorted((tmp_path / "examined").iterdir())]
