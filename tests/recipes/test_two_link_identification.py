@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from torchrl_athletic.identification import Result
+from torchrl_athletic.identification import Result, Simulator
+from torchrl_athletic.networks import sizes_of
 from torchrl_athletic.recordings import Recording
 
 PATH = Path(__file__).parents[2] / "benchmarks" / "two_link_identification.py"
@@ -64,3 +65,23 @@ def test_the_arm_steps_as_often_as_the_takes_are_sampled_and_has_neither_rotors_
     assert robot.joint_names == ("shoulder", "elbow")
     assert not model.dof_frictionloss.any()
     assert not model.dof_armature.any()
+
+
+@pytest.mark.parametrize(
+    ("method", "joints", "odd", "memory"),
+    [
+        ("uan", None, False, ()),
+        ("uan_joint", 2, True, ()),
+        ("diagnosed_uan_joint", 2, True, ()),
+        ("uan_arm_memory", 2, False, benchmark.MEMORY),
+    ],
+)
+def test_a_methods_name_says_what_its_net_is_told(method, joints, odd, memory):
+    moved = 0.1 * np.sin(np.linspace(0, 9, 120))[:, None] * [1.0, 2.0]
+    rate = np.gradient(moved, 0.005, axis=0)
+    told = Recording(0.005 * np.arange(120), ("shoulder", "elbow"), moved, velocity=rate, torque_command=moved)
+    found = benchmark.with_uan(Simulator(method, benchmark.arm()), [told], seed=0, iterations=1)
+    sizes = sizes_of(found.net)
+    assert (sizes.joints, sizes.odd, sizes.memory, sizes.state) == (joints, odd, memory, "_arm" in method)
+    assert found.net[-1].unit.unique().tolist() == [benchmark.TORQUE]
+    assert found.notes["data_seconds"] == pytest.approx(0.595, abs=0.01)
