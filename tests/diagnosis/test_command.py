@@ -15,7 +15,7 @@ from torchrl_athletic.diagnosis import command
 from torchrl_athletic.diagnosis.command import Config, inputs, main
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.result import Answer
-from torchrl_athletic.recordings import RecordingError, write_recording
+from torchrl_athletic.recordings import RecordingError, read_recordings, write_recording
 
 RECIPE = Path(__file__).parents[2] / "recipes/diagnose.py"
 
@@ -89,6 +89,19 @@ def test_what_was_fastened_goes_with_the_recordings_that_join_and_stays_with_the
     np.testing.assert_array_equal(
         new[1][0].position, inputs(parsed(*flags.split(), "--heldout", "c.npz"))[2][0].position
     )
+
+
+def test_takes_with_a_weight_join_once_and_those_of_two_rounds_may_bear_one_name(folder, asked):
+    main(parsed(*"--model robot.xml --recordings train --output there".split()))
+    for round_, source in enumerate(("train/a.npz", "c.npz")):
+        Path(f"r{round_}").mkdir()
+        Path(f"r{round_}/new.npz").write_bytes(Path(source).read_bytes())
+    for flags in ("--continue r0/new.npz --payload .5", "--continue r1/new.npz --payload .7") * 2:
+        main(parsed(*f"--output there {flags}".split()))
+    last = asked[-1][1]["joined"]
+    assert sorted(r.metadata[PAYLOAD] for r in last) == [0.5, 0.7]
+    first = next(r for r in last if r.metadata[PAYLOAD] == 0.5)
+    np.testing.assert_array_equal(first.position, read_recordings([Path("train/a.npz")])[0].position)
 
 
 def test_without_arguments_the_demo_runs(asked, monkeypatch):

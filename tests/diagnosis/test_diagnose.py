@@ -1,7 +1,9 @@
 """The whole way from a model and recordings to ``diagnosis.json``, on one joint."""
 
+import importlib
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import jsonschema
 import mujoco
@@ -14,6 +16,8 @@ from torchrl_athletic.diagnosis.diagnose import ModelError, _decide, load_model
 from torchrl_athletic.diagnosis.gates import Evidence
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import RecordingError
+
+stages = importlib.import_module("torchrl_athletic.diagnosis.diagnose")  # the function hides its module
 
 NUMBER = {"type": "number"}
 SHARE = {"type": "number", "minimum": 0, "maximum": 1}
@@ -136,7 +140,33 @@ def test_the_simulation_decides_between_what_the_torques_leave_open(better, left
     options = [Evidence(None, None), Evidence(None, None, behind, is_richer)]
     chosen, against = _decide(options, [noise[0], noise[1] - better], [0.1, left])
     assert chosen == expected
-    assert against.min() >= 0
+    assert against[chosen] == 0 or expected == 0
+
+
+def test_a_richer_law_that_is_not_taken_does_not_keep_a_rival_from_being_preferred():
+    noise = 0.01 * np.random.default_rng(0).normal(size=(3, 100))
+    options = [Evidence(None, None), Evidence(None, None, 0.0, True), Evidence(None, None, 3.0)]
+    errors = [noise[0], noise[1] - 0.5, noise[2] - 0.2]
+    assert _decide(options, errors, [0.10, 0.08, 0.09])[0] == 2
+    assert _decide(options, errors, [0.10, 0.02, 0.09])[0] == 1
+
+
+@pytest.mark.parametrize(("left", "is_open", "asked"), [(0.9, True, True), (0.3, True, False), (0.9, False, False)])
+def test_effects_are_tried_alone_where_most_of_the_motion_stays_open(monkeypatch, left, is_open, asked):
+    alone = [SimpleNamespace(fit=SimpleNamespace(terms=())) for _ in range(4)]
+    monkeypatch.setattr(stages, "singles", lambda judge: alone)
+    monkeypatch.setattr(stages, "keys", id)
+    monkeypatch.setattr(stages, "open_share", lambda score: left)
+    first = Evidence(None, SimpleNamespace(fit=SimpleNamespace(terms=[])))
+    work = SimpleNamespace(
+        scores=[{"train": None}], chosen=0, options=(first, first), fits=[None], _late=lambda: False,
+        _is_open=lambda fitted: is_open, _fit=lambda: None, _compare=lambda: None,
+    )  # fmt: skip
+    stages._Work._start_over(work)
+    assert len(work.options) == (1 + stages.ALONE if asked else 2)
+    if asked:  # options and fits stay in step, and nothing is against the first one
+        assert work.options[0] is first
+        assert {o.behind for o in work.options[1:]} == {stages.BEHIND}
 
 
 def test_a_folder_without_a_diagnosis_says_so(tmp_path):

@@ -11,7 +11,7 @@ from torchrl_athletic.diagnosis.calibration import PLAIN, Grounds, probability
 from torchrl_athletic.diagnosis.gates import EXPLAINED, NEAR_FLOOR, PARTLY, summarise, verdict_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Score
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.effects import AsymmetricFriction, CoulombFriction, JointSpring, Parameter
+from torchrl_athletic.effects import AsymmetricFriction, CoulombFriction, JointSpring, Parameter, StribeckFriction
 
 FLOOR = 1.0
 FINDING = Finding(
@@ -163,6 +163,13 @@ def test_a_spring_without_stiffness_says_that_nothing_of_a_spring_is_seen():
     assert "nothing is seen" in gates._sentence(spring, named, grounds)
     assert "nothing is seen" not in gates._sentence(spring, named, dataclasses.replace(grounds, plain=False))
     assert probability(grounds, "joint_spring") == PLAIN < probability(dataclasses.replace(grounds, plain=False))
+
+
+def test_a_law_whose_values_make_no_sense_together_is_told_as_a_simpler_one():
+    of = tuple(Parameter(n, "N·m", 0.0, 0.0, 9.0, 0.1) for n in ("coulomb", "stribeck", "stribeck_speed"))
+    law = Candidate(StribeckFriction(), 0, "elbow", of)
+    assert not gates._is_plain(law, np.array([0.5, 0.5, 0.1]), np.ones((200, 3)))
+    assert gates._is_plain(law, np.array([0.0, 0.5, 0.1]), np.ones((200, 3)))
 
 
 def test_the_summary_says_the_most_important_first():

@@ -286,6 +286,7 @@ def test_close_rivals_are_told_with_the_evidence_that_they_lie_behind():
     assert names(twin) == {("twin", "shoulder")}
     expected = weigh.score(twin.fit.terms).evidence - best.evidence
     assert behind == pytest.approx(max(expected, 0.0), abs=0.5)
+    assert behind > 0
     assert rivals(weigh, best, within=behind) == []
 
 

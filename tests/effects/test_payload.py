@@ -4,7 +4,7 @@ import pytest
 from effects.arm import JOINTS, address, arm, record
 
 from torchrl_athletic.effects import JointAddress, Plant, project_recording
-from torchrl_athletic.effects.payload import Payload, far_end, with_point
+from torchrl_athletic.effects.payload import Payload, far_end, with_payload, with_point
 
 CARRIER = """
 <mujoco><compiler angle="radian"/><worldbody><body><joint name="j" axis="0 1 0" pos="0 0 0.1"/>
@@ -83,3 +83,16 @@ def test_the_sentence_says_mass_and_joint():
     text = Payload().sentence("elbow", {"mass": 0.25}, Payload().parameters(arm(), address(), 1))
     assert "0.25 kg" in text
     assert "elbow" in text
+
+
+def test_a_weight_is_fastened_to_the_last_link_where_bodies_have_no_names():
+    xml = """<mujoco><worldbody><body pos="1 0 0"><geom size="0.1"/></body>
+      <body><joint name="upper" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.2"/>
+        <body pos="0 0 -0.4"><joint name="lower" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.2"/></body></body>
+      </worldbody></mujoco>"""
+    bare, loaded = mujoco.MjModel.from_xml_string(xml), with_payload(xml, ("upper", "lower"), 0.5)
+    weight, lower = loaded.body("fastened_payload"), int(loaded.joint("lower").bodyid[0])
+    assert int(weight.parentid[0]) == lower
+    assert loaded.body_subtreemass[lower] == pytest.approx(
+        bare.body_subtreemass[int(bare.joint("lower").bodyid[0])] + 0.5
+    )

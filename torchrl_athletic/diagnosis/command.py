@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -108,12 +109,15 @@ def fastened(asked: Config, config: Config) -> Config:
         return config
     if not asked.continue_with:
         raise RecordingError("--payload speaks of the recordings of --continue. Name them, too.")
-    folder, copies = config.output / "with_payload", []
+    folder = (config.output / "with_payload").resolve()
+    copies: list[Path] = []
     folder.mkdir(parents=True, exist_ok=True)
     for r in joined(replace(config, continue_with=asked.continue_with)):
-        copies.append(folder / f"{Path(r.source).stem}.npz")
+        mark = hashlib.sha256(str(Path(r.source).resolve()).encode()).hexdigest()[:8]  # every round's may be new.npz
+        take = sum(copy.name.startswith(f"{mark}-") for copy in copies)
+        copies.append(folder / f"{mark}-{take}-{Path(r.source).stem}.npz")
         write_recording(replace(r, metadata={**r.metadata, PAYLOAD: asked.payload}), copies[-1])
-    new = {p.resolve() for p in asked.continue_with}
+    new = {p.resolve() for p in (*asked.continue_with, *copies)}
     kept = tuple(p for p in config.continue_with if p.resolve() not in new)
     return replace(config, continue_with=(*kept, *copies), payload=0.0)
 

@@ -56,6 +56,8 @@ LOST = 0.5
 """Share of the error energy that the best may leave before each effect is asked about alone."""
 ALONE = 2
 """How many of these."""
+BEHIND = 9.0
+"""Evidence against them: only a simulation that is decisively better speaks for one."""
 DRIVE_EFFECTS = ("actuation_delay", "actuation_lag", "torque_scale", "torque_offset")
 """What can happen between a command and a measured torque."""
 BEFORE_THE_MOTOR = frozenset({"actuation_delay", "actuation_lag", "torque_saturation", "speed_torque_limit"})
@@ -269,6 +271,8 @@ class _Work:
     fits: list[Fitted] = field(default_factory=list)
     """One for each option that was fitted."""
     scores: list[dict[str, Score]] = field(default_factory=list)
+    adjusted: set[Key] = field(default_factory=set)
+    """Trims that may move in all fits alike."""
     errors: list[Array] = field(default_factory=list)
     """Logarithm of every window's error, of each fit."""
     chosen: int = 0
@@ -334,11 +338,11 @@ class _Work:
         """Fit the options that are not fitted yet, all with the same trims."""
         assert self.train is not None
         takes = self.train.takes
-        adjusted = set().union(*map(_adjusted, self.options))
+        self.adjusted = self.adjusted or set().union(*map(_adjusted, self.options))
         for k, option in list(enumerate(self.options))[len(self.fits) :]:
             if k and self._late():
                 break
-            hypothesis, start = _hypothesis(option, self.drive_evidence, adjusted)
+            hypothesis, start = _hypothesis(option, self.drive_evidence, self.adjusted)
             key = "fit " + " ".join(f"{c.effect.name}/{c.where}" for c in (*hypothesis.terms, *hypothesis.trims))
 
             def compute(hypothesis: Hypothesis = hypothesis, start: Array = start) -> Fitted:
@@ -391,10 +395,12 @@ class _Work:
         """
         if not self.scores or open_share(self.scores[self.chosen]["train"]) < LOST or self._late():
             return
+        if not self._is_open(self.fits[self.chosen]):
+            return
         known = {keys(o.best.fit.terms) for o in self.options}
         judge = self.options[0].judge
         alone = [s for s in singles(judge) if keys(s.fit.terms) not in known]
-        self.options = (*self.options[: len(self.fits)], *(Evidence(judge, s) for s in alone[:ALONE]))
+        self.options = (*self.options[: len(self.fits)], *(Evidence(judge, s, BEHIND) for s in alone[:ALONE]))
         self._fit()
         self._compare()
 
@@ -595,12 +601,13 @@ def _decide(options: Sequence[Evidence], errors: Sequence[Array], left: Sequence
         errors: Logarithm of every window's error, of each option. Shapes (W,).
         left: Share of the error energy above the floor that each leaves.
     """
-    best = min(errors, key=lambda e: float(e.mean()))
-    against = np.array([_against(e - best) for e in errors])
-    behind = np.array([option.behind for option in options[: len(errors)]])
-    for k, option in enumerate(options[: len(errors)]):
-        if option.richer and (against[0] - against[k] < CLOSE or left[k] > (1 - RICHER) * left[0]):
-            behind[k] = np.inf
+    taken = [
+        not option.richer or (_against(errors[0] - e) >= CLOSE and share <= (1 - RICHER) * left[0])
+        for option, e, share in zip(options, errors, left, strict=False)
+    ]
+    best = min((e for e, t in zip(errors, taken, strict=True) if t), key=lambda e: float(e.mean()))
+    against = np.array([_against(e - best) if t else CLOSE for e, t in zip(errors, taken, strict=True)])
+    behind = np.array([o.behind if t else np.inf for o, t in zip(options, taken, strict=False)])
     return int(np.argmin(against + behind)), against
 
 

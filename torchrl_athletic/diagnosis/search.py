@@ -624,8 +624,10 @@ def _invariant(judge: Judge, scored: Scored) -> Scored:
             break
         worst = terms[int(np.argmax(scatters))]
         smaller = judge.score([t for t in scored.fit.terms if t is not worst])
-        missing, without, left = (judge.excess(f)[worst.candidate.joint] for f in (judge.bare, smaller.fit, scored.fit))
-        if without - left > MUCH * missing:
+        missing, without, left = (judge.excess(f) for f in (judge.bare, smaller.fit, scored.fit))
+        share = (without - left) / np.maximum(missing, 1e-12)
+        everywhere = worst.candidate.joint_name is None
+        if (share[missing > 1.0].max(initial=0.0) if everywhere else share[worst.candidate.joint]) > MUCH:
             kept.add(worst.candidate)
         else:
             scored = smaller

@@ -95,7 +95,7 @@ def with_payload(xml: str, joint_names: Sequence[str], mass: float) -> mujoco.Mj
     model = spec.compile()
     address = JointAddress.of(model, tuple(joint_names))
     last = len(joint_names) - 1
-    body = spec.body(model.body(int(address.body[last])).name)
+    body = spec.joint(joint_names[-1]).parent  # bodies need no names, joints that are recorded do
     weight = body.add_body(name="fastened_payload", pos=far_end(model, address, last))
     tiny = 1e-6 * mass
     weight.mass, weight.ipos, weight.inertia, weight.explicitinertial = mass, (0, 0, 0), (tiny, tiny, tiny), True
