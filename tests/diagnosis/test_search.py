@@ -301,6 +301,19 @@ def test_a_term_with_another_strength_on_each_take_goes_unless_it_accounts_for_m
         assert {name for name, _ in names(kept)} == expected
 
 
+def test_a_cause_of_the_whole_robot_is_judged_where_it_accounts_for_most():
+    """A lean of the base moves no joint that turns about the vertical, which may be the first."""
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    unsteady = b * (1 + np.sin(np.arange(N) / 160))
+    lean = np.zeros((N, 2, 1))
+    lean[:, 1, 0] = b
+    take = signals(np.stack([6 * a, 8 * unsteady], -1) + 0.5 * rng.normal(size=(N, 2)))
+    weigh = judge(take, candidate(Given("a", a)), replace(candidate(Given("lean", lean)), joint_name=None))
+    kept = _invariant(weigh, weigh.score(weigh.bank.atoms))
+    assert names(kept) == {("a", "shoulder"), ("lean", None)}
+
+
 def test_a_rival_is_weighed_at_its_own_best_value():
     """A delay that was found beside nothing lies elsewhere beside what came later; a rival is not judged by that."""
     rng = np.random.default_rng(0)
