@@ -275,7 +275,8 @@ def propose(
         return None
     often = max(1, int(LONGEST / max(p.recording.duration for p in plans)))
     # what little a motion tells adds up
-    hopeful = np.max([scene.separations(known + p.products.times(often)) for p in plans], axis=0) > APART
+    repeated = [scene.separations(known + p.products.times(often)) for p in plans]
+    hopeful = np.max([*repeated, *(p.separations for p in plans)], axis=0) > APART
     best = max(plans, key=lambda p: _worth(scene, p, hopeful))
     for other in _followers(plans, best, hopeful):
         both = _joined(best, other)
@@ -288,12 +289,12 @@ def propose(
     length = sum(float(np.ptp(s.time)) for s in takes)
     for chosen in sorted(plans, key=lambda p: -_worth(scene, p, hopeful))[:CONFIRMED]:
         plan = _compensated(scene, _repeated(scene, known, chosen, hopeful), sensors)
-        repeated = scene.separations(known + known.times(plan.recording.duration / length))
-        if not (plan.separations - repeated)[hopeful].max(initial=0.0) > 1.0:
+        as_long = scene.separations(known + known.times(plan.recording.duration / length))
+        if not (plan.separations - as_long)[hopeful].max(initial=0.0) > 1.0:
             continue
         paths = _simulated(plan, rivals)
         if _keeps(paths, limits):
-            return _experiment(plan, scene, (before, repeated, plan.separations), hopeful, paths, limits)
+            return _experiment(plan, scene, (before, as_long, plan.separations), hopeful, paths, limits)
     return None
 
 
@@ -341,7 +342,7 @@ class _Plan:
     """Of the speed and torque limits that it uses."""
     repeats: int = 1
     signals: tuple[Signals, ...] = ()
-    products: Products = field(default_factory=lambda: Products({}, np.zeros(0), np.zeros(0), np.zeros(0)))
+    products: Products = field(default_factory=lambda: Products({}, *np.zeros((4, 0))))
     separations: Array = field(default_factory=lambda: np.zeros(0))
     """Of the pairs, with the recordings at hand. Shape (pairs,)."""
 
@@ -413,11 +414,16 @@ def _worth(rivals: Rivals, plan: _Plan, hopeful: NDArray[np.bool_]) -> float:
 
 
 def _repeated(rivals: Rivals, known: Products, plan: _Plan, hopeful: NDArray[np.bool_]) -> _Plan:
-    """The plan twice, four times and so on, until it tells the pairs apart with something to spare."""
-    while plan.separations[hopeful].min(initial=ENOUGH) < ENOUGH / 2 and 2 * plan.recording.duration <= LONGEST:
+    """The plan as often as tells the pairs apart best: twice, four times and so on, until there is something to spare.
+
+    Not always the longest: the longer it is, the more of the older recordings a rival may get wrong for its sake.
+    """
+    best = plan
+    while best.separations[hopeful].min(initial=ENOUGH) < ENOUGH / 2 and 2 * plan.recording.duration <= LONGEST:
         twice = replace(_joined(plan, plan), motions=plan.motions, repeats=2 * plan.repeats)
         plan = _judged(rivals, known, twice, plan.signals, plan.products.times(2.0))
-    return plan
+        best = max(best, plan, key=lambda p: _worth(rivals, p, hopeful))
+    return best
 
 
 def _compensated(rivals: Rivals, plan: _Plan, sensors: _Sensors) -> _Plan:

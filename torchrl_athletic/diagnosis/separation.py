@@ -42,12 +42,14 @@ class Products:
     """Independent samples in each group. Shape (G,)."""
     bent: Array
     """Mean square of what smoothing bends into the missing torque, in variances of the noise. Shape (G,)."""
+    left: Array
+    """Mean square that a rival which is right leaves, in variances of the noise. Shape (G,)."""
     noise: Array
     """Standard deviation of the missing torque that noise explains [N·m]. Shape (G,)."""
 
     def __add__(self, other: Products) -> Products:
         of = {pair: np.concatenate([own, other.of[pair]]) for pair, own in self.of.items()}
-        groups = ((getattr(self, name), getattr(other, name)) for name in ("count", "bent", "noise"))
+        groups = ((getattr(self, name), getattr(other, name)) for name in ("count", "bent", "left", "noise"))
         return Products(of, *(np.concatenate(both) for both in groups))
 
     def times(self, factor: float) -> Products:
@@ -68,11 +70,13 @@ class Rivals:
         total, independent = judge.total, judge.independent.sum(1)
         self.sigma = bank.noise
         """Of each take [N·m]. Shape (takes, J)."""
-        self.left = (total * judge.mean_square(best.fit)).sum(1) / total.sum(1)
-        """Mean square that the likeliest rival leaves, in variances of the noise. Shape (J,)."""
+        left = (total * judge.mean_square(best.fit)).sum(1) / total.sum(1)
+        sensed = _rms(np.stack([s.noise for s in bank.takes])) ** 2
+        self.unnamed = np.maximum(left * _rms(self.sigma) ** 2 - sensed, 0.0)
+        """Mean square that the likeliest rival leaves beyond the sensors' noise [(N·m)²]. Shape (J,)."""
         self.floor = (total * judge.floor).sum(1) / total.sum(1)
         """Below it a difference is no evidence. Shape (J,)."""
-        self.level = np.maximum(self.left, self.floor)
+        self.level = np.maximum(left, self.floor)
         self.memory = np.minimum(bank.independent_samples(bank.rows(best.fit)) / np.maximum(independent, 1e-9), 1.0)
         """Share of the independent samples that the residual's autocorrelation leaves. Shape (J,)."""
         self.known = [Coefficients(s, bank.takes[0]) for s in rivals]
@@ -85,12 +89,13 @@ class Rivals:
         """
         noise = np.broadcast_to(_rms(self.sigma), (len(takes), self.sigma.shape[1])) if noise is None else noise
         columns: list[list[Array]] = [[] for _ in self.rivals]
-        count, bent = np.zeros(noise.shape[1]), np.zeros(noise.shape[1])
+        count, bent, left = np.zeros((3, noise.shape[1]))
         for s, sigma in zip(takes, noise, strict=True):
             cache: Cache = {}
             share = min(float(np.median(np.diff(s.time))) / (KERNEL_CORRELATION * s.kernel), 1.0) * self.memory
             count += share * s.valid.sum(0)
             bent += share * (s.valid * s.bias**2).sum(0) / sigma**2
+            left += share * s.valid.sum(0) * (s.noise**2 + self.unnamed) / sigma**2
             weight = s.valid * np.sqrt(share) / sigma
             for own, rival in zip(columns, self.known, strict=True):
                 own.append(rival.columns(s, cache) * weight[:, :, None])
@@ -98,7 +103,8 @@ class Rivals:
         many = range(len(whole))
         pairs = [*permutations(many, 2), *((a, a) for a in many)]
         of = {(a, b): whole[a].transpose(0, 2, 1) @ whole[b] for a, b in pairs}
-        return Products(of, count, bent / np.maximum(count, 1e-9), _rms(noise))
+        usable = np.maximum(count, 1e-9)
+        return Products(of, count, bent / usable, left / usable, _rms(noise))
 
     def separations(self, products: Products, noise: Array | None = None) -> Array:
         """Of each pair: root of the evidence for the truth against the rival's best answer to it. Shape (pairs,).
@@ -132,7 +138,7 @@ class Rivals:
         """
         own_square = (products.of[a, a] @ truth) @ truth
         count = np.maximum(products.count, 1e-9)
-        left, scale = np.resize(self.left, len(count)) * quiet, quiet
+        left, scale = products.left * quiet, quiet
         # of a strong motion more is allowed to smoothing and to laws that are right
         floor = np.maximum(np.resize(self.floor, len(count)), 1.0 + products.bent + ACCURACY**2 * own_square / count)
         level = np.maximum(left, 1.0 + (floor - 1.0) * scale)
