@@ -73,10 +73,10 @@ def record(
     return Recording(np.arange(len(command)) / rate, names, read, **{field: command}, **pd, source=f"take_{seed}")
 
 
-def take(xml: str, recording: Recording, noise: float = NOISE) -> Take:
+def take(xml: str, recording: Recording, noise: float = NOISE, period: float | None = None) -> Take:
     """The recording on the simulation's grid."""
     model = mujoco.MjModel.from_xml_string(xml)
-    return take_of(recording, model, np.full(recording.num_joints, noise))
+    return take_of(recording, model, np.full(recording.num_joints, noise), period=period)
 
 
 def candidate(effect: Effect, recording: Recording, xml: str, joint: int = 0) -> Candidate:

@@ -27,7 +27,7 @@ def takes() -> list[Recording]:
 
 def test_every_recording_is_checked_projected_and_put_on_the_grid(takes):
     prepared = prepare(takes, arm())
-    assert len(prepared.quality) == len(prepared.signals) == len(prepared.takes) == 2
+    assert len(prepared.quality) == len(prepared.signals) == sum(len(t.parts) for t in prepared.takes) == 2
     np.testing.assert_allclose(prepared.position_noise, NOISE, rtol=0.2)
     assert prepared.repeatability is None
     assert len({s.kernel for s in prepared.signals}) == 1

@@ -1,5 +1,7 @@
 """Replay is MuJoCo, step for step: closed forms, plain loops, and every sample exactly once."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from hypothesis import strategies as st
 from torchrl_athletic.diagnosis import replay
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
+from torchrl_athletic.diagnosis.replay import join, simulate, take_of, windows_of
+from torchrl_athletic.effects import Backlash, Hysteresis, LoadDependentFriction, ThermalDrift
 from torchrl_athletic.effects.plant import Law
 from torchrl_athletic.recordings import Recording, sensor_noise
 
@@ -413,3 +416,60 @@ def test_samples_between_the_physics_steps_are_met_by_a_whole_number_of_them():
         assert t.substeps * t.model.opt.timestep == pytest.approx(t.period)
         assert t.model.opt.timestep <= 1.001 / RATE
         assert t.time[-1] <= r.time[-1] + 1e-9
+
+
+def lagged(plant):
+    plant.lag[:] = 0.03
+
+
+def hidden(effect, values):
+    return lambda plant: effect.apply(plant, 0, np.tile(values, (plant.rows, 1)))
+
+
+@pytest.mark.parametrize("targets", [False, True])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lagged,
+        hidden(Hysteresis(), [0.1, 0.02]),
+        hidden(ThermalDrift(), [0.02, 0.3, 0.1, 3.0]),
+        hidden(LoadDependentFriction(), [0.02, 0.2]),
+        hidden(Backlash(), [0.05, 40.0]),
+    ],
+    ids=["lag", "bristle", "warming", "load", "backlash"],
+)
+def test_joined_pieces_move_as_each_does_alone(change, targets):
+    r = record(pendulum(), smooth_torque(6.0), **({"kp": np.full(1, 8.0), "kd": np.full(1, 0.3)} if targets else {}))
+    cut = [r.slice(low, high) for low, high in ((0, 200), (215, 350), (375, 600))]
+    pieces = [take(pendulum(), replace(piece, metadata={"began": 0.0}), period=1 / RATE) for piece in cut]
+    (together,) = join(pieces)
+    assert together.begins.tolist() == [0, 200, 335]
+
+    def build(plant, values):
+        change(plant)
+
+    found = simulate(windows_of(together, 0.4), build, NOTHING)[0]
+    alone = np.concatenate([simulate(windows_of(piece, 0.4), build, NOTHING)[0] for piece in pieces])
+    np.testing.assert_allclose(found, alone, rtol=0, atol=1e-12)
+    assert np.abs(found - simulate(windows_of(together, 0.4), as_given, NOTHING)[0]).max() > 1e-4
+
+
+def test_takes_of_another_step_or_a_moment_s_length_stay_alone():
+    r = record(pendulum(), smooth_torque(6.0))
+    cuts = [r.slice(*ends) for ends in ((0, 200), (200, 400), (400, 450), (400, 600))]
+    first, second, short = (take(pendulum(), cut, period=1 / RATE) for cut in cuts[:3])
+    other = take(pendulum(step=0.001), cuts[3], period=1 / RATE)
+    joined = join([first, other, second, short])
+    assert [t.parts for t in joined] == [(first, second), (other,), (short,)]
+
+
+def test_warmth_counts_from_where_the_take_began_and_not_its_piece():
+    r = record(pendulum(), smooth_torque(6.0))
+    late = r.slice(300, 600)
+    warm, cold = (take(pendulum(), replace(late, metadata=note)) for note in ({"began": r.began}, {}))
+
+    def build(plant, values):
+        ThermalDrift().apply(plant, 0, np.array([[0.0, 0.3, 0.0, 3.0]]).repeat(plant.rows, 0))
+
+    one, other = (simulate(windows_of(t, 0.4), build, NOTHING)[0] for t in (warm, cold))
+    assert np.abs(one[0] - other[0]).max() > 1e-3  # after 3 s two thirds of it are there

@@ -58,9 +58,9 @@ def test_a_hidden_state_is_found_once_for_rows_of_the_same_parameters():
     samples, asked = np.arange(5.0), []
     start = Start(samples, samples[:, None], samples[:, None], samples[:, None], np.array([0, 3, 0, 4]))
 
-    def history(width: float, level: float) -> np.ndarray:
+    def history(piece: slice, width: float, level: float) -> np.ndarray:
         asked.append((width, level))
-        return width * samples + level
+        return width * samples[piece] + level
 
     width, level = np.array([2.0, 2.0, 1.0, 1.0]), np.array([0.0, 0.0, 0.5, 0.5])
     np.testing.assert_array_equal(start.of(history, width, level), [0.0, 6.0, 0.5, 4.5])

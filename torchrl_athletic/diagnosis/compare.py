@@ -67,10 +67,11 @@ def well_started(windows: Windows) -> Windows:
     loud = gaussian_filter1d(change.max(1), max(kernel_for([take.recording]) / take.period, 1.0))
     typical = np.maximum(np.median(take.start_noise, axis=1, keepdims=True), 1e-12)
     noise = (take.start_noise / typical).max((0, 2))
-    start = []
+    start, ends = [], np.append(take.begins[1:], len(take.time))
     for first in windows.start:
-        low = max(0, first - reach)
-        high = min(len(take.time) - 1 - windows.length, first + reach) + 1
+        part = int(np.searchsorted(take.begins, first, side="right")) - 1
+        low = max(take.begins[part], first - reach)
+        high = min(ends[part] - 1 - windows.length, first + reach) + 1
         near = noise[low:high]
         start.append(low + int(np.argmin(np.where(near <= np.median(near), loud[low:high], np.inf))))
     return Windows(take, np.unique(np.array(start, dtype=np.intp)), windows.length)
@@ -101,18 +102,11 @@ def noise_floor(
             (len(w.start), len(position_noise))
         )
         noisy = simulate(w, hypothesis.build, values[None], start=(q, v))[0]
-        finer = simulate(_halved(w), hypothesis.build, values[None])[0]
+        finer = simulate(replace(w, take=w.take.halved()), hypothesis.build, values[None])[0]
         wrong = (noisy - ideal) ** 2 + 4 * (finer - ideal) ** 2
         square += np.minimum(wrong.mean(1), np.quantile(wrong.mean(1), 0.95, axis=0)).mean(0) * len(w.start) * w.length
         weight += len(w.start) * w.length
     return np.sqrt(square / max(weight, 1.0) + position_noise**2)
-
-
-def _halved(w: Windows) -> Windows:
-    """The same windows at half the physics step."""
-    model = w.take.model.__copy__()
-    model.opt.timestep /= 2
-    return replace(w, take=replace(w.take, model=model, substeps=2 * w.take.substeps))
 
 
 def harms(score: Score | None) -> bool:

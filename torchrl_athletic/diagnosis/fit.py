@@ -134,7 +134,7 @@ def fit(
         progress((done + 1) / (len(rounds) + 1))
     ends = [simulate(w, hypothesis.build, (x * unit)[None])[0] for w in rounds[-1]]
     typical = window_rmse(rounds[-1], ends)[0]
-    ends_to_end = [] if stepped else [windows_of(take, None) for take in takes]
+    ends_to_end = [] if stepped else [windows_of(part, None) for take in takes for part in take.parts]
     whole = [w for w in ends_to_end if _follows(hypothesis, w, x * unit, typical)]
     final = _Problem(hypothesis, rounds[-1] + whole, unit, x)
     if whole:

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.replay import Take, take_of
+from torchrl_athletic.diagnosis.replay import Take, join, take_of
 from torchrl_athletic.effects import JointAddress, Signals, project_recording
 from torchrl_athletic.effects.payload import with_payload
 from torchrl_athletic.effects.signals import kernel_for, torque_range
@@ -29,6 +29,8 @@ from torchrl_athletic.recordings import (
 Array = NDArray[np.float64]
 Drive = Literal["command", "measured"]
 
+SAME_RATE = 0.01
+"""Relative difference of sampling rates below which takes share a grid."""
 PAYLOAD = "payload_kg"
 """Key of a recording's metadata: known mass fastened to the far end of the last link, which the model lacks [kg]."""
 
@@ -42,7 +44,7 @@ class Prepared:
     signals: tuple[Signals, ...]
     """In the torque domain, one a gap-free piece that is long enough."""
     takes: tuple[Take, ...]
-    """On the simulation's grid, one a gap-free piece."""
+    """On the simulation's grid, gap-free pieces of a kind joined."""
     position_noise: Array
     """Standard deviation of one reading, the median over the recordings [rad, m]. Shape (J,)."""
     repeatability: Array | None
@@ -105,7 +107,7 @@ def prepare(
     signals: list[Signals] = []
     takes: list[Take] = []
     left_out: list[str] = []
-    for r, q, own in zip(recordings, quality, kernels, strict=True):
+    for r, q, own, period in zip(recordings, quality, kernels, _periods(recordings), strict=True):
         carried = _carrying(model, xml, r)
         for piece in _pieces(r):
             start = int(np.searchsorted(r.time, piece.time[0]))
@@ -117,7 +119,7 @@ def prepare(
                 left_out.append(str(error))
                 continue
             signals.append(s)
-            takes.append(take_of(piece, carried, q.position_noise, velocity_noise, q.noise_correlation))
+            takes.append(take_of(piece, carried, q.position_noise, velocity_noise, q.noise_correlation, period))
     if not signals:
         raise RecordingError(left_out[0])
     if not any(s.valid.any() for s in signals):
@@ -126,7 +128,7 @@ def prepare(
             "Excite the joints, clear of their stops, and record again."
         )
     noise = np.median([q.position_noise for q in quality], axis=0)
-    return Prepared(quality, tuple(signals), tuple(takes), noise, repeat_noise(recordings), tuple(left_out))
+    return Prepared(quality, tuple(signals), tuple(join(takes)), noise, repeat_noise(recordings), tuple(left_out))
 
 
 def _with_known_noise(quality: Sequence[Quality], old: int) -> list[Quality]:
@@ -196,4 +198,14 @@ def _limit(model: mujoco.MjModel, address: JointAddress) -> Array | None:
 
 def _pieces(recording: Recording) -> list[Recording]:
     pieces = split_at_gaps(recording)
-    return [recording] if len(pieces) == 1 else [replace(p, source=recording.source) for p in pieces]
+    if len(pieces) == 1:
+        return [recording]
+    began = {**recording.metadata, "began": recording.began}
+    return [replace(p, source=recording.source, metadata=began) for p in pieces]
+
+
+def _periods(recordings: Sequence[Recording]) -> list[float]:
+    """Of each recording's grid [s]: the same for all that were logged at one rate, whatever jitter makes of it."""
+    periods = np.array([1.0 / r.rate for r in recordings])
+    usual = float(np.median(periods))
+    return [usual if abs(p / usual - 1.0) < SAME_RATE else float(p) for p in periods]

@@ -7,7 +7,7 @@ drifting through the rest of the take.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import mujoco
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter, savgol_coeffs, savgol_filter
 
-from torchrl_athletic.effects.gear import LinkMotion
+from torchrl_athletic.effects.gear import JoinedMotion, LinkMotion
 from torchrl_athletic.effects.inertia import free_of_simple_bodies
 from torchrl_athletic.effects.plant import Law, Now, Plant, Start
 from torchrl_athletic.effects.signals import (
@@ -37,13 +37,16 @@ Build = Callable[[Plant, Array], None]
 
 CHUNK = 3_000_000
 """Rows times physics steps times joints simulated in one go: bounds the memory to some 100 MB."""
+SHORTEST = 1.0
+"""Pieces that are joined; shorter ones hold no whole window of a fit [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Take:
-    """A recording on the grid of the simulation. S samples, each ``substeps`` physics steps apart."""
+    """A recording on the grid of the simulation, or several. S samples, each ``substeps`` physics steps apart."""
 
     recording: Recording
+    """The first, if there are several."""
     model: mujoco.MjModel
     """The model, at the physics step of the replay, with its actuators off: the recorded command drives the joints."""
     address: JointAddress
@@ -58,6 +61,18 @@ class Take:
     """Shape (S, J)."""
     start_noise: Array
     """Standard deviation of ``position`` and ``velocity``. Shape (2, S, J)."""
+    pieces: tuple[Take, ...] = ()
+    """What it was joined from, one after the other; empty if it is one gap-free recording."""
+
+    @property
+    def parts(self) -> tuple[Take, ...]:
+        """Gap-free recordings; no window reaches from one into the next."""
+        return self.pieces or (self,)
+
+    @cached_property
+    def begins(self) -> NDArray[np.intp]:
+        """Sample at which each part begins. Shape (parts,)."""
+        return np.cumsum([0, *(len(part.time) for part in self.parts[:-1])])
 
     @property
     def period(self) -> float:
@@ -67,12 +82,16 @@ class Take:
     @property
     def commands(self) -> Callable[[float], Array]:
         """``commands(delay)``: mean command over each physics step, ``delay`` late. Shape (S * substeps, J)."""
+        if self.pieces:
+            return lambda delay: np.concatenate([piece.commands(delay) for piece in self.pieces])
         edges = self.time[0] + float(self.model.opt.timestep) * np.arange(len(self.time) * self.substeps + 1)
         return lambda delay: held_command(self.recording.time, self.recording.command, edges - delay)
 
     @cached_property
     def torque(self) -> Array:
         """Torque commanded until the next sample; of the PD law where positions are. Shape (S, J)."""
+        if self.pieces:
+            return np.concatenate([piece.torque for piece in self.pieces])
         command = self.commands(0.0).reshape(len(self.time), self.substeps, -1).mean(1)
         r = self.recording
         if r.position_target is None:
@@ -85,7 +104,16 @@ class Take:
     @cached_property
     def link(self) -> LinkMotion:
         """What the measured motion asks of the links."""
+        if self.pieces:
+            return JoinedMotion.of(tuple(piece.link for piece in self.pieces))
         return LinkMotion(self.model, self.address, self.period, self.position, self.velocity)
+
+    def halved(self) -> Take:
+        """The same at half the physics step."""
+        model = self.model.__copy__()
+        model.opt.timestep /= 2
+        pieces = tuple(piece.halved() for piece in self.pieces)
+        return replace(self, model=model, substeps=2 * self.substeps, pieces=pieces)
 
 
 def take_of(
@@ -94,14 +122,15 @@ def take_of(
     position_noise: Array,
     velocity_noise: Array | None = None,
     noise_correlation: Array | float = 0.0,
+    period: float | None = None,
 ) -> Take:
     """Put a recording on the grid of the simulation.
 
     A sampling period is a whole number of physics steps: of the model's time step, or of a slightly shorter one, or of
-    a much shorter one where the derivative gain would make it unstable.
+    a much shorter one where the derivative gain would make it unstable. It is the recording's own if it is None.
     """
     address = JointAddress.of(model, recording.joint_names, recording.source)
-    period = 1.0 / recording.rate
+    period = 1.0 / recording.rate if period is None else period
     step = float(model.opt.timestep)
     if recording.kd is not None:
         inertia = np.diag(inertia_matrix(model, address, recording.position[:1])[0])
@@ -131,6 +160,38 @@ def take_of(
     return Take(recording, driven, address, substeps, time, measured, position, velocity, noise)
 
 
+def join(takes: Sequence[Take]) -> list[Take]:
+    """Takes that differ in their data only as one, to be replayed as one batch: a step costs little more for many rows.
+
+    Drop-outs cut a recording into dozens of pieces. Those that are shorter than :data:`SHORTEST` stay alone.
+    """
+    alike: dict[tuple[object, ...], list[Take]] = {}
+    for k, take in enumerate(takes):
+        short = len(take.time) * take.period < SHORTEST
+        alike.setdefault((k,) if short else _kind(take), []).append(take)
+    return [_joined(group) if len(group) > 1 else group[0] for group in alike.values()]
+
+
+def _kind(take: Take) -> tuple[object, ...]:
+    """What takes of one batch share: model, step, grid and gains."""
+    r, model = take.recording, np.empty(mujoco.mj_sizeModel(take.model), dtype=np.uint8)
+    mujoco.mj_saveModel(take.model, None, model)
+    gains = () if r.position_target is None else (r.kp.tobytes(), r.kd.tobytes())  # type: ignore[union-attr]
+    return model.tobytes(), take.substeps, gains
+
+
+def _joined(takes: Sequence[Take]) -> Take:
+    """Several takes of a kind as one."""
+
+    def along(name: str, axis: int = 0) -> Array:
+        return np.concatenate([getattr(take, name) for take in takes], axis)
+
+    return replace(
+        takes[0], time=along("time"), measured=along("measured"), position=along("position"),
+        velocity=along("velocity"), start_noise=along("start_noise", 1), pieces=tuple(takes),
+    )  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False)
 class Windows:
     """Where the windows of one take start. W windows of ``length`` samples."""
@@ -152,10 +213,13 @@ class Windows:
 
 
 def windows_of(take: Take, seconds: float | None) -> Windows:
-    """Cut a take into windows, back to back; ``None`` is one window over the whole take."""
-    length = len(take.time) - 1 if seconds is None else max(1, round(seconds / take.period))
-    length = min(length, len(take.time) - 1)
-    return Windows(take, np.arange(0, len(take.time) - length, length), length)
+    """Cut a take into windows, back to back; ``None`` is one window over the whole take, which must not be joined."""
+    longest = max(len(part.time) for part in take.parts) - 1
+    length = longest if seconds is None else min(max(1, round(seconds / take.period)), longest)
+    start = [
+        first + np.arange(0, len(p.time) - length, length) for first, p in zip(take.begins, take.parts, strict=True)
+    ]
+    return Windows(take, np.concatenate(start), length)
 
 
 def simulate(windows: Windows, build: Build, values: Array, start: tuple[Array, Array] | None = None) -> Array:
@@ -186,7 +250,8 @@ def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array,
     position = (np.tile(measured[0], (sets, 1)) - plant.encoder_offset) / plant.encoder_scale
     velocity = np.tile(measured[1], (sets, 1)) / plant.encoder_scale
     sample = np.tile(windows.start, sets)
-    before = Start(take.time, take.position, take.velocity, take.torque, sample, take.link)
+    began = np.array([part.recording.began for part in take.parts])
+    before = Start(take.time, take.position, take.velocity, take.torque, sample, take.link, take.begins, began)
     for gear in plant.gears:  # the encoder sits on the motor, MuJoCo simulates the link
         lag_of_link, its_rate = gear.begin(before, plant, velocity[:, gear.joint])
         position[:, gear.joint] -= lag_of_link
@@ -299,8 +364,10 @@ def _delayed_commands(windows: Windows, plant: Plant, sets: int) -> Array:
         late = take.commands(float(value))
         for k, joint in np.argwhere(delay == value):
             command = late[:, joint]
-            if torques:  # along the whole take: a window starts with what the commands before it left in the lag
-                command = low_pass(command[:, None], float(lag[k, joint]), float(take.model.opt.timestep))[:, 0]
+            if torques:  # along the whole part: a window starts with what the commands before it left in the lag
+                parts = np.split(command[:, None], take.begins[1:] * take.substeps)
+                passed = [low_pass(part, float(lag[k, joint]), float(take.model.opt.timestep)) for part in parts]
+                command = np.concatenate(passed)[:, 0]
             out[k][:, :, joint] = command[first]
     return out.reshape(sets * count, first.shape[1], -1)
 
@@ -323,8 +390,9 @@ def _lag_state(windows: Windows, plant: Plant, sets: int) -> Array:
             target = take.commands(float(late[row, j]))[:, j].reshape(len(q), -1).mean(1)
             torque = r.kp[j] * plant.kp_scale[row, j] * (target - q[:, j]) - r.kd[j] * plant.kd_scale[row, j] * v[:, j]
             keep = np.exp(-take.period / max(plant.lag[row, j], 1e-6))
-            state = lfilter([1 - keep], [1, -keep], torque, zi=[keep * torque[0]])[0]
-            out[k, :, j] = np.append(torque[0], state)[windows.start]
+            parts = np.split(torque, take.begins[1:])
+            before = [np.append(p[0], lfilter([1 - keep], [1, -keep], p, zi=[keep * p[0]])[0][:-1]) for p in parts]
+            out[k, :, j] = np.concatenate(before)[windows.start]
     return out.reshape(sets * count, -1)
 
 

@@ -100,7 +100,7 @@ class ThermalDrift(Effect):
 
     def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
         dry, viscous = s.project(directions(s, joint, grid)), s.velocity[:, joint]
-        passed = s.time - s.recording.time[0]
+        passed = s.time - s.recording.began
         out = []
         for k, fixed in enumerate(grid):  # slow against the kernel, so that warmth may come after the projection
             warmth = _warmth(passed, fixed["time_constant"])
@@ -129,12 +129,13 @@ class _Warming(Bristle):
     def __init__(self, joint: int, amplitude: Array, damping: Array, time_constant: Array, plant: Plant) -> None:
         super().__init__(joint, np.full(plant.rows, 1.5e-3), np.abs(amplitude), plant)
         self.goes = amplitude < 0
-        self.damping, self.time_constant, self.first = damping, time_constant, 0.0
+        self.damping, self.time_constant, self.first = damping, time_constant, np.zeros(plant.rows)
 
     def begin(self, start: Start) -> None:
-        self.first = float(start.time[0])
-        travel = float(np.ptp(start.position[:, self.joint]))
-        self.width = self._stable(np.full(len(self.level), max(1.5e-3 * min(travel, 1.0), 1e-9)), self.level)
+        began = start.time[start.begins] if start.began is None else start.began
+        self.first = began[start.piece]
+        travel = start.each(lambda piece: float(np.ptp(start.position[piece, self.joint])))
+        self.width = self._stable(np.maximum(1.5e-3 * np.minimum(travel, 1.0), 1e-9), self.level)
         super().begin(start)
 
     def level_of(self, now: Now) -> Array:
@@ -217,11 +218,15 @@ class _Once(Law):
 
     def __init__(self, joint: int, start: Array, duration: Array, torque: Array, take: Array) -> None:
         self.joint, self.start, self.duration, self.torque, self.take = joint, start, duration, torque, take
-        self.first = 0.0
+        self.first = np.zeros(len(take))
 
     def begin(self, start: Start) -> None:
-        here = np.array([_is(float(take), start.time, start.position) for take in self.take])
-        self.torque, self.first = np.where(here, self.torque, 0.0), float(start.time[0])
+        def is_here(piece: slice, take: float) -> Array:
+            here = _is(take, start.time[piece], start.position[piece])
+            return np.full(piece.stop - piece.start, float(here))
+
+        self.torque = self.torque * start.of(is_here, self.take)
+        self.first = start.time[start.begins[start.piece]]
 
     def __call__(self, now: Now) -> Array:
         torque, passed = np.zeros_like(now.velocity), now.time - self.first

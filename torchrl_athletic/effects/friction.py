@@ -388,9 +388,10 @@ class _Loaded(Bristle):
         super().__init__(joint, np.full(plant.rows, 1.5e-3), level, plant)
 
     def begin(self, start: Start) -> None:
-        travel = float(np.ptp(start.position[:, self.joint]))
-        most = _pressed(float(np.abs(start.command[:, self.joint]).max()), -1.0, self.coulomb, self.coefficient)
-        self.width = self._stable(np.full(len(most), max(1.5e-3 * min(travel, 1.0), 1e-9)), most)
+        travel = start.each(lambda piece: float(np.ptp(start.position[piece, self.joint])))
+        loudest = start.each(lambda piece: float(np.abs(start.command[piece, self.joint]).max()))
+        most = _pressed(loudest, -1.0, self.coulomb, self.coefficient)
+        self.width = self._stable(np.maximum(1.5e-3 * np.minimum(travel, 1.0), 1e-9), most)
         super().begin(start)
 
     def level_of(self, now: Now) -> Array:

@@ -12,6 +12,7 @@ to first order in x (Spong 1987, doi:10.1115/1.3143860, section 2, with the load
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -134,6 +135,48 @@ class LinkMotion:
         """Interpolate what was found at every :attr:`_stride`-th sample. Shape (S, J)."""
         at = np.arange(len(self.position)) / self._stride
         return np.stack([np.interp(at, np.arange(len(some)), column) for column in some.T], -1)
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedMotion(LinkMotion):
+    """Several motions of one model, one after the other: each is looked at alone."""
+
+    pieces: tuple[LinkMotion, ...] = ()
+
+    @classmethod
+    def of(cls, pieces: tuple[LinkMotion, ...]) -> JoinedMotion:
+        """Of motions with the same period."""
+        first = pieces[0]
+        position, velocity = (np.concatenate([getattr(p, name) for p in pieces]) for name in ("position", "velocity"))
+        return cls(first.model, first.address, first.period, position, velocity, pieces=pieces)
+
+    @cached_property
+    def acceleration(self) -> Array:
+        """Shape (S, J)."""
+        return self._all(lambda piece: piece.acceleration)
+
+    @cached_property
+    def load(self) -> Array:
+        """Shape (S, J)."""
+        return self._all(lambda piece: piece.load)
+
+    @cached_property
+    def free_inertia(self) -> Array:
+        """Shape (S, J)."""
+        return self._all(lambda piece: piece.free_inertia)
+
+    def slopes(self, joint: int) -> Array:
+        """Shape (3, S, J)."""
+        if joint not in self.derivatives:
+            self.derivatives[joint] = np.concatenate([piece.slopes(joint) for piece in self.pieces], axis=1)
+        return self.derivatives[joint]
+
+    def sliding(self, joint: int) -> Array:
+        """Shape (S,)."""
+        return self._all(lambda piece: piece.sliding(joint))
+
+    def _all(self, number: Callable[[LinkMotion], Array]) -> Array:
+        return np.concatenate([number(piece) for piece in self.pieces])
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,14 +356,17 @@ class Gear:
                 plant.fields["dof_damping"][:, dof].reshape(plant.rows, -1)[:, 0]
                 - np.ravel(plant.model.dof_damping[dof])[0]
             )
-        rotor = np.maximum(plant.of("dof_armature")[:, dof], ROTOR_FLOOR * link.free_inertia[:, j].mean())
+        typical = start.each(lambda piece: float(link.free_inertia[piece, j].mean()))
+        rotor = np.maximum(plant.of("dof_armature")[:, dof], ROTOR_FLOOR * typical)
         x, rate, its_rate, torque = self._behind(start, more, rotor)
 
         armature = plant.of("dof_armature")
         self._link_inertia = link.free_inertia[:, j]
         self._rotor = rotor
         armature[:, dof] = 0.0
-        self._origin, self._period = start.time[0], link.period
+        self._first, self._period = start.begins[start.piece], link.period
+        self._last = np.array([piece.stop - 1 for piece in start.pieces])[start.piece]
+        self._origin = start.time[self._first]
         self._torque, self._link_velocity, self._steps = torque, velocity - rate, 0
         self._own = link.acceleration[start.sample, j] - its_rate - torque / self._link_inertia[start.sample]
         self.deflection, self.velocity = x, velocity.copy()
@@ -343,7 +389,8 @@ class Gear:
         new = some[[name not in link.starts for name in names]]
         if len(new):
             back = np.arange(-max(1, int(WARM_UP[int(spring.play)] / link.period)), 1)[:, None]
-            before = np.maximum(start.sample[new] + back, 0)
+            first = start.begins[start.piece[new]]
+            before = np.maximum(start.sample[new] + back, first)
             load = link.load[before, j] + more[1, new] * link.velocity[before, j]
             if more[0].any():
                 load += more[0, new] * link.sliding(j)[before]
@@ -351,7 +398,7 @@ class Gear:
             its_own = Spring(*alike[new, 1:4].T)
             found = observed(
                 load, link.slopes(j)[:, before, j], its_own, link.period, passed, rotor[new],
-                start.sample[new] + back < 0,
+                start.sample[new] + back < first,
             )  # fmt: skip
             link.starts.update(zip((n for n in names if n not in link.starts), found.T, strict=True))
         return np.stack([link.starts[name] for name in names], -1)[:, row.ravel()]
@@ -376,8 +423,8 @@ class Gear:
 
     def _look(self, now: Now) -> None:
         """Inertias of the pose that the recording has reached."""
-        at = ((now.time - self._origin) / self._period + 0.5).astype(np.intp)
-        self._inertia = self._link_inertia[np.minimum(at, len(self._link_inertia) - 1)]
+        at = self._first + ((now.time - self._origin) / self._period + 0.5).astype(np.intp)
+        self._inertia = self._link_inertia[np.minimum(at, self._last)]
         self._seen = 1.0 / (1.0 / self._rotor + 1.0 / self._inertia)
         self._substeps = _substeps(self.spring, now.step)
         self._softness = self.spring.softness(self._seen, now.step / self._substeps)

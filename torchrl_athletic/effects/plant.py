@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
@@ -27,10 +28,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where the rows start: S samples of one take, measured before the first prediction and after."""
+    """Where the rows start: S samples of gap-free pieces, measured before the first prediction and after."""
 
     time: Array
-    """Stamps of the take's grid [s]. Shape (S,)."""
+    """Stamps of the grid [s]. Shape (S,)."""
     position: Array
     """As the encoder reads, locally smoothed [rad, m]. Shape (S, J)."""
     velocity: Array
@@ -40,20 +41,40 @@ class Start:
     sample: NDArray[np.intp]
     """From which each row starts. Shape (rows,)."""
     link: LinkMotion | None = None
-    """What the links ask for along the take; only gears need it."""
+    """What the links ask for along the pieces; only gears need it."""
+    begins: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, dtype=np.intp))
+    """Sample at which each piece begins, the first of which is 0: between them the motion jumps. Shape (pieces,)."""
+    began: Array | None = None
+    """Stamp at which the take of each piece began [s], if not with the piece. Shape (pieces,)."""
+
+    @cached_property
+    def piece(self) -> NDArray[np.intp]:
+        """In which each row starts. Shape (rows,)."""
+        return np.searchsorted(self.begins, self.sample, side="right") - 1
+
+    @cached_property
+    def pieces(self) -> list[slice]:
+        """Samples of each piece."""
+        return [slice(a, b) for a, b in zip(self.begins, [*self.begins[1:], len(self.time)], strict=True)]
+
+    def each(self, number: Callable[[slice], float]) -> Array:
+        """A number of each row's piece, found once a piece. Shape (rows,)."""
+        return np.array([number(piece) for piece in self.pieces])[self.piece]
 
     def of(self, history: Callable[..., Array], *parameters: Array) -> Array:
-        """A hidden state at each row's start, found along the whole take, once for rows with the same parameters.
+        """A hidden state at each row's start, found along the whole piece, once for rows with the same parameters.
 
         Args:
-            history: Takes one number a parameter, returns the state at every sample. Shape (S, ...).
+            history: Takes the piece and one number a parameter, returns the state at its samples. Shape (its S, ...).
             parameters: Shape (rows,) each.
 
         Returns:
             Shape (rows, ...).
         """
-        distinct, row = np.unique(np.stack(parameters, -1), axis=0, return_inverse=True)
-        return np.stack([history(*values) for values in distinct])[row.ravel(), self.sample]
+        distinct, row = np.unique(np.stack([self.piece, *parameters], -1), axis=0, return_inverse=True)
+        found = [history(self.pieces[int(piece)], *values) for piece, *values in distinct]
+        along = self.sample - self.begins[self.piece]
+        return np.stack([found[k][at] for k, at in zip(row.ravel(), along, strict=True)])
 
 
 @dataclass(eq=False)

@@ -122,8 +122,8 @@ class Bristle(Law):
     def begin(self, start: Start) -> None:
         """Bend the bristles as the measured motion did."""
 
-        def history(width: float) -> Array:
-            return sliding(start.position[:, self.joint], np.array([width]), self.relaxed)[:, 0]
+        def history(piece: slice, width: float) -> Array:
+            return sliding(start.position[piece, self.joint], np.array([width]), self.relaxed)[:, 0]
 
         self.direction, self.last = start.of(history, self.width), None
 

@@ -87,6 +87,11 @@ class Recording:
         return float(self.time[-1] - self.time[0])
 
     @property
+    def began(self) -> float:
+        """Stamp at which the take began that this is a piece of [s]; its own first one unless ``metadata`` says so."""
+        return float(self.metadata.get("began", self.time[0]))
+
+    @property
     def rate(self) -> float:
         """Median sampling rate [Hz]."""
         return float(1.0 / np.median(np.diff(self.time)))
