@@ -3,11 +3,13 @@
 import json
 from dataclasses import replace
 from functools import lru_cache
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 
+from torchrl_athletic.diagnosis import experiment as planning
 from torchrl_athletic.diagnosis.experiment import (
     Experiment,
     answer_set,
@@ -22,7 +24,7 @@ from torchrl_athletic.diagnosis.prepare import PAYLOAD, prepare
 from torchrl_athletic.diagnosis.result import Finding, Rival
 from torchrl_athletic.diagnosis.screen import TRIMS, Bank, candidates_for, trims_for
 from torchrl_athletic.diagnosis.search import Judge, Scored, search
-from torchrl_athletic.diagnosis.separation import ENOUGH
+from torchrl_athletic.diagnosis.separation import DRAWS, ENOUGH, Products, Rivals, thinned
 from torchrl_athletic.effects import (
     ActuationDelay,
     ActuationLag,
@@ -244,6 +246,58 @@ def test_a_motion_that_asks_too_much_torque_is_made_smaller(case):
     weak = Limits(limits.position, limits.velocity, 0.5 * np.abs(experiment.torque).max(0))
     tired = propose(judge, rivals, limits=weak)
     assert tired is None or (np.abs(tired.torque) <= 1.2 * weak.torque).all()
+
+
+def test_a_plan_that_a_rival_would_take_out_of_range_is_made_smaller(monkeypatch):
+    *_, judge, best, whole = solved("offset")
+    limits = whole.limits
+
+    def runaway(plan, scene):  # one of them goes half as far again
+        start = plan.recording.position[0]
+        path = start + 1.5 * (plan.recording.position - start)
+        return np.stack([np.stack([plan.recording.position, path])] * len(scene.rivals))
+
+    monkeypatch.setattr(planning, "_simulated", runaway)
+    tame = propose(judge, rivals_of(judge, best), limits=limits)
+    reach = tame.reference[0] + 1.5 * (tame.reference - tame.reference[0])
+    slack = 0.03 * np.ptp(limits.position)
+    assert ((reach > limits.position[:, 0] - slack) & (reach < limits.position[:, 1] + slack)).all()
+    assert (1.5 * np.abs(np.diff(tame.reference, axis=0)) * RATE <= 1.05 * limits.velocity).all()
+    assert np.abs(tame.reference).max() < np.abs(whole.reference).max()
+
+
+def test_rivals_are_replayed_with_what_else_the_recordings_allow():
+    *_, judge, best, e = solved("offset")
+    scene = Rivals(judge, rivals_of(judge, best), None)
+    scene.separations(scene.products([thinned(s) for s in judge.bank.takes], scene.sigma))
+    model = judge.bank.takes[0].nominal
+    recording = Recording(e.time, e.joint_names, e.reference, position_target=e.target, kp=e.kp, kd=e.kd)
+    plan = planning._Plan(e.motions, 0.0, model, recording, e.torque, (0.5, 0.5))
+    paths = planning._simulated(plan, scene)
+    assert paths.shape[:2] == (len(scene.rivals), DRAWS)
+    assert (np.ptp(paths, axis=1).max((1, 2)) > 1e-4).all()
+    assert planning._keeps(plan, paths, e.limits)
+    nowhere = replace(e.limits, position=np.array([[0.0, 1e-3]]))
+    slow = replace(e.limits, velocity=0.5 * np.abs(np.diff(e.reference, axis=0)).max(0) * RATE)
+    weak = replace(e.limits, torque=0.5 * np.abs(e.torque).max(0))
+    assert not any(planning._keeps(plan, paths, limits) for limits in (nowhere, slow, weak))
+
+
+def test_a_plan_is_repeated_only_while_that_tells_more(monkeypatch):
+    def told(*promises: float) -> int:
+        left, still, nothing = iter(promises[1:]), np.zeros((1000, 1)), Products({}, *np.zeros((4, 0)))
+        one = np.ones(1)
+        recording = Recording(np.arange(1000) / RATE, ("pendulum",), still, position_target=still, kp=one, kd=one)
+        model = mujoco.MjModel.from_xml_string(pendulum().model_xml)
+        first = planning._Plan((), 0.0, model, recording, still, (0.5, 0.5), separations=np.array(promises[:1]))
+        scene = SimpleNamespace(takes=(), weight=one, separations=lambda *given: np.array([next(left)]))
+        return planning._repeated(scene, nothing, first, np.ones(1, dtype=bool)).repeats
+
+    monkeypatch.setattr(planning, "row_noise", lambda takes: np.ones((1, 1)))
+
+    assert told(2.0, 3.0, 7.0) == 4
+    assert told(4.0, 1.0, 1.0, 1.0) == 1
+    assert told(8.0) == 1
 
 
 def test_where_one_question_cannot_be_settled_the_next_one_is_asked(tilted):

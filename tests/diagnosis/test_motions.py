@@ -1,11 +1,13 @@
 """Motions keep what robot and surroundings can take."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 from diagnosis.plants import pendulum, record, smooth_torque
 
-from torchrl_athletic.diagnosis.motions import RATE, Limits, motions, touches, way
+from torchrl_athletic.diagnosis.motions import MARGIN, RATE, Limits, motions, touches, way
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.effects import JointAddress
 from torchrl_athletic.recordings.demo import make_recordings, two_link_arm
@@ -34,6 +36,18 @@ def test_every_candidate_stays_within_range_and_speed(takes):
         if m.kind != "steps":  # rounded later
             assert (np.abs(np.diff(path, axis=0)) * RATE <= limits.velocity).all()
         np.testing.assert_allclose(np.abs(m.wave[-1]), 0, atol=0.02)
+
+
+def test_a_motion_about_a_pose_near_an_end_keeps_as_clear_of_it_as_one_about_the_middle(takes):
+    limits = Limits.of(takes)
+    narrow = np.stack([takes[0].recording.position[0] - 0.01, limits.position[:, 1]], -1)
+    clear = 0.5 * (1 - MARGIN) * np.ptp(narrow, axis=1)
+    own = [m for m in motions(takes, replace(limits, position=narrow), [0], 8.0) if m.joint == "shoulder"]
+    assert {"sine", "sweep"} <= {m.kind for m in own}
+    for m in own:
+        path = (m.pose + m.wave)[:, 0]
+        assert path.min() >= narrow[0, 0] + clear[0] - 1e-9
+        assert path.max() <= narrow[0, 1] - clear[0] + 1e-9
 
 
 def test_a_smaller_motion_has_the_same_shape_and_says_its_own_size(takes):

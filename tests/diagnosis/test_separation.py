@@ -90,8 +90,8 @@ def test_bounds_keep_a_rival_from_answering():
 
 
 def test_what_no_answer_meets_counts_by_the_logarithm_of_the_error_that_it_leaves():
-    pair, _, now = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.15, second=COSINE)
-    left, level = pair.left[0], max(pair.left[0], pair.floor[0])
+    pair, known, now = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.15, second=COSINE)
+    left, level = known.left[0], max(known.left[0], pair.floor[0])
 
     def apart(sizes):  # of sines against cosines, which answer nothing
         return np.mean([np.sqrt(N / THINNED * np.log(max(left + c**2, level) / level)) for (c,) in sizes])
@@ -122,3 +122,37 @@ def test_a_hundredth_of_what_is_missing_and_what_smoothing_bends_say_nothing():
 def test_noise_that_a_search_will_allow_hides_what_is_below_it():
     pair, known, now = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.15, second=COSINE)
     assert pair.separations(known, noise=2 * np.ones(2)) < now / 2
+
+
+def test_a_quiet_recording_does_not_make_a_louder_plan_deaf():
+    """Below the floor of the old take nobody asks; the plan's own noise is above it, so that all beyond it counts."""
+    small = 0.1 * np.random.default_rng(0).standard_normal(N)
+    take = replace(motion(SINE, SINE, 0.5 * SINE + small), noise=np.full(2, 0.1))
+    judge = Judge(
+        Bank([take], [candidate(Along(n, c)) for n, c in (("one", (1, 0)), ("other", (0, 1)))], noise=np.ones(2))
+    )
+    pair = Rivals(judge, [judge.score([atom]) for atom in judge.bank.atoms], None)
+    known = pair.products([thinned(take)])
+    assert known.left == pytest.approx([0.01, 0.01], rel=0.2)
+    assert pair.separations(known) == pytest.approx([0], abs=1e-3)
+    loud = pair.products([thinned(motion(SINE, -SINE))])
+    assert loud.left == pytest.approx([1, 1], rel=0.01)
+    quiet = pair.products([thinned(replace(motion(SINE, -SINE), noise=np.full(2, 0.1)))])
+    assert pair.separations(known + quiet) == pytest.approx([0], abs=1e-3)
+    assert pair.separations(known + loud)[0] > 3
+
+
+def test_a_piece_of_a_single_instant_counts_as_one():
+    pair, known, now = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.15, second=COSINE)
+    whole = thinned(motion(SINE, COSINE))
+    alone = pair.products([thinned(whole, len(whole.time))])
+    assert alone.count == pytest.approx([1, 1])
+    assert pair.separations(known + alone) == pytest.approx(now, rel=0.01)
+
+
+def test_coefficients_stand_for_the_parameters_of_the_fit():
+    pair, *_ = rivals(Along("one", (1, 0)), Along("other", (1, 0), (0, 1), nominal=0.25), second=COSINE)
+    for fitted, coefficients in zip(pair.rivals, pair.known, strict=True):
+        given = np.concatenate(fitted.fit.values())
+        np.testing.assert_allclose(coefficients.parameters(coefficients.values), given)
+        np.testing.assert_allclose(coefficients.parameters(0 * given), coefficients.free[0][0].nominal)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -50,11 +51,11 @@ FOLLOWERS = 10
 CONFIRMED = 5
 """Plans that are simulated under every rival before none is proposed."""
 SMALLER = (1.0, 0.75, 0.55, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05)
-"""Shares of its amplitude at which a motion is tried until the torque suffices."""
+"""Shares of its amplitude at which a motion is tried until the torque suffices and every rival keeps the limits."""
 LONGEST = 60.0
 """An excitation that tells too little is repeated as long as it all lasts no longer than this [s]."""
 SLACK = 0.02
-"""Share of the range by which a rival may predict that the robot leaves it: the limits are clear of the stops."""
+"""Share of range and speed by which a rival may predict that the robot leaves them: they are clear of the stops."""
 GENTLE = 0.2
 """Share of its worth that a plan loses by using up all limits and half a minute."""
 HEAVY = 0.5
@@ -288,13 +289,17 @@ def propose(
     hopeful |= np.max([p.separations for p in plans], axis=0) > APART
     length = sum(float(np.ptp(s.time)) for s in takes)
     for chosen in sorted(plans, key=lambda p: -_worth(scene, p, hopeful))[:CONFIRMED]:
-        plan = _compensated(scene, _repeated(scene, known, chosen, hopeful), sensors)
-        as_long = scene.separations(known + known.times(plan.recording.duration / length))
-        if not (plan.separations - as_long)[hopeful].max(initial=0.0) > 1.0:
-            continue
-        paths = _simulated(plan, rivals)
-        if _keeps(paths, limits):
-            return _experiment(plan, scene, (before, as_long, plan.separations), hopeful, paths, limits)
+        for share in SMALLER:
+            smaller = chosen if share == 1.0 else _smaller(scene, known, chosen, share, limits, sensors)
+            if smaller is None:
+                break
+            plan = _compensated(scene, _repeated(scene, known, smaller, hopeful), sensors)
+            as_long = scene.separations(known + known.times(plan.recording.duration / length))
+            if not (plan.separations - as_long)[hopeful].max(initial=0.0) > 1.0:
+                break
+            paths = _simulated(plan, scene)
+            if _keeps(plan, paths, limits):
+                return _experiment(plan, scene, (before, as_long, plan.separations), hopeful, paths, limits)
     return None
 
 
@@ -540,23 +545,43 @@ def _gains(takes: Sequence[Signals], model: mujoco.MjModel) -> tuple[Array, Arra
     return inertia * w**2, inertia * 2 * w
 
 
-def _simulated(plan: _Plan, rivals: Sequence[Scored]) -> Array:
-    """Positions that each rival predicts, on the simulation's grid. Shape (rivals, T, J)."""
+def _smaller(
+    rivals: Rivals, known: Products, plan: _Plan, share: float, limits: Limits, sensors: _Sensors
+) -> _Plan | None:
+    """The plan with a share of its amplitudes; None if nothing so small can be done."""
+    loop = _gains(rivals.takes, plan.model)
+    parts = [_planned(m.smaller(share), plan.payload, plan.model, rivals.takes, limits, loop) for m in plan.motions]
+    if any(p is None for p in parts):
+        return None
+    return _measured(rivals, known, reduce(_joined, [p for p in parts if p is not None]), sensors)
+
+
+def _simulated(plan: _Plan, rivals: Rivals) -> Array:
+    """Positions that each rival predicts, with its values and with others that the recordings allow as well.
+
+    On the simulation's grid. Shape (rivals, DRAWS, T, J).
+    """
     windows = windows_of(take_of(plan.recording, plan.model, np.full(plan.recording.num_joints, 1e-9)), None)
+    assert rivals.draws is not None
     out = []
-    for s in rivals:
-        terms = [a.candidate for a in s.fit.terms]
-        trims = [a.candidate for a in s.fit.atoms[s.fit.size :]]
-        values = np.concatenate(s.fit.values())
-        out.append(simulate(windows, Hypothesis(tuple(terms), tuple(trims)).build, values[None])[0, 0])
+    for s, coefficients, drawn in zip(rivals.rivals, rivals.known, rivals.draws, strict=True):
+        hypothesis = Hypothesis(
+            tuple(a.candidate for a in s.fit.terms), tuple(a.candidate for a in s.fit.atoms[s.fit.size :])
+        )
+        fitted = np.concatenate(s.fit.values())
+        others = [coefficients.parameters(x) for x in drawn[1:]]
+        out.append(simulate(windows, hypothesis.build, np.clip([fitted, *others], *hypothesis.bounds))[:, 0])
     return np.stack(out)
 
 
-def _keeps(paths: Array, limits: Limits) -> bool:
-    """Whether no rival leaves the range."""
+def _keeps(plan: _Plan, paths: Array, limits: Limits) -> bool:
+    """Whether no rival leaves the range or is faster than allowed, and the likeliest needs no more torque."""
     low, high = limits.position.T
     slack = SLACK * (high - low)
-    return bool(np.isfinite(paths).all() and ((paths > low - slack) & (paths < high + slack)).all())
+    fastest = np.abs(np.diff(paths, axis=2)).max((0, 1, 2)) * (paths.shape[2] - 1) / plan.recording.duration
+    inside = ((paths > low - slack) & (paths < high + slack)).all()
+    strong = (np.abs(plan.torque) <= limits.torque).all()
+    return bool(np.isfinite(paths).all() and inside and strong and (fastest <= (1 + SLACK) * limits.velocity).all())
 
 
 def _experiment(
@@ -585,7 +610,7 @@ def _experiment(
         after=after,
         pairs={pair: (float(x), float(y)) for pair, x, y in zip(named, separations[0], separations[2], strict=True)},
         inseparable=tuple(pair for pair, can in zip(named, hopeful, strict=True) if not can),
-        spread=float(np.ptp(paths, axis=0).max()),
+        spread=float(np.ptp(paths[:, 0], axis=0).max()),
         unit="m" if all(slides) else "rad",
         joint_names=r.joint_names,
         time=r.time,

@@ -143,9 +143,11 @@ def _sizes(joint: int, pose: Array, limits: Limits) -> Iterator[tuple[float, Arr
 
 
 def _about(pose: Array, joint: int, amplitude: float, limits: Limits) -> Array:
+    """The pose, moved until the motion is within its share of the range."""
     low, high = limits.position[joint]
+    clear = amplitude + (1 - MARGIN) / 2 * (high - low)
     about = pose.copy()
-    about[joint] = np.clip(pose[joint], low + amplitude, high - amplitude)
+    about[joint] = np.clip(pose[joint], low + clear, high - clear)
     return about
 
 

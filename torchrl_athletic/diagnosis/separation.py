@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.screen import KERNEL_CORRELATION, Atom, Key, bounded_least_squares
 from torchrl_athletic.diagnosis.search import ACCURACY, Judge, Scored
-from torchrl_athletic.effects import Signals
+from torchrl_athletic.effects import Parameter, Signals
 
 Array = NDArray[np.float64]
 Cache: TypeAlias = dict[tuple[Key, tuple[tuple[str, float], ...]], Array]
@@ -92,7 +92,8 @@ class Rivals:
         count, bent, left = np.zeros((3, noise.shape[1]))
         for s, sigma in zip(takes, noise, strict=True):
             cache: Cache = {}
-            share = min(float(np.median(np.diff(s.time))) / (KERNEL_CORRELATION * s.kernel), 1.0) * self.memory
+            step = float(np.median(np.diff(s.time))) if len(s.time) > 1 else np.inf  # of a piece between drop-outs
+            share = min(step / (KERNEL_CORRELATION * s.kernel), 1.0) * self.memory
             count += share * s.valid.sum(0)
             bent += share * (s.valid * s.bias**2).sum(0) / sigma**2
             left += share * s.valid.sum(0) * (s.noise**2 + self.unnamed) / sigma**2
@@ -159,10 +160,13 @@ class Coefficients:
     def __init__(self, scored: Scored, example: Signals) -> None:
         fit, at, rows = scored.fit, 0, []
         self.parts: list[tuple[Atom, Array, list[tuple[str, float]]]] = []
+        self.free: list[list[Parameter]] = []
+        """Of each atom: the parameters that its first coefficients stand for."""
         for k, atom in enumerate(fit.atoms):
             given = fit.coefficients[at : at + len(atom.linear)]
             at += len(atom.linear)
-            own, ends, steps = _numbers(atom, given, example)
+            free, own, ends, steps = _numbers(atom, given, example)
+            self.free.append(free)
             self.parts.append((atom, own, [(name, 0.1 * reach) for name, reach in steps]))
             trim = k >= fit.size
             for value, (low, high, likely) in zip(own, ends, strict=True):
@@ -188,6 +192,19 @@ class Coefficients:
         """Missing torque along a motion [N·m]. Shape (N, J)."""
         return np.asarray(self.columns(s, {}) @ self.values)
 
+    def parameters(self, coefficients: Array) -> Array:
+        """What coefficients stand for, in physical units: the parameters of all atoms in a row. Shape (P,)."""
+        out, at = [], 0
+        for (atom, own, steps), free in zip(self.parts, self.free, strict=True):
+            value = {p.name: atom.fixed.get(p.name, p.nominal) for p in atom.candidate.parameters}
+            for p, coefficient in zip(free, coefficients[at:], strict=False):
+                value[p.name] = atom.candidate.effect.value(p, float(coefficient))
+            for (name, _), change in zip(steps, coefficients[at + len(own) :], strict=False):
+                value[name] += float(change)
+            at += len(own) + len(steps)
+            out += list(value.values())
+        return np.array(out)
+
     def draw(self, gram: Array, rng: np.random.Generator) -> Array:
         """The fitted coefficients, and others that the recordings allow as well. Shape (DRAWS, K)."""
         normal = gram + np.diag(self.prior)
@@ -201,8 +218,8 @@ class Coefficients:
 
 def _numbers(
     atom: Atom, given: Array, example: Signals
-) -> tuple[Array, list[tuple[float, float, float]], list[tuple[str, float]]]:
-    """Coefficients of an atom, also of columns that its recordings did not show; their bounds and likely sizes.
+) -> tuple[list[Parameter], Array, list[tuple[float, float, float]], list[tuple[str, float]]]:
+    """Linear parameters of an atom, and its coefficients with their bounds and likely sizes, shown or not.
 
     Then the nonlinear parameters, each with the change over which it is taken as linear.
     """
@@ -224,7 +241,7 @@ def _numbers(
             value = atom.fixed[p.name]
             reach = 0.5 * max(abs(value), p.scale)
             steps.append((p.name, reach if value + 0.1 * reach <= p.upper else -reach))
-    return own, ends, steps
+    return free, own, ends, steps
 
 
 def _fingerprint(s: Signals, atom: Atom, fixed: Mapping[str, float], cache: Cache) -> Array:
