@@ -39,7 +39,8 @@ class Grounds:
     energy: float
     """Share of its joint's missing torque that it accounts for, 0..1."""
     terms: int
-    """Findings on its joint, itself included: a real robot has some on every joint, a wrong answer many on one."""
+    """Findings on its joint, itself included: a real robot has some on every joint, a wrong answer many on one. All of
+    them for a cause of the whole robot."""
     strain: float
     """Sum of squares of the trims, each in standard deviations of what it may be."""
     sure: float

@@ -114,6 +114,11 @@ def harms(score: Score | None) -> bool:
     return score is not None and score.after > score.before
 
 
+def follows(score: Score, times: float) -> bool:
+    """Whether the corrected model's error is within so many times the floor, on every joint."""
+    return all(joint["after"] <= times * max(joint["floor"], 1e-12) for joint in score.per_joint.values())
+
+
 def open_share(score: Score) -> float:
     """Share of the error energy above the floor that is left, each joint in units of its floor, 0..1.
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.checkpoint import Checkpoint, inputs_digest
-from torchrl_athletic.diagnosis.compare import harms, open_share, score
+from torchrl_athletic.diagnosis.compare import follows, harms, open_share, score
 from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml, write_atomically, write_json
 from torchrl_athletic.diagnosis.experiment import Experiment, next_experiment, write
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, idle_terms, without
@@ -54,7 +54,9 @@ ASKED = 6.0
 """Evidence behind which a rival is not asked about in the simulation: a twentieth of the odds."""
 LOST = 0.5
 """Share of the error energy that the best may leave before each effect is asked about alone."""
-ALONE = 2
+FOLLOWS = 2.0
+"""Window error over the floor that trims alone may leave before the same."""
+ALONE = 3
 """How many of these."""
 BEHIND = 9.0
 """Evidence against them: only a simulation that is decisively better speaks for one."""
@@ -391,11 +393,14 @@ class _Work:
     def _start_over(self) -> None:
         """Where what fits the torques best leaves most of the motion open, ask about each effect alone.
 
-        A combination may mimic the torques of a joint that sticks, and move otherwise.
+        A combination may mimic the torques of a joint that sticks, and move otherwise. And trims that take all of a
+        small effect's torque for their own, since each is within its tolerance, may not move like it.
         """
-        if not self.scores or open_share(self.scores[self.chosen]["train"]) < LOST or self._late():
+        if not self.scores or self._late():
             return
-        if not self._is_open(self.fits[self.chosen]):
+        fitted, reached = self.fits[self.chosen], self.scores[self.chosen]["train"]
+        lost = open_share(reached) >= LOST and self._is_open(fitted)
+        if not lost and (fitted.hypothesis.terms or follows(reached, FOLLOWS)):
             return
         known = {keys(o.best.fit.terms) for o in self.options}
         judge = self.options[0].judge

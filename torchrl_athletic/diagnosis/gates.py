@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.calibration import Grounds, probability, widened
-from torchrl_athletic.diagnosis.compare import open_share
+from torchrl_athletic.diagnosis.compare import follows, open_share
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score, Verdict
@@ -88,7 +88,7 @@ def verdict_of(
     deciding = [s for s in (heldout, train) if s is not None]
     if not deciding:
         return ("partly_explained" if findings else "unexplained"), float(bool(is_open))
-    share, near = max(open_share(s) for s in deciding), all(_near_floor(s) for s in deciding)
+    share, near = max(open_share(s) for s in deciding), all(follows(s, NEAR_FLOOR) for s in deciding)
     if not findings:
         nothing = not is_open and near  # within the tolerances of the trims
         return ("nothing_missing", 0.0) if nothing else ("unexplained", share)
@@ -150,7 +150,7 @@ def _finding(part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, stil
         scatter=scatter(bank, part.best.fit, term),
         open=still_open,
         energy=_energy_share(part, term),
-        terms=sum(c.joint_name == candidate.joint_name for c in h.terms),
+        terms=sum(candidate.joint_name in (None, c.joint_name) for c in h.terms),
         strain=part.best.fit.strain,
         sure=_certainty(chosen, values, samples),
         plain=_is_plain(chosen, values, samples),
@@ -255,7 +255,3 @@ def _energy_share(part: Evidence, term: Atom) -> float:
     before, rest, left = (float(fit.residual[joint].sum()) for fit in (part.judge.bare, without, part.best.fit))
     gained = rest - left
     return float(np.clip(gained / max(before, 1e-12), 0.0, 1.0))
-
-
-def _near_floor(score: Score) -> bool:
-    return all(joint["after"] <= NEAR_FLOOR * max(joint["floor"], 1e-12) for joint in score.per_joint.values())

@@ -58,6 +58,8 @@ TOLERANCES: Mapping[str, float] = MappingProxyType(
 and 1 ms or half a sample of a delay."""
 OWN_JOINT = frozenset({"friction", "presliding", "transmission", "timing", "torque", "elastic", "control", "change"})
 """Classes of effects that a joint which follows the model cannot have."""
+DIVERGED = 1e9
+"""Predicted torque over the noise beyond which an equation of motion has run away."""
 TORQUE_FLOOR = 1e-3
 """Missing torque that nobody needs explained, as a share of the joint's typical torque."""
 
@@ -268,7 +270,7 @@ class Bank:
             reach = [1.0 if k < 0 else _reach(effect, parameters[k]) for k in linear]
             # otherwise even the bound would hide in the noise
             shown = tuple(i for i in range(whole.shape[2]) if np.abs(whole[:, :, i]).max() * reach[i] > 1.0)
-            if shown:
+            if shown and np.abs(whole).max() < DIVERGED:
                 atom = Atom(candidate, dict(fixed), tuple(linear[i] for i in shown), shown)
                 self.atoms.append(atom)
                 yield atom, whole[:, :, list(shown)]
@@ -522,7 +524,7 @@ def candidates_for(takes: Sequence[Signals], catalogue: Sequence[Effect] = CATAL
     out = []
     for effect in catalogue:
         for joint, name in enumerate(s.recording.joint_names[: 1 if effect.whole_robot else None]):
-            parameters = effect.parameters(s.nominal, s.address, joint)
+            parameters = effect.parameters_of(takes, joint)
             if parameters:
                 out.append(Candidate(effect, joint, None if effect.whole_robot else name, parameters))
     return out

@@ -292,11 +292,15 @@ def rivals(judge: Judge, best: Scored, within: float) -> list[tuple[Scored, floa
 
 
 def singles(judge: Judge) -> list[Scored]:
-    """Effects that close a material share alone, whatever their evidence; what closes most first."""
+    """Effects alone, whatever their evidence: those that close a material share, what closes most first; else the best.
+
+    Where trims take all of the missing torque, nothing is left to be closed.
+    """
     nothing = judge.score(())
     alone = [judge.score([atom]) for atom in _promising(judge, nothing, _shortlist(judge, nothing))]
     closed = {s: judge.closes(nothing.fit, s.fit) for s in alone if not s.fit.at_bound}
-    return sorted((s for s in closed if closed[s] > MATERIAL), key=lambda s: -closed[s])
+    material = sorted((s for s in closed if closed[s] > MATERIAL), key=lambda s: -closed[s])
+    return material or sorted(closed, key=lambda s: s.evidence)
 
 
 def noise_level(bank: Bank) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import mujoco
@@ -80,12 +81,18 @@ class ThermalDrift(Effect):
             Parameter("time_constant", "s", _QUICKEST, _QUICKEST, 1e4, 2.0),
         )
 
+    def parameters_of(self, takes: Sequence[Signals], joint: int) -> tuple[Parameter, ...]:
+        """Of a drift much slower than the longest take only the beginning shows, a straight line without an end."""
+        *others, slow = super().parameters_of(takes, joint)
+        longest = max(s.recording.time[-1] - s.recording.began for s in takes)
+        return (*others, replace(slow, upper=max(_OF_TAKE[-1] * longest, 2 * _QUICKEST)))
+
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         return self.grid_of([s], joint)
 
     def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
         """Time constants in proportion to the longest take; none if it is too short to warm up in."""
-        longest = max(s.recording.duration for s in takes)
+        longest = max(s.recording.time[-1] - s.recording.began for s in takes)
         if longest < _LONG_ENOUGH:
             return []
         return [

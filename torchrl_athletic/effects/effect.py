@@ -85,6 +85,10 @@ class Effect(ABC):
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
         """Parameters with units, bounds and the given model's values."""
 
+    def parameters_of(self, takes: Sequence[Signals], joint: int) -> tuple[Parameter, ...]:
+        """The same, with the bounds of what the takes could show."""
+        return self.parameters(takes[0].nominal, takes[0].address, joint)
+
     @abstractmethod
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         """Values to try for the parameters that enter nonlinearly.

@@ -16,6 +16,10 @@ _STEP = 1.05
 """Between distances of a centre of mass at which a fingerprint is taken."""
 
 
+LEAST_ROTOR = 0.1
+"""Of the given model's: with less there is no rotor any more, which something else only looks like."""
+
+
 class ReflectedInertia(Effect):
     """The motor's rotor, seen at the joint: rotor inertia times the gear ratio squared.
 
@@ -46,6 +50,10 @@ class ReflectedInertia(Effect):
         at_rest = float(inertia_matrix(model, address, zero)[0, joint, joint])
         unit = "kg" if is_slide(model, address, joint) else "kg·m²"
         return (Parameter("armature", unit, nominal, 0.0, 20 * at_rest, 0.05 * at_rest),)
+
+    def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
+        """No motor is without a rotor."""
+        return bool(values[0] > LEAST_ROTOR * parameters[0].nominal)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         return [{}]

@@ -154,7 +154,7 @@ class Backlash(_Transmission):
         if inertia <= 0:
             return ()
         rigid, typical = _stiffness(inertia, RIGID), _stiffness(inertia, 20.0)
-        widest = 0.02 if slide else 0.2
+        widest = 0.01 if slide else 0.1  # more is an encoder on another tooth, or a broken gear
         return (
             Parameter("gap", "m" if slide else "rad", 0.0, 0.0, widest, 0.02 * widest),
             Parameter(
