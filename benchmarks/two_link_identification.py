@@ -37,6 +37,7 @@ from torchrl_athletic.identification import (
     identify_actuator_net,
     identify_cem,
     identify_diagnosed,
+    inertia_of,
     open_loop,
     table,
 )
@@ -55,6 +56,8 @@ Method = Literal[
     "uan_joint",
     "uan_arm",
     "uan_arm_memory",
+    "inertia_uan",
+    "inertia_uan_joint",
     "diagnosed",
     "diagnosed_uan",
     "diagnosed_uan_joint",
@@ -67,8 +70,7 @@ TORQUE = 0.5
 """Unit of a net's torque, about that of the commands [N·m]."""
 OUTLIER = 0.3
 """Errors far beyond it count by their logarithm [rad]."""
-ON_A_DIAGNOSIS = ("diagnosed_uan", "diagnosed_uan_joint", "diagnosed_uan_arm_memory")
-SEEDED = ("cem", "actuator_net", "uan", "uan_joint", "uan_arm", "uan_arm_memory", *ON_A_DIAGNOSIS)
+UNSEEDED = ("default", "diagnosed")
 GROUPS = {"swing-up": "swing-up", "open-loop sines on the elbow": "elbow alone"}
 
 
@@ -101,16 +103,21 @@ class Case:
     def name(self) -> str:
         return f"{self.method}_{self.seconds:g}s_seed{self.seed}"
 
+    @property
+    def given(self) -> Case | None:
+        """What its net is trained on top of, if that is fitted itself."""
+        if self.method.startswith("inertia_uan"):
+            return Case("cem", self.seconds, self.seed)
+        return Case("diagnosed", self.seconds, 0) if self.method.startswith("diagnosed_uan") else None
+
 
 def main(cfg: Config) -> None:
     cases = list(cases_of(cfg))
     for last in (False, True):
-        todo = [
-            c for c in cases if (c.method in ON_A_DIAGNOSIS) == last and not is_there(c, cfg) and not cfg.score_only
-        ]
+        todo = [c for c in cases if (c.given is not None) == last and not is_there(c, cfg) and not cfg.score_only]
         with ProcessPoolExecutor(cfg.jobs) as pool:
             running = [pool.submit(identify, case, cfg) for case in todo]
-            for done in tqdm(as_completed(running), total=len(todo), desc="on a diagnosis" if last else "alone"):
+            for done in tqdm(as_completed(running), total=len(todo), desc="nets on a fit" if last else "alone"):
                 done.result()
     robot, (_, heldout) = arm(), takes()
     groups = {name: [t for t in heldout if kind in t.metadata["excitation"]] for kind, name in GROUPS.items()}
@@ -137,7 +144,7 @@ def cases_of(cfg: Config) -> Iterator[Case]:
         if method == "default":
             continue
         counted = cfg.seeds if seconds == max(cfg.seconds) else cfg.seeds[: cfg.seeds_with_less]
-        if seed in (counted if method in SEEDED else cfg.seeds[:1]):
+        if seed in (cfg.seeds[:1] if method in UNSEEDED else counted):
             yield Case(method, seconds, seed)
     if "default" in cfg.methods:
         yield Case("default", 0.0, 0)
@@ -180,9 +187,10 @@ def identify(case: Case, cfg: Config) -> None:
     elif case.method == "diagnosed":
         simulator = identify_diagnosed(robot, fit, refine=search(case), output=cfg.output / case.name / "diagnosis")
     elif "uan" in case.method:
-        if case.method in ON_A_DIAGNOSIS:
-            folder = cfg.output / Case("diagnosed", case.seconds, cfg.seeds[0]).name
-            simulator = Simulator.load(folder, robot)
+        if case.given is not None:
+            simulator = Simulator.load(cfg.output / case.given.name, robot)
+        if case.method.startswith("inertia"):
+            simulator = replace(simulator, correction=inertia_of(simulator.correction or {}))
         simulator = with_uan(replace(simulator, name=case.method), fit, case.seed, cfg.iterations)
     simulator.save(cfg.output / case.name)
 

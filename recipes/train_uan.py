@@ -19,7 +19,7 @@ from torch import nn
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import Takes, replay_env
-from torchrl_athletic.identification import Simulator, digest_of, read_correction
+from torchrl_athletic.identification import Simulator, digest_of, on_a_fit
 from torchrl_athletic.networks import uan
 from torchrl_athletic.recordings import read_recordings
 from torchrl_athletic.robots import from_mjcf, z1
@@ -42,7 +42,8 @@ class Config:
     robot: str = "z1"
     """``z1``, or the path of an MJCF."""
     model: Path | None = None
-    """Folder of a diagnosis, or its ``corrected.json``: the net learns what that leaves."""
+    """Folder of a diagnosis or of CEM's simulator, or a ``corrected.json``: the net learns what that leaves."""
+    inertia_only: bool = False  # whether the model gives the rotors' inertia alone, and friction is the net's
     num_envs: int | None = None
     """Rows; None takes what suits the method and the device."""
     minutes: float = 3.0  # when to stop
@@ -64,18 +65,16 @@ def main(cfg: Config) -> Simulator:
     torch.set_float32_matmul_precision("high")
     recordings = training.for_training(read_recordings(cfg.recordings))
     robot = training.with_gains_of(z1() if cfg.robot == "z1" else from_mjcf(cfg.robot), recordings)
-    name = ("uan" if cfg.model is None else "diagnosed_uan") + {"errors": ""}.get(cfg.knows, f"_{cfg.knows}")
-    name += "_memory" if cfg.memory else ""
-    given = Simulator(name, robot, None if cfg.model is None else read_correction(cfg.model))
+    told = "uan" + {"errors": ""}.get(cfg.knows, f"_{cfg.knows}") + "_memory" * bool(cfg.memory)
+    given = Simulator(told, robot) if cfg.model is None else on_a_fit(cfg.model, told, robot, cfg.inertia_only)
     pieces, windows = training.set_aside(recordings, seconds=cfg.window)
     takes = training.takes_of(pieces, robot)
     net = uan(hidden=cfg.hidden, **training.units_of(takes, robot, cfg.knows, cfg.memory)).to(cfg.device)
     validate = training.validation_of(given, windows, net, device=cfg.device)
     before = validate()["mse"]  # of a net that corrects nothing yet
 
-    made_of = {
-        name: str(getattr(cfg, name)) for name in ("method", "credit", "knows", "memory", "hidden", "seed", "window")
-    }
+    chosen = ("method", "credit", "knows", "memory", "hidden", "seed", "window")
+    made_of = {name: str(getattr(cfg, name)) for name in chosen}
     made_of |= {"recordings": digest_of(recordings), "model": given.digest}
     learner = make_learner(cfg, given, takes, net)
     numbers = training.train(

@@ -13,7 +13,7 @@ from tensordict.nn import TensorDictModule
 from torchrl.envs import Compose, TransformedEnv
 
 from torchrl_athletic.envs import TorqueEnv, actuation_chain
-from torchrl_athletic.identification import Simulator
+from torchrl_athletic.identification import Simulator, on_a_fit
 from torchrl_athletic.networks import uan
 from torchrl_athletic.robots import Bucket, z1
 from torchrl_athletic.transforms import RandomizationRanges
@@ -82,6 +82,25 @@ def test_found_friction_is_in_the_model_and_found_delay_in_the_chain() -> None:
     friction_alone = {**FOUND, "effects": FOUND["effects"][:1]}
     prompt = move(Simulator("diagnosed", ROBOT, friction_alone), steps=4, decimation=1)
     torch.testing.assert_close(late, prompt)  # what came before the first command is taken to be that command
+
+
+@pytest.mark.parametrize("named", ["corrected.json", "."])
+def test_a_net_on_a_fit_is_named_after_what_left_it(named: str, tmp_path) -> None:
+    Simulator("cem", ROBOT, FOUND).save(tmp_path)
+    given = on_a_fit(tmp_path / named, "uan_memory", ROBOT)
+    assert (given.name, given.net, given.correction) == ("cem_uan_memory", None, FOUND)
+    (tmp_path / "simulator.json").unlink()  # a diagnosis leaves none
+    assert on_a_fit(tmp_path / named, "uan", ROBOT).name == "diagnosed_uan"
+
+
+def test_on_inertia_alone_the_joints_keep_the_friction_of_the_nominal_model(tmp_path) -> None:
+    rotor = {"effect": "reflected_inertia", "joint": "joint2", "parameters": {"armature": {"value": 0.7}}}
+    Simulator("cem", ROBOT, {**FOUND, "effects": [*FOUND["effects"], rotor]}).save(tmp_path)
+    whole, alone = on_a_fit(tmp_path, "uan", ROBOT), on_a_fit(tmp_path, "uan", ROBOT, inertia_only=True)
+    assert alone.name == "inertia_uan"
+    found, nominal = (s.robot.model().joint("joint2") for s in (alone, Simulator("default", ROBOT)))
+    assert found.armature == 0.7 != nominal.armature
+    assert found.frictionloss == nominal.frictionloss != whole.robot.model().joint("joint2").frictionloss
 
 
 def test_an_identification_holds_for_the_arm_with_a_bucket() -> None:

@@ -36,6 +36,15 @@ def test_methods_that_draw_nothing_run_once_and_the_default_needs_no_data():
     assert len({c.name for c in cases}) == len(cases)
 
 
+@pytest.mark.parametrize(
+    ("method", "given"),
+    [("uan_joint", None), ("inertia_uan_joint", "cem_20s_seed2"), ("diagnosed_uan_joint", "diagnosed_20s_seed0")],
+)
+def test_a_net_learns_what_the_fit_of_its_own_seed_and_seconds_left(method, given):
+    on = benchmark.Case(method, 20.0, 2).given
+    assert (on and on.name) == given
+
+
 def result(method, seed, mse, group="swing-up", window="0.5 s"):
     return Result(method, seed, group, window, mse, {}, 0.0, 0.0, 0.0)
 

@@ -9,7 +9,7 @@ from torchrl_athletic.identification.comparison import Result, compare, figure, 
 from torchrl_athletic.identification.diagnosed import identify_diagnosed
 from torchrl_athletic.identification.open_loop import OpenLoopScore, Rollout, open_loop, score
 from torchrl_athletic.identification.randomization import ARM_RANGES, randomized
-from torchrl_athletic.identification.simulator import Simulator, load_net, read_correction
+from torchrl_athletic.identification.simulator import Simulator, inertia_of, load_net, on_a_fit, read_correction
 from torchrl_athletic.identification.takes import digest_of, on_all_joints, on_grid
 
 __all__ = [
@@ -26,7 +26,9 @@ __all__ = [
     "identify_actuator_net",
     "identify_cem",
     "identify_diagnosed",
+    "inertia_of",
     "load_net",
+    "on_a_fit",
     "on_all_joints",
     "on_grid",
     "open_loop",

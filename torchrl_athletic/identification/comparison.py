@@ -23,6 +23,10 @@ NAMES = {
     "uan_arm": "UAN, told joint and arm",
     "uan_memory": "UAN with memory",
     "uan_arm_memory": "UAN with memory, told joint and arm",
+    "inertia_uan": "UAN on CEM's inertia",
+    "inertia_uan_joint": "UAN on CEM's inertia, told the joint",
+    "inertia_uan_memory": "UAN with memory on CEM's inertia",
+    "inertia_uan_arm_memory": "UAN with memory on CEM's inertia, told joint and arm",
     "diagnosed": "Diagnosed",
     "diagnosed_uan": "Diagnosed + UAN",
     "diagnosed_uan_joint": "Diagnosed + UAN, told the joint",
@@ -40,6 +44,10 @@ COLOURS = {
     "uan_arm": "#8C2F39",
     "uan_memory": "#D4A373",
     "uan_arm_memory": "#7F5539",
+    "inertia_uan": "#E5989B",
+    "inertia_uan_joint": "#B56576",
+    "inertia_uan_memory": "#6D597A",
+    "inertia_uan_arm_memory": "#355070",
     "diagnosed": "#9A97C4",
     "diagnosed_uan": "#5A6F8C",
     "diagnosed_uan_joint": "#16425B",
@@ -143,6 +151,7 @@ def figure(
         seconds: How much of each example is drawn, where the joint moves most.
     """
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     methods = _methods(results)
     groups = [group for group, of in _columns(results) if of == window]
@@ -153,8 +162,8 @@ def figure(
         _bars(picture.add_subplot(grid[0, k]), results, methods, (group, window), first=k == 0)
     for row, (title, rollouts) in enumerate(examples.items(), start=1):
         _traces(picture.add_subplot(grid[row, :]), title, rollouts, joint, seconds)
-    handles = [_patch(method) for method in methods]
-    legend = {"ncols": min(4, len(methods)), "fontsize": 8, "frameon": False}
+    handles = [*([Line2D([], [], color="black", label="recorded")] if examples else []), *map(_patch, methods)]
+    legend = {"ncols": min(4, len(handles)), "fontsize": 8, "frameon": False}
     picture.legend(handles=handles, loc="outside lower center", **legend)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     picture.savefig(path)
@@ -200,14 +209,13 @@ def _traces(axes: Any, title: str, rollouts: Mapping[str, Rollout], joint: str |
     start = max(strides, key=lambda s: np.ptp(measured[s : s + length]))
     shown = slice(start, start + length)
     time = some.recording.time[some.index.ravel()][shown]
-    axes.plot(time, measured[shown], color="black", linewidth=1.6, label="recorded")
+    axes.plot(time, measured[shown], color="black", linewidth=1.6)
     for method, rollout in rollouts.items():
         axes.plot(time, rollout.position[..., j].ravel()[shown], color=COLOURS.get(method, "#888888"), linewidth=0.9)
     axes.set_title(f"{title}, {some.joints[j]}", fontsize=9)
     axes.set_ylabel("position [rad]", fontsize=8)
     axes.set_xlabel("time [s]", fontsize=8)
     axes.tick_params(labelsize=7)
-    axes.legend(fontsize=7, frameon=False, loc="upper right")
 
 
 def _patch(method: str) -> Any:

@@ -287,6 +287,43 @@ def read_correction(path: str | os.PathLike[str]) -> dict[str, Any]:
     return content
 
 
+def inertia_of(correction: Mapping[str, Any]) -> dict[str, Any]:
+    """The rotors' inertias of a correction alone, for a net to learn the rest on top of.
+
+    A torque that answers an acceleration comes a step after it, which turns unstable as what is missing nears what the
+    simulation has; friction it can be.
+
+    Args:
+        correction: Content of a ``corrected.json``, CEM's say.
+
+    Example:
+        >>> found = [{"effect": "coulomb_friction", "joint": "hip"}, {"effect": "reflected_inertia", "joint": "hip"}]
+        >>> inertia_of({"schema": SCHEMA, "effects": found})["effects"]
+        [{'effect': 'reflected_inertia', 'joint': 'hip'}]
+    """
+    return {**correction, "effects": [e for e in correction["effects"] if e["effect"] == "reflected_inertia"]}
+
+
+def on_a_fit(path: str | os.PathLike[str], net: str, robot: Robot, inertia_only: bool = False) -> Simulator:
+    """What a net shall be trained on top of.
+
+    Args:
+        path: As of :func:`read_correction`.
+        net: What kind of net it will be: ``"uan"``, ``"uan_memory"``...
+        robot: As nominal.
+        inertia_only: Whether to take :func:`inertia_of` the correction.
+
+    Returns:
+        Without a net, named after the method that left the folder, ``"diagnosed_uan"`` say, or ``"inertia_uan"``.
+    """
+    path, correction = Path(path), read_correction(path)
+    if inertia_only:
+        return Simulator(f"inertia_{net}", robot, inertia_of(correction))
+    told = (path if path.is_dir() else path.parent) / "simulator.json"
+    method = json.loads(told.read_text("utf-8"))["method"] if told.exists() else "diagnosed"
+    return Simulator(f"{method}_{net}", robot, correction)
+
+
 def load_net(path: str | os.PathLike[str]) -> nn.Module:
     """The net of a ``net.pt``, of whatever sizes it was saved with."""
     sizes = torch.load(path, map_location="cpu", weights_only=True)["metadata"]
