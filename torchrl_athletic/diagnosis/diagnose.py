@@ -54,9 +54,9 @@ ASKED = 6.0
 """Evidence behind which a rival is not asked about in the simulation: a twentieth of the odds."""
 LOST = 0.5
 """Share of the error energy that the best may leave before each effect is asked about alone."""
-FOLLOWS = 2.0
+FOLLOWS = 2.5
 """Window error over the floor that trims alone may leave before the same."""
-ALONE = 3
+ALONE = 2
 """How many of these."""
 BEHIND = 9.0
 """Evidence against them: only a simulation that is decisively better speaks for one."""
