@@ -254,6 +254,8 @@ def same_physics(case: Case) -> set[Name]:
     others = [o for o in case.equivalents[0] if right in identities(Truth(*o, {}), robot, case.mode)]
     first = robot.joint_names[0]
     turned: set[Name] = {("gravity_tilt", None), ("encoder_offset", first)} if is_planar(robot) else set()
+    if truth.effect == "encoder_offset" and stands_on_level_axis(robot):
+        turned = {("gravity_tilt", None), ("encoder_offset", first)}
     heavier: set[Name] = (
         {(e, first) for e in ("payload", "link_mass", "reflected_inertia")} if is_level(robot) else set()
     )
@@ -285,6 +287,16 @@ def is_level(robot: Robot) -> bool:
     """
     tree = robot.tree
     return robot.joints == 1 and bool(tree.slide[0]) and abs(float(tree.turn[0][2] @ tree.axis[0])) < 1e-9
+
+
+def stands_on_level_axis(robot: Robot) -> bool:
+    """Whether the first joint is a hinge with a level axis.
+
+    Nothing but gravity knows where a fixed base's first joint stands, so that its encoder's offset is a base that leans
+    about its axis. A base that leans otherwise is no such offset, unless all axes are parallel.
+    """
+    tree = robot.tree
+    return not tree.slide[0] and abs(float((tree.turn[0] @ tree.axis[0])[2])) < 1e-9
 
 
 def is_planar(robot: Robot) -> bool:

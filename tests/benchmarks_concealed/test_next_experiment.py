@@ -22,6 +22,7 @@ from benchmarks.concealed.next_experiment import (
     replayed,
     report,
     same_physics,
+    stands_on_level_axis,
     weights_alike,
 )
 from benchmarks.concealed.plant import inverse
@@ -107,6 +108,20 @@ def test_an_identity_holds_both_ways_and_a_likeness_of_the_recordings_does_not_c
     assert same_physics(tilt) == {("gravity_tilt", None), ("encoder_offset", joint)}
     lag = hidden("actuation_lag", joint, ("actuation_delay", joint))
     assert same_physics(lag) == {("actuation_lag", joint)}
+
+
+@pytest.mark.parametrize(("name", "is_one"), [("leg3", True), ("arm3", False), ("pendulum", True)])
+def test_an_offset_of_a_first_joint_with_a_level_axis_is_a_base_that_leans_about_it(name, is_one):
+    draws = {**SEALED, **TUNING}
+    robot = draws[name](np.random.default_rng(0))
+    assert stands_on_level_axis(robot) == is_one
+    tree, lean = robot.tree, 0.1
+    axis = tree.turn[0] @ tree.axis[0]
+    down = np.cos(lean) * tree.gravity - np.sin(lean) * np.cross(axis, tree.gravity)  # level axes only
+    q, v, a = np.random.default_rng(1).normal(size=(3, 20, robot.joints))
+    offset = np.eye(robot.joints)[0] * lean
+    leaning = inverse(tree._replace(gravity=down), q, v, a)[0]
+    assert np.allclose(leaning, inverse(tree, q + offset, v, a)[0]) == is_one
 
 
 def test_on_a_planar_robot_a_leaning_base_is_an_offset_of_the_first_encoder():

@@ -290,7 +290,7 @@ def test_a_plan_is_repeated_only_while_that_tells_more(monkeypatch):
         recording = Recording(np.arange(1000) / RATE, ("pendulum",), still, position_target=still, kp=one, kd=one)
         model = mujoco.MjModel.from_xml_string(pendulum().model_xml)
         first = planning._Plan((), 0.0, model, recording, still, (0.5, 0.5), separations=np.array(promises[:1]))
-        scene = SimpleNamespace(takes=(), weight=one, separations=lambda *given: np.array([next(left)]))
+        scene = SimpleNamespace(takes=(None,), weight=one, separations=lambda *given: np.array([next(left)]))
         return planning._repeated(scene, nothing, first, np.ones(1, dtype=bool)).repeats
 
     monkeypatch.setattr(planning, "row_noise", lambda takes: np.ones((1, 1)))
@@ -366,6 +366,17 @@ def test_a_weight_is_asked_for_where_no_motion_tells_a_weak_motor_from_a_heavy_l
     new = recorded(loaded(robot, experiment.payload), secret, experiment.torque, 1)
     told = replace(new, metadata={PAYLOAD: experiment.payload})
     assert answers(*searched(robot, [take, told], catalogue, 1)).get(("torque_scale", "pendulum"), 0.0) > 0.9
+
+
+def test_a_weight_is_worth_fastening_where_it_tells_far_more():
+    *_, e = solved("offset")
+    weak = replace(e, after=3.5)
+    assert planning._tells_more(e, None)
+    assert planning._tells_more(replace(e, after=8.0), weak)
+    assert not planning._tells_more(replace(e, after=5.0), weak)
+    more_left = replace(e, after=ENOUGH, inseparable=((("one", None), ("other", None)),))
+    assert not planning._tells_more(more_left, weak)
+    assert planning._tells_more(weak, more_left)
 
 
 def test_a_fastened_payload_weighs_and_resists_as_a_point_at_the_end_of_the_last_link():

@@ -198,13 +198,19 @@ def next_experiment(
                     if len(options) > 1:
                         rivals, shared = [s for s, _ in options], [p for _, p in options]
                         plan = propose(part.judge, rivals, shared, limits)
-                        if (plan is None or plan.inseparable) and xml:
+                        if (plan is None or plan.inseparable or plan.after < ENOUGH / 2) and xml:
                             loaded = propose(part.judge, rivals, shared, limits, _weights(part.judge, xml))
-                            if loaded is not None and (plan is None or len(loaded.inseparable) < len(plan.inseparable)):
-                                plan = loaded
+                            plan = loaded if loaded is not None and _tells_more(loaded, plan) else plan
                         if plan is not None:
                             return plan
     return None
+
+
+def _tells_more(loaded: Experiment, bare: Experiment | None) -> bool:
+    """Whether a plan with a weight is worth fastening it: it separates more pairs, or the closest one far better."""
+    if bare is None or len(loaded.inseparable) != len(bare.inseparable):
+        return bare is None or len(loaded.inseparable) < len(bare.inseparable)
+    return loaded.after > bare.after + APART
 
 
 def _weights(judge: Judge, xml: str) -> dict[float, mujoco.MjModel]:
