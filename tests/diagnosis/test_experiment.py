@@ -295,9 +295,9 @@ def test_a_plan_is_repeated_only_while_that_tells_more(monkeypatch):
 
     monkeypatch.setattr(planning, "row_noise", lambda takes: np.ones((1, 1)))
 
-    assert told(2.0, 3.0, 7.0) == 4
+    assert told(2.0, 3.0, 10.0) == 4
     assert told(4.0, 1.0, 1.0, 1.0) == 1
-    assert told(8.0) == 1
+    assert told(10.0) == 1
 
 
 def test_where_one_question_cannot_be_settled_the_next_one_is_asked(tilted):

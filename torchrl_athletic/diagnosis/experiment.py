@@ -46,6 +46,8 @@ SECONDS = 8.0
 """Length of the excitation, without the ways there and back [s]."""
 APART = 3.0
 """Standard deviations that separate a pair; one that no plan sets so far apart is not what a plan is chosen for."""
+SPARE = 9.0
+"""Standard deviations up to which a plan is repeated: it is a mean, of which the worse half should do as well."""
 FOLLOWERS = 10
 """Motions that are tried as the second of two."""
 CONFIRMED = 5
@@ -121,7 +123,7 @@ class Experiment:
         load = f" with {self.payload:g} kg fastened to the end" if self.payload else ""
         text = (
             f"{how[0].upper()}{how[1:]}{often}{load}, {self.duration:.0f} s in all. It should set "
-            f"{_words(self.rivals)} at least {self.after:.1f} standard deviations apart; now they are "
+            f"{_words(self.rivals)} about {self.after:.1f} standard deviations apart; now they are "
             f"{self.before:.1f} apart, and repeating the old motion would make it {self.repeated:.1f}."
         )
         if self.inseparable:
@@ -198,7 +200,7 @@ def next_experiment(
                     if len(options) > 1:
                         rivals, shared = [s for s, _ in options], [p for _, p in options]
                         plan = propose(part.judge, rivals, shared, limits)
-                        if (plan is None or plan.inseparable or plan.after < ENOUGH / 2) and xml:
+                        if (plan is None or plan.inseparable or plan.after < SPARE) and xml:
                             loaded = propose(part.judge, rivals, shared, limits, _weights(part.judge, xml))
                             plan = loaded if loaded is not None and _tells_more(loaded, plan) else plan
                         if plan is not None:
@@ -430,7 +432,7 @@ def _repeated(rivals: Rivals, known: Products, plan: _Plan, hopeful: NDArray[np.
     Not always the longest: the longer it is, the more of the older recordings a rival may get wrong for its sake.
     """
     best = plan
-    while best.separations[hopeful].min(initial=ENOUGH) < ENOUGH / 2 and 2 * plan.recording.duration <= LONGEST:
+    while best.separations[hopeful].min(initial=ENOUGH) < SPARE and 2 * plan.recording.duration <= LONGEST:
         twice = replace(_joined(plan, plan), motions=plan.motions, repeats=2 * plan.repeats)
         plan = _judged(rivals, known, twice, plan.signals, plan.products.times(2.0))
         best = max(best, plan, key=lambda p: _worth(rivals, p, hopeful))
@@ -530,10 +532,11 @@ def _joined(one: _Plan, other: _Plan) -> _Plan:
     a, b = one.recording, other.recording
     assert a.position_target is not None
     assert b.position_target is not None
+    position = np.concatenate([a.position, b.position])
     recording = replace(
         a,
-        time=np.concatenate([a.time, a.time[-1] + 1 / RATE + b.time]),
-        position=np.concatenate([a.position, b.position]),
+        time=np.arange(len(position)) / RATE,
+        position=position,
         position_target=np.concatenate([a.position_target, b.position_target]),
     )
     share = (max(one.share[0], other.share[0]), max(one.share[1], other.share[1]))

@@ -110,8 +110,9 @@ class Rivals:
     def separations(self, products: Products, noise: Array | None = None) -> Array:
         """Of each pair: root of the evidence for the truth against the rival's best answer to it. Shape (pairs,).
 
-        The larger of both directions, since an effect that contains the other can always imitate it, and only the
-        count of its parameters speaks against it then.
+        The mean of both directions, as either may be true, since they may be far from equal: a lag that was fitted
+        larger than the delay says more. Of rivals that differ in their count of parameters the larger, as one that
+        contains the other can always imitate it, and only that count speaks against it then.
 
         Args:
             products: Of the recordings at hand, which come first, and of what is planned.
@@ -129,7 +130,8 @@ class Rivals:
                 np.mean([min(np.sqrt(self._evidence(products, x, one, other, quiet)), ENOUGH) for x in self.draws[one]])
                 for one, other in ((a, b), (b, a))
             ]
-            out.append(float(max(ways)))
+            alike = self.rivals[a].fit.freedom == self.rivals[b].fit.freedom
+            out.append(float(np.mean(ways) if alike else max(ways)))
         return np.array(out)
 
     def _evidence(self, products: Products, truth: Array, a: int, b: int, quiet: Array) -> float:
