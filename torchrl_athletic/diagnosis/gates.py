@@ -33,6 +33,8 @@ PARTLY = 0.80
 NEAR_FLOOR = 8.0
 """Window error over the floor up to which a model without predictable missing torque is called complete, and one with
 findings explained: whatever was gross before, what is left beyond it shows that a law is another."""
+SHOWN = 1.5
+"""Window error of the given model over the floor below which the simulation shows nothing of a gear."""
 ALIKE = 0.05
 """Relative difference below which two numbers of a law are the same."""
 LEAST_PROBABILITY = 0.03
@@ -72,8 +74,9 @@ def judge_findings(evidence: Sequence[Evidence], fitted: Fitted, scores: Collect
     """State every term of the fitted hypothesis, most probable first."""
     still_open = max((open_share(s) for s in scores), default=1.0)
     stated = {c.key: c for c in fitted.hypothesis.terms}
+    above = _above_floor(scores)
     out = [
-        _finding(part, term, fitted, stated[term.candidate.key], still_open)
+        _finding(part, term, fitted, stated[term.candidate.key], still_open, above)
         for part in evidence
         for term in part.best.fit.terms
         if term.candidate.key in stated
@@ -137,7 +140,9 @@ def summarise(
     return tuple(out)
 
 
-def _finding(part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, still_open: float) -> Finding:
+def _finding(
+    part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, still_open: float, above: Mapping[str, float]
+) -> Finding:
     bank, candidate, h = part.judge.bank, term.candidate, fitted.hypothesis
     values, samples = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.samples)
     band = h.values_of(chosen, fitted.interval().T).T
@@ -153,7 +158,7 @@ def _finding(part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, stil
         terms=sum(candidate.joint_name in (None, c.joint_name) for c in h.terms),
         strain=part.best.fit.strain,
         sure=_certainty(chosen, values, samples),
-        plain=_is_plain(chosen, values, samples),
+        plain=_is_plain(chosen, values, samples) or _is_noise(chosen, above),
     )
     likely = probability(grounds, candidate.effect.name)
     per_share = min(likely / max(own, 1e-9), (1.0 - likely) / max(1.0 - own, 1e-9))
@@ -213,6 +218,22 @@ def _is_plain(candidate: Candidate, values: Array, samples: Array) -> bool:
         return True
     contrasts = candidate.effect.sets_apart
     return bool(contrasts) and not any(is_seen(what) for what in contrasts)
+
+
+def _above_floor(scores: Collection[Score]) -> Mapping[str, float]:
+    """Window error of the given model over the floor, on each joint."""
+    joints = {name for s in scores for name in s.per_joint}
+    errors = {name: [s.per_joint[name] for s in scores if name in s.per_joint] for name in joints}
+    return {name: max(e["before"] / max(e["floor"], 1e-12) for e in of) for name, of in errors.items()}
+
+
+def _is_noise(candidate: Candidate, above: Mapping[str, float]) -> bool:
+    """Whether a gear gives way on a joint that the given model follows as it is.
+
+    What a gear predicts is made of measured accelerations, so that their noise can look like a gear.
+    """
+    name = candidate.joint_name or ""
+    return candidate.effect.family == "transmission" and above.get(name, np.inf) < SHOWN
 
 
 def _within(parameter: Parameter, ends: tuple[float, float]) -> tuple[float, float]:

@@ -169,7 +169,7 @@ class Judge:
         What a true term leaves, because a real bearing is no formula, is not to be explained by another: a step that is
         smaller than that must close much and have the same strength on all recordings, as no such stand-in has.
         """
-        if before.strain - after.strain > DECISIVE / 2:
+        if _relieves(before, after):
             return True
         _, share = self._closed(before, after)
         if share <= MATERIAL or not self.within_misfit(before, after):
@@ -370,7 +370,7 @@ def _alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
         atom = _of(_refine(judge, whole, rival.candidate) if rank < REFINED else whole, rival.candidate)
         scored = judge.score([*rest, atom], independent, RIVAL_PRICE)
         key = atom.candidate.key
-        little = judge.closes(best.fit, scored.fit) < RICHER
+        little = judge.closes(best.fit, scored.fit) < RICHER and not _relieves(best.fit, scored.fit)
         if _is_special(term, atom):  # the gain of its further numbers is chance, however much is recorded
             seen = judge.is_open(best.fit)[term.candidate.joint]
             little |= seen and judge.within_misfit(best.fit, scored.fit)
@@ -585,7 +585,7 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
         simpler = [judge.score([*rest, atom]) for atom in _promising(judge, kept, smaller, 4)]
         if simpler:
             best = min(simpler, key=lambda s: s.evidence)
-            if judge.closes(best.fit, scored.fit) < RICHER:
+            if judge.closes(best.fit, scored.fit) < RICHER and not _relieves(best.fit, scored.fit):
                 scored = best
                 continue
         if term.candidate.effect.special_cases:
@@ -675,6 +675,11 @@ def _shortlist(judge: Judge, parent: Scored, among: Callable[[Atom], bool] = lam
 
 def _coupled(bank: Bank, atom: Atom, is_open: NDArray[np.bool_]) -> bool:
     return any(bank.reaches(atom, int(j)) for j in np.flatnonzero(is_open))
+
+
+def _relieves(before: Fit, after: Fit) -> bool:
+    """Whether trims have decisively less to make up for."""
+    return before.strain - after.strain > DECISIVE / 2
 
 
 def _doubt(atom: Atom) -> float:

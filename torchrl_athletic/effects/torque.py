@@ -69,6 +69,10 @@ class TorqueScale(Effect):
     def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
         return (Parameter("scale", "1", 1.0, 0.2, 3.0, 0.05),)
 
+    def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
+        """A motor as strong or as weak as none stands in for something else."""
+        return bool(1.01 * parameters[0].lower < values[0] < 0.99 * parameters[0].upper)
+
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         return [{}]
 

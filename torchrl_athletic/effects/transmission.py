@@ -25,6 +25,11 @@ SOFTEST = 1.5
 CONTACT_DAMPING = 0.6
 """Damping ratio of a link that rests against the teeth of a held motor, which recordings hardly show [1]."""
 
+WIDEST, WIDEST_SLIDE = 0.1, 0.01
+"""Play of a gear [rad, m]; more is an encoder on another tooth, or a broken gear."""
+NARROWEST = 1e-3
+"""The least that is play, per the widest [1]."""
+
 
 class _Transmission(Effect):
     """What both share: the prediction along the motion, and the gear in simulation."""
@@ -154,13 +159,17 @@ class Backlash(_Transmission):
         if inertia <= 0:
             return ()
         rigid, typical = _stiffness(inertia, RIGID), _stiffness(inertia, 20.0)
-        widest = 0.01 if slide else 0.1  # more is an encoder on another tooth, or a broken gear
+        widest = WIDEST_SLIDE if slide else WIDEST
         return (
             Parameter("gap", "m" if slide else "rad", 0.0, 0.0, widest, 0.02 * widest),
             Parameter(
                 "stiffness", "N/m" if slide else "N·m/rad", rigid, _stiffness(inertia, 2.0), rigid, 0.1 * typical
             ),
         )
+
+    def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
+        """Teeth that always touch have no play, and a gap as wide as none is stands in for an offset."""
+        return bool(NARROWEST * parameters[0].upper < values[0] < 0.99 * parameters[0].upper)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         unit = 0.1 if is_slide(s.nominal, s.address, joint) else 1.0
