@@ -175,7 +175,7 @@ class Backlash(_Transmission):
         unit = 0.1 if is_slide(s.nominal, s.address, joint) else 1.0
         return [
             {"gap": float(gap) * unit, "stiffness": stiffness}
-            for gap in np.geomspace(0.004, 0.15, 13)
+            for gap in np.geomspace(0.004, 0.09, 12)
             for stiffness in _stiffnesses(s, joint, 4.5, 36.0, 4)
         ]
 
