@@ -58,6 +58,7 @@ Method = Literal[
     "uan_arm_memory",
     "inertia_uan",
     "inertia_uan_joint",
+    "inertia_uan_joint_memory",
     "diagnosed",
     "diagnosed_uan",
     "diagnosed_uan_joint",

@@ -83,6 +83,7 @@ def test_the_arm_steps_as_often_as_the_takes_are_sampled_and_has_neither_rotors_
         ("uan_joint", 2, True, ()),
         ("diagnosed_uan_joint", 2, True, ()),
         ("uan_arm_memory", 2, False, benchmark.MEMORY),
+        ("inertia_uan_joint_memory", 2, True, benchmark.MEMORY),
     ],
 )
 def test_a_methods_name_says_what_its_net_is_told(method, joints, odd, memory):
