@@ -253,7 +253,7 @@ def efficiency_table(results: dict[Case, list[Result]], seconds: Sequence[float]
 def draw_efficiency(results: dict[Case, list[Result]], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    picture = Figure(figsize=(6.5, 3.4), layout="constrained")
+    picture = Figure(figsize=(8.5, 3.4), layout="constrained")
     axes = picture.add_subplot()
     for method in dict.fromkeys(c.method for c in results):
         if method == "default":
