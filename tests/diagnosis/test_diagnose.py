@@ -14,6 +14,7 @@ from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
 from torchrl_athletic.diagnosis.diagnose import ModelError, _decide, load_model
 from torchrl_athletic.diagnosis.gates import Evidence
+from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import RecordingError
 
@@ -151,15 +152,27 @@ def test_a_richer_law_that_is_not_taken_does_not_keep_a_rival_from_being_preferr
     assert _decide(options, errors, [0.10, 0.02, 0.09])[0] == 1
 
 
-@pytest.mark.parametrize(("left", "is_open", "asked"), [(0.9, True, True), (0.3, True, False), (0.9, False, False)])
-def test_effects_are_tried_alone_where_most_of_the_motion_stays_open(monkeypatch, left, is_open, asked):
+@pytest.mark.parametrize(
+    ("left", "is_open", "named", "over", "asked"),
+    [
+        (0.9, True, True, 9.0, True),
+        (0.3, True, True, 9.0, False),
+        (0.9, False, True, 9.0, False),
+        (0.0, False, False, 3.0, True),  # trims took the torque, and the motion is not followed all the same
+        (0.0, False, False, 2.0, False),
+        (0.0, False, True, 3.0, False),
+    ],
+)
+def test_effects_are_tried_alone_where_most_of_the_motion_stays_open(monkeypatch, left, is_open, named, over, asked):
     alone = [SimpleNamespace(fit=SimpleNamespace(terms=())) for _ in range(4)]
     monkeypatch.setattr(stages, "singles", lambda judge: alone)
     monkeypatch.setattr(stages, "keys", id)
     monkeypatch.setattr(stages, "open_share", lambda score: left)
     first = Evidence(None, SimpleNamespace(fit=SimpleNamespace(terms=[])))
+    fitted = SimpleNamespace(hypothesis=SimpleNamespace(terms=(None,) * named))
+    reached = Score(1.0, 1.0, 1.0, 0.0, {"hip": {"before": over, "after": over, "floor": 1.0}})
     work = SimpleNamespace(
-        scores=[{"train": None}], chosen=0, options=(first, first), fits=[None], _late=lambda: False,
+        scores=[{"train": reached}], chosen=0, options=(first, first), fits=[fitted], _late=lambda: False,
         _is_open=lambda fitted: is_open, _fit=lambda: None, _compare=lambda: None,
     )  # fmt: skip
     stages._Work._start_over(work)

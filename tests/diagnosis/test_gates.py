@@ -5,13 +5,21 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from effects.arm import address, arm
 
 from torchrl_athletic.diagnosis import gates
 from torchrl_athletic.diagnosis.calibration import PLAIN, Grounds, probability
 from torchrl_athletic.diagnosis.gates import EXPLAINED, NEAR_FLOOR, PARTLY, summarise, verdict_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Score
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.effects import AsymmetricFriction, CoulombFriction, JointSpring, Parameter, StribeckFriction
+from torchrl_athletic.effects import (
+    AsymmetricFriction,
+    Compliance,
+    CoulombFriction,
+    JointSpring,
+    Parameter,
+    StribeckFriction,
+)
 
 FLOOR = 1.0
 FINDING = Finding(
@@ -186,3 +194,14 @@ def test_the_summary_of_no_finding_tells_nothing_missing_from_unexplained():
         "Nothing is missing: the model follows the recordings as closely as the sensors' noise allows.",
     )
     assert "no effect of the catalogue explains how" in summarise("unexplained", [], WHERE, score(1.0), True, 1.0)[0]
+
+
+@pytest.mark.parametrize(("before", "expected"), [(1.2, True), (4.0, False)])
+def test_a_gear_is_not_read_from_the_noise_of_a_joint_that_the_given_model_follows(before, expected):
+    seen = gates._above_floor([Score(1, 1, 1, 0, {"elbow": {"before": before, "after": 1.0, "floor": 1.0}})])
+    compliance, dry = (
+        Candidate(effect, 1, "elbow", effect.parameters(arm(), address(), 1))
+        for effect in (Compliance(), CoulombFriction())
+    )
+    assert gates._is_noise(compliance, seen) is expected
+    assert not gates._is_noise(dry, seen)

@@ -16,6 +16,7 @@ from torchrl_athletic.diagnosis.replay import join, simulate, take_of, windows_o
 from torchrl_athletic.effects import Backlash, Hysteresis, LoadDependentFriction, ThermalDrift
 from torchrl_athletic.effects.plant import Law
 from torchrl_athletic.recordings import Recording, sensor_noise
+from torchrl_athletic.recordings.recording import BEGAN
 
 NOTHING = np.zeros((1, 0))
 
@@ -440,10 +441,14 @@ def hidden(effect, values):
 )
 def test_joined_pieces_move_as_each_does_alone(change, targets):
     r = record(pendulum(), smooth_torque(6.0), **({"kp": np.full(1, 8.0), "kd": np.full(1, 0.3)} if targets else {}))
-    cut = [r.slice(low, high) for low, high in ((0, 200), (215, 350), (375, 600))]
-    pieces = [take(pendulum(), replace(piece, metadata={"began": 0.0}), period=1 / RATE) for piece in cut]
+    other = replace(r, position=r.position[::-1].copy())  # another take, whose stamps are the same
+    cut = [r.slice(0, 200), r.slice(215, 350), other.slice(375, 600), other.slice(0, 150)]
+    notes = [{BEGAN: began} for began in (0.0, 0.0, -2.0, -2.0)]
+    pieces = [
+        take(pendulum(), replace(piece, metadata=note), period=1 / RATE) for piece, note in zip(cut, notes, strict=True)
+    ]
     (together,) = join(pieces)
-    assert together.begins.tolist() == [0, 200, 335]
+    assert together.begins.tolist() == [0, 200, 335, 560]
 
     def build(plant, values):
         change(plant)
@@ -459,14 +464,38 @@ def test_takes_of_another_step_or_a_moment_s_length_stay_alone():
     cuts = [r.slice(*ends) for ends in ((0, 200), (200, 400), (400, 450), (400, 600))]
     first, second, short = (take(pendulum(), cut, period=1 / RATE) for cut in cuts[:3])
     other = take(pendulum(step=0.001), cuts[3], period=1 / RATE)
-    joined = join([first, other, second, short])
-    assert [t.parts for t in joined] == [(first, second), (other,), (short,)]
+    heavier = take(pendulum().replace('mass="0.5"', 'mass="0.6"'), cuts[1], period=1 / RATE)
+    joined = join([first, other, second, short, heavier])
+    assert [t.parts for t in joined] == [(first, second), (other,), (short,), (heavier,)]
+
+
+def test_takes_with_other_gains_stay_alone():
+    r = record(pendulum(), smooth_torque(4.0), kp=np.full(1, 8.0), kd=np.full(1, 0.3))
+    same, other = r.slice(200, 400), replace(r.slice(200, 400), kp=np.full(1, 9.0))
+    takes = [take(pendulum(), part, period=1 / RATE) for part in (r.slice(0, 200), same, other)]
+    assert [t.parts for t in join(takes)] == [(takes[0], takes[1]), (takes[2],)]
+
+
+def test_a_gear_looks_at_the_inertia_of_its_own_piece():
+    """Of a folded arm it is another one than of a straight one."""
+    xml = double_pendulum()
+    r = record(xml, np.repeat(smooth_torque(4.0), 2, 1))
+    bent = replace(r, position=r.position + np.array([0.0, 2.0]))
+    pieces = [take(xml, part, period=1 / RATE) for part in (r.slice(0, 200), bent.slice(200, 400))]
+    (together,) = join(pieces)
+
+    def build(plant, values):
+        Backlash().apply(plant, 0, np.tile([0.02, 40.0], (plant.rows, 1)))
+
+    found = simulate(windows_of(together, 0.4), build, NOTHING)[0]
+    alone = np.concatenate([simulate(windows_of(piece, 0.4), build, NOTHING)[0] for piece in pieces])
+    np.testing.assert_allclose(found, alone, rtol=0, atol=1e-12)
 
 
 def test_warmth_counts_from_where_the_take_began_and_not_its_piece():
     r = record(pendulum(), smooth_torque(6.0))
     late = r.slice(300, 600)
-    warm, cold = (take(pendulum(), replace(late, metadata=note)) for note in ({"began": r.began}, {}))
+    warm, cold = (take(pendulum(), replace(late, metadata=note)) for note in ({BEGAN: r.began}, {}))
 
     def build(plant, values):
         ThermalDrift().apply(plant, 0, np.array([[0.0, 0.3, 0.0, 3.0]]).repeat(plant.rows, 0))

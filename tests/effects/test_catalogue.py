@@ -337,3 +337,18 @@ def test_exclusion_holds_both_ways_on_a_joint_and_not_across_joints():
     by_name = {c.effect.name: c for c in shoulder}
     assert not by_name["coulomb_friction"].allows(by_name["asymmetric_friction"])
     assert by_name["coulomb_friction"].allows(by_name["viscous_friction"])
+
+
+@pytest.mark.parametrize(
+    ("name", "sensible", "nonsense"),
+    [
+        ("reflected_inertia", [[0.001], [0.5]], [[0.0]]),
+        ("torque_scale", [[0.3], [2.5]], [[0.2], [3.0]]),
+        ("backlash", [[0.002, 50.0], [0.09, 50.0]], [[0.0, 50.0], [0.1, 50.0]]),
+    ],
+)
+def test_what_lies_at_the_end_of_what_may_be_makes_no_sense(name, sensible, nonsense):
+    (effect,) = (e for e in EVERY if e.name == name)
+    parameters = effect.parameters(arm(), address(), 1)
+    assert all(effect.is_physical(parameters, np.array(values)) for values in sensible)
+    assert not any(effect.is_physical(parameters, np.array(values)) for values in nonsense)

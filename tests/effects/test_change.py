@@ -175,3 +175,10 @@ def test_the_sentences_say_when_and_how_much():
     values = {"start": 12.25, "duration": 0.3, "torque": 1.5, "take": 0.1}
     text = Disturbance().sentence("shoulder", values, once)
     assert "+1.5 N·m acted on shoulder once, 12.25 s after its start, for 300 ms" in text
+
+
+def test_a_drift_is_no_slower_than_the_longest_take_can_show():
+    s = project_recording(record(seconds=12.0), arm(), np.zeros(2))
+    *_, slow = ThermalDrift().parameters_of([s], 0)
+    assert max(point["time_constant"] for point in ThermalDrift().grid(s, 0)) <= slow.upper * (1 + 1e-9)
+    assert slow.upper == pytest.approx(1.5 * s.recording.duration, rel=0.01)

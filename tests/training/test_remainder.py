@@ -15,11 +15,13 @@ from torch import nn
 from torchrl_athletic.diagnosis import Diagnosis, Score, diagnose
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.replay import simulate, windows_of
 from torchrl_athletic.diagnosis.report.shares import energy_shares
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import CATALOGUE, JointAddress
 from torchrl_athletic.identification.simulator import load_net
-from torchrl_athletic.training.remainder import _remark, acted_out, driven_robot, learn_remainder, scored
+from torchrl_athletic.training.remainder import WithNet, _remark, acted_out, driven_robot, learn_remainder, scored
 
 ONLY_VISCOUS = tuple(e for e in CATALOGUE if e.name == "viscous_friction")
 
@@ -70,6 +72,23 @@ def test_it_looks_back_through_what_was_measured_before_the_window(damped):
     robot = driven_robot(damped.xml, damped.recordings)
     late = scored(damped, damped.corrected, Oldest(), robot, "heldout")
     assert late.after < 0.3 * late.before  # 40 ms late, and still a brake, from the window's first step on
+
+
+@pytest.mark.parametrize("servo", [False, True])
+def test_a_net_sees_no_other_take_of_a_joined_one(damped, servo):
+    """Stamps of both takes are the same."""
+
+    class Both(nn.Module):
+        def forward(self, errors: torch.Tensor) -> torch.Tensor:
+            return 0.05 * errors[..., 20:21] + 0.1 * errors.mean(-1, keepdim=True)
+
+    robot = driven_robot(damped.xml, damped.recordings)
+    robot = replace(robot, kd=(0.3,)) if servo else robot
+    (together,) = prepare(damped.recordings, damped.nominal.model).takes
+    assert len(together.parts) == 2
+    build = WithNet((), (), Both(), robot).build
+    found, *alone = (simulate(windows_of(take, 0.4), build, np.ones((1, 1)))[0] for take in (together, *together.parts))
+    np.testing.assert_allclose(found, np.concatenate(alone), rtol=0, atol=1e-6)
 
 
 def test_a_net_is_taught_written_and_its_share_is_told(damped, tmp_path):

@@ -400,7 +400,8 @@ class _Work:
             return
         fitted, reached = self.fits[self.chosen], self.scores[self.chosen]["train"]
         lost = open_share(reached) >= LOST and self._is_open(fitted)
-        if not lost and (fitted.hypothesis.terms or follows(reached, FOLLOWS)):
+        unnamed = not fitted.hypothesis.terms and not follows(reached, FOLLOWS)
+        if not lost and not unnamed:
             return
         known = {keys(o.best.fit.terms) for o in self.options}
         judge = self.options[0].judge

@@ -25,11 +25,12 @@ from torchrl_athletic.recordings import (
     repeat_noise,
     split_at_gaps,
 )
+from torchrl_athletic.recordings.recording import BEGAN
 
 Array = NDArray[np.float64]
 Drive = Literal["command", "measured"]
 
-SAME_RATE = 0.01
+SAME_RATE = 0.002
 """Relative difference of sampling rates below which takes share a grid."""
 PAYLOAD = "payload_kg"
 """Key of a recording's metadata: known mass fastened to the far end of the last link, which the model lacks [kg]."""
@@ -200,12 +201,13 @@ def _pieces(recording: Recording) -> list[Recording]:
     pieces = split_at_gaps(recording)
     if len(pieces) == 1:
         return [recording]
-    began = {**recording.metadata, "began": recording.began}
+    began = {**recording.metadata, BEGAN: recording.began}
     return [replace(p, source=recording.source, metadata=began) for p in pieces]
 
 
 def _periods(recordings: Sequence[Recording]) -> list[float]:
-    """Of each recording's grid [s]: the same for all that were logged at one rate, whatever jitter makes of it."""
-    periods = np.array([1.0 / r.rate for r in recordings])
-    usual = float(np.median(periods))
-    return [usual if abs(p / usual - 1.0) < SAME_RATE else float(p) for p in periods]
+    """Of each recording's grid [s]: that of the first that was logged at its rate, whatever jitter makes of it."""
+    out: list[float] = []
+    for own in (1.0 / r.rate for r in recordings):
+        out.append(next((p for p in out if abs(own / p - 1.0) < SAME_RATE), own))
+    return out

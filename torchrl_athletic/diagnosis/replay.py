@@ -38,7 +38,7 @@ Build = Callable[[Plant, Array], None]
 CHUNK = 3_000_000
 """Rows times physics steps times joints simulated in one go: bounds the memory to some 100 MB."""
 SHORTEST = 1.0
-"""Pieces that are joined; shorter ones hold no whole window of a fit [s]."""
+"""Pieces that are joined; shorter ones may not hold a whole window of a fit [s]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,8 +58,8 @@ TOLERANCES: Mapping[str, float] = MappingProxyType(
 and 1 ms or half a sample of a delay."""
 OWN_JOINT = frozenset({"friction", "presliding", "transmission", "timing", "torque", "elastic", "control", "change"})
 """Classes of effects that a joint which follows the model cannot have."""
-DIVERGED = 1e9
-"""Predicted torque over the noise beyond which an equation of motion has run away."""
+DIVERGED = 1e15
+"""Prediction of a unit of a coefficient, over the noise, beyond which an equation of motion has run away."""
 TORQUE_FLOOR = 1e-3
 """Missing torque that nobody needs explained, as a share of the joint's typical torque."""
 

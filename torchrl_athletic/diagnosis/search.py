@@ -591,7 +591,8 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
         if term.candidate.effect.special_cases:
             parts = _split(judge, kept, term, term.candidate.effect.special_cases)
             seen = judge.is_open(parts.fit)[term.candidate.joint]  # else both are good to the noise
-            if judge.closes(parts.fit, scored.fit) < RICHER or (seen and judge.within_misfit(parts.fit, scored.fit)):
+            little = judge.closes(parts.fit, scored.fit) < RICHER and not _relieves(parts.fit, scored.fit)
+            if little or (seen and judge.within_misfit(parts.fit, scored.fit)):
                 scored = parts
     return scored
 

@@ -12,12 +12,14 @@ from torchrl_athletic.effects.effect import Array, Effect, Fingerprint, Paramete
 from torchrl_athletic.effects.plant import Plant
 from torchrl_athletic.effects.signals import JointAddress, Signals, inertia_matrix
 
+_WORTH = 0.05
+"""Of the joint's inertia: a change worth mentioning."""
 _STEP = 1.05
 """Between distances of a centre of mass at which a fingerprint is taken."""
 
 
-LEAST_ROTOR = 0.1
-"""Of the given model's: with less there is no rotor any more, which something else only looks like."""
+LEAST_ROTOR = 1e-4
+"""Of the joint's inertia: with less there is no rotor any more, which something else only looks like."""
 
 
 class ReflectedInertia(Effect):
@@ -49,11 +51,11 @@ class ReflectedInertia(Effect):
         zero = np.zeros((1, len(address.dof)))
         at_rest = float(inertia_matrix(model, address, zero)[0, joint, joint])
         unit = "kg" if is_slide(model, address, joint) else "kg·m²"
-        return (Parameter("armature", unit, nominal, 0.0, 20 * at_rest, 0.05 * at_rest),)
+        return (Parameter("armature", unit, nominal, 0.0, 20 * at_rest, _WORTH * at_rest),)
 
     def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
         """No motor is without a rotor."""
-        return bool(values[0] > LEAST_ROTOR * parameters[0].nominal)
+        return bool(values[0] > LEAST_ROTOR * parameters[0].scale / _WORTH)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         return [{}]

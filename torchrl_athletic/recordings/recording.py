@@ -20,6 +20,10 @@ class RecordingError(ValueError):
     """A recording that cannot be used as it is; the message names the file, the field, the row and the mend."""
 
 
+BEGAN = "piece_of_take_begun_at"
+"""Key of a piece's metadata: stamp at which its whole take began [s], by which slow drifts count."""
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """One continuous take, in SI units, in the order of ``joint_names``.
@@ -88,8 +92,9 @@ class Recording:
 
     @property
     def began(self) -> float:
-        """Stamp at which the take began that this is a piece of [s]; its own first one unless ``metadata`` says so."""
-        return float(self.metadata.get("began", self.time[0]))
+        """Stamp at which the take began that this is a piece of [s], by ``metadata[BEGAN]``; else its own first one."""
+        noted = self.metadata.get(BEGAN)
+        return float(noted) if isinstance(noted, int | float) and noted <= self.time[0] else float(self.time[0])
 
     @property
     def rate(self) -> float:

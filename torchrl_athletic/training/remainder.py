@@ -218,21 +218,27 @@ class LearnedTorque(Law):
         self.stride = max(1, round(self.period / self.step))
 
     def begin(self, start: Start) -> None:
-        """Fill the history with what was measured before; before a take's first sample it stood as it began."""
+        """Fill the history with what was measured before; before a piece's first sample it stood as it began."""
         self.start = start
         errors = self._errors(start.command, start.position, start.velocity)  # (S, J, 2)
         back = np.arange(HISTORY * self.stride, 0, -1) * self.step
         at = start.time[start.sample][:, None] - back  # (rows, L)
         columns = errors.reshape(len(errors), -1).T
-        past = np.stack([np.interp(at, start.time, column) for column in columns], -1)
+        past = np.empty((*at.shape, len(columns)))
+        for k, piece in enumerate(start.pieces):
+            rows = start.piece == k
+            past[rows] = np.stack([np.interp(at[rows], start.time[piece], column[piece]) for column in columns], -1)
         self.past = past.reshape(*at.shape, *errors.shape[1:])  # (rows, L, J, 2)
 
     def note(self, now: Now) -> Array:
         """See the motor's errors; its torque stays as it is."""
         torque = now.torque
         if not self.servo:  # as it was sent, whatever delays it on its way
-            at = np.searchsorted(self.start.time, now.time + 1e-9, side="right") - 1
-            torque = self.start.command[np.clip(at, 0, None)]
+            torque = np.empty_like(now.torque)
+            for k, piece in enumerate(self.start.pieces):
+                rows = self.start.piece == k
+                at = np.searchsorted(self.start.time[piece], now.time[rows] + 1e-9, side="right") - 1
+                torque[rows] = self.start.command[piece][np.clip(at, 0, None)]
         errors = self._errors(torque, now.position, now.velocity)[:, None]
         self.past = np.concatenate([self.past[:, 1:], errors], 1)
         return now.torque
