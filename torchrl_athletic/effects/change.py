@@ -233,7 +233,7 @@ class _Once(Law):
             return np.full(piece.stop - piece.start, float(here))
 
         self.torque = self.torque * start.of(is_here, self.take)
-        self.first = start.time[start.begins[start.piece]]
+        self.first = start.time[start.first]
 
     def __call__(self, now: Now) -> Array:
         torque, passed = np.zeros_like(now.velocity), now.time - self.first

@@ -364,9 +364,7 @@ class Gear:
         self._link_inertia = link.free_inertia[:, j]
         self._rotor = rotor
         armature[:, dof] = 0.0
-        self._first, self._period = start.begins[start.piece], link.period
-        self._last = np.array([piece.stop - 1 for piece in start.pieces])[start.piece]
-        self._origin = start.time[self._first]
+        self._start, self._period = start, link.period
         self._torque, self._link_velocity, self._steps = torque, velocity - rate, 0
         self._own = link.acceleration[start.sample, j] - its_rate - torque / self._link_inertia[start.sample]
         self.deflection, self.velocity = x, velocity.copy()
@@ -389,7 +387,7 @@ class Gear:
         new = some[[name not in link.starts for name in names]]
         if len(new):
             back = np.arange(-max(1, int(WARM_UP[int(spring.play)] / link.period)), 1)[:, None]
-            first = start.begins[start.piece[new]]
+            first = start.first[new]
             before = np.maximum(start.sample[new] + back, first)
             load = link.load[before, j] + more[1, new] * link.velocity[before, j]
             if more[0].any():
@@ -423,8 +421,7 @@ class Gear:
 
     def _look(self, now: Now) -> None:
         """Inertias of the pose that the recording has reached."""
-        at = self._first + ((now.time - self._origin) / self._period + 0.5).astype(np.intp)
-        self._inertia = self._link_inertia[np.minimum(at, self._last)]
+        self._inertia = self._link_inertia[self._start.at(now.time + self._period / 2)]
         self._seen = 1.0 / (1.0 / self._rotor + 1.0 / self._inertia)
         self._substeps = _substeps(self.spring, now.step)
         self._softness = self.spring.softness(self._seen, now.step / self._substeps)

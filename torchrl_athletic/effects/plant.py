@@ -53,6 +53,21 @@ class Start:
         return np.searchsorted(self.begins, self.sample, side="right") - 1
 
     @cached_property
+    def first(self) -> NDArray[np.intp]:
+        """First sample of each row's piece. Shape (rows,)."""
+        return self.begins[self.piece]
+
+    @cached_property
+    def last(self) -> NDArray[np.intp]:
+        """Last sample of each row's piece. Shape (rows,)."""
+        return np.append(self.begins[1:], len(self.time))[self.piece] - 1
+
+    def at(self, time: Array) -> NDArray[np.intp]:
+        """Sample of its own piece that each row has reached. ``time``: stamps [s], shape (rows,)."""
+        passed = (time - self.time[self.first]) / (self.time[1] - self.time[0])
+        return np.clip(self.first + np.floor(passed + 1e-6).astype(np.intp), self.first, self.last)
+
+    @cached_property
     def pieces(self) -> list[slice]:
         """Samples of each piece."""
         return [slice(a, b) for a, b in zip(self.begins, [*self.begins[1:], len(self.time)], strict=True)]
@@ -73,7 +88,7 @@ class Start:
         """
         distinct, row = np.unique(np.stack([self.piece, *parameters], -1), axis=0, return_inverse=True)
         found = [history(self.pieces[int(piece)], *values) for piece, *values in distinct]
-        along = self.sample - self.begins[self.piece]
+        along = self.sample - self.first
         return np.stack([found[k][at] for k, at in zip(row.ravel(), along, strict=True)])
 
 

@@ -234,11 +234,7 @@ class LearnedTorque(Law):
         """See the motor's errors; its torque stays as it is."""
         torque = now.torque
         if not self.servo:  # as it was sent, whatever delays it on its way
-            torque = np.empty_like(now.torque)
-            for k, piece in enumerate(self.start.pieces):
-                rows = self.start.piece == k
-                at = np.searchsorted(self.start.time[piece], now.time[rows] + 1e-9, side="right") - 1
-                torque[rows] = self.start.command[piece][np.clip(at, 0, None)]
+            torque = self.start.command[self.start.at(now.time)]
         errors = self._errors(torque, now.position, now.velocity)[:, None]
         self.past = np.concatenate([self.past[:, 1:], errors], 1)
         return now.torque
