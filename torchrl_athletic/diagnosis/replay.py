@@ -364,7 +364,7 @@ def _delayed_commands(windows: Windows, plant: Plant, sets: int) -> Array:
         late = take.commands(float(value))
         for k, joint in np.argwhere(delay == value):
             command = late[:, joint]
-            if torques and lag[k, joint]:  # along the whole part: a window starts with what the commands before it left in the lag
+            if torques and lag[k, joint]:  # a window starts with what the commands before it in its part left there
                 parts = np.split(command[:, None], take.begins[1:] * take.substeps)
                 passed = [low_pass(part, float(lag[k, joint]), float(take.model.opt.timestep)) for part in parts]
                 command = np.concatenate(passed)[:, 0]
