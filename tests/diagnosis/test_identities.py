@@ -19,8 +19,12 @@ def finding(effect: str, joint: str | None, **values: tuple[float, float]) -> Fi
     return Finding(effect, joint, 0.9, "", {n: Estimate(sum(v) / 2, v, "1") for n, v in values.items()}, "everywhere")
 
 
-def names(*findings: Finding, joints=("hip", "knee")) -> list[set[tuple[Name, ...]]]:
-    return [set(f.alternatives) for f in with_alternatives(findings, joints, CATALOGUE)]
+TORQUES = [effect for effect in CATALOGUE if effect.name != "gain_mismatch"]
+"""What applies where torques are commanded."""
+
+
+def names(*findings: Finding, joints=("hip", "knee"), catalogue=CATALOGUE) -> list[set[tuple[Name, ...]]]:
+    return [set(f.alternatives) for f in with_alternatives(findings, joints, catalogue)]
 
 
 def asymmetric(positive: tuple[float, float], negative: tuple[float, float]) -> Finding:
@@ -38,10 +42,10 @@ def test_dry_friction_and_an_offset_on_one_joint_are_friction_by_direction():
     pair = finding("coulomb_friction", "knee"), finding("torque_offset", "knee")
     assert names(*pair) == [{(Name("asymmetric_friction", "knee"),)}] * 2
     viscous = finding("viscous_friction", "knee")
-    assert names(*pair, viscous) == [{(Name("asymmetric_friction", "knee"),)}] * 3
-    assert names(pair[0], viscous) == [set(), set()]
+    assert names(*pair, viscous, catalogue=TORQUES) == [{(Name("asymmetric_friction", "knee"),)}] * 3
+    assert names(pair[0], viscous, catalogue=TORQUES) == [set(), set()]
     apart = finding("coulomb_friction", "knee"), finding("torque_offset", "hip")
-    assert names(*apart, viscous) == [set()] * 3
+    assert names(*apart, viscous, catalogue=TORQUES) == [set()] * 3
 
 
 def test_gains_that_are_off_by_one_factor_are_a_torque_scale_where_targets_are_followed():
@@ -49,9 +53,16 @@ def test_gains_that_are_off_by_one_factor_are_a_torque_scale_where_targets_are_f
     assert names(finding("torque_scale", "knee", scale=(1.1, 1.3))) == [{gains}]
     assert names(finding("gain_mismatch", "knee", kp_scale=(1.1, 1.3), kd_scale=(1.2, 1.4))) == [{scale}]
     assert names(finding("gain_mismatch", "knee", kp_scale=(1.1, 1.3), kd_scale=(1.4, 1.5))) == [set()]
-    without = [e for e in CATALOGUE if e.name != "gain_mismatch"]  # it applies to no torque commands
-    alone = finding("torque_scale", "knee", scale=(1.1, 1.3))
-    assert with_alternatives([alone], ["knee"], without)[0].alternatives == ()
+    assert names(finding("torque_scale", "knee", scale=(1.1, 1.3)), catalogue=TORQUES) == [set()]
+
+
+def test_a_loop_that_damps_too_much_has_a_larger_kd_or_viscous_friction():
+    friction, gains = (Name("viscous_friction", "knee"),), (Name("gain_mismatch", "knee"),)
+    assert names(finding("gain_mismatch", "knee", kp_scale=(0.9, 1.1), kd_scale=(1.2, 1.4))) == [{friction}]
+    assert names(finding("gain_mismatch", "knee", kp_scale=(1.05, 1.1), kd_scale=(1.2, 1.4))) == [set()]
+    assert names(finding("gain_mismatch", "knee", kp_scale=(0.95, 1.05), kd_scale=(0.7, 0.9))) == [set()]
+    assert names(finding("viscous_friction", "knee", damping=(1.0, 2.0))) == [{gains}]
+    assert names(finding("viscous_friction", "knee", damping=(1.0, 2.0)), catalogue=TORQUES) == [set()]
 
 
 def test_a_late_clock_is_a_delay_of_every_joint_and_an_early_one_is_not():

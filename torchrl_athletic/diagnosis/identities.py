@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Name
@@ -17,8 +17,8 @@ def with_alternatives(
     """The same findings, each with the names that no recording can tell from its own.
 
     What an effect declares in ``identical_to`` holds where its values make it so: friction by direction is dry friction
-    with an offset only as long as its viscous part is the same both ways, only a clock that is late is a delay, and
-    gains are a torque's scale if both are off by one factor.
+    with an offset only as long as its viscous part is the same both ways, only a clock that is late is a delay, gains
+    are a torque's scale if both are off by one factor, and viscous friction if kd alone is too large.
 
     Args:
         findings: As stated.
@@ -43,14 +43,14 @@ def with_alternatives(
 
 
 def _declared(f: Finding, joints: Sequence[str], known: Mapping[str, Effect]) -> list[tuple[Name, ...]]:
-    if f.effect not in known or not _holds(f):
+    if f.effect not in known:
         return []
     where = joints if f.joint is None else [f.joint]
     beside = {"viscous_friction"} if f.effect == "asymmetric_friction" and _damps(f.parameters) else set()
     return [
         tuple(Name(n, joint) for joint in where for n in sorted(set(names) | beside))
         for names in known[f.effect].identical_to
-        if names <= known.keys()
+        if names <= known.keys() and _holds(f, names)
     ]
 
 
@@ -59,7 +59,7 @@ def _is_part(f: Finding, whole: Effect, findings: Sequence[Finding], joints: Seq
     where = joints if whole.whole_robot else [f.joint]
     for names in whole.identical_to:
         parts = [g for g in findings if g.effect in names and g.joint in where]
-        if not all(_holds(g) for g in parts):
+        if not all(_holds(g, {whole.name}) for g in parts):
             continue
         damps = whole.name == "asymmetric_friction" and f.effect == "viscous_friction" and f.joint in where
         if (f in parts or damps) and len(parts) == len(names) * len(where):
@@ -67,8 +67,9 @@ def _is_part(f: Finding, whole: Effect, findings: Sequence[Finding], joints: Seq
     return False
 
 
-def _holds(f: Finding) -> bool:
-    return _HOLDS.get(f.effect, lambda values: True)(f.parameters)
+def _holds(f: Finding, others: Collection[str]) -> bool:
+    """Whether the finding's values make it the same as the others."""
+    return all(_HOLDS.get((f.effect, other), lambda values: True)(f.parameters) for other in others)
 
 
 def _joint(effect: Effect, f: Finding) -> str | None:
@@ -90,9 +91,18 @@ def _damps(values: Values) -> bool:
     return any(values[name].ci95[0] > 0 for name in ("viscous_positive", "viscous_negative") if name in values)
 
 
-_HOLDS: Mapping[str, Callable[[Values], bool]] = {
-    "asymmetric_friction": _same_both_ways,
-    "clock_offset": lambda values: values["offset"].value >= 0,
-    "gain_mismatch": lambda values: _agree(list(values.values())),
+def _only_kd(values: Values) -> bool:
+    """Whether kp may be the logged one, and kd is too large: a loop that damps more than it should."""
+    if not {"kp_scale", "kd_scale"} <= values.keys():
+        return False
+    low, high = values["kp_scale"].ci95
+    return low <= 1.0 <= high and values["kd_scale"].value > 1.0
+
+
+_HOLDS: Mapping[tuple[str, str], Callable[[Values], bool]] = {
+    ("asymmetric_friction", "coulomb_friction"): _same_both_ways,
+    ("clock_offset", "actuation_delay"): lambda values: values["offset"].value >= 0,
+    ("gain_mismatch", "torque_scale"): lambda values: _agree(list(values.values())),
+    ("gain_mismatch", "viscous_friction"): _only_kd,
 }
-"""Effect -> whether its identity holds at these values."""
+"""Effect and another one -> whether they are the same at the first one's values."""

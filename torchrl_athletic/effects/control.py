@@ -34,6 +34,7 @@ class GainMismatch(Effect):
     excludes = frozenset(
         {"torque_scale", "link_mass", "link_com", "viscous_friction"}
     )  # a loop shows their ratios only
+    identical_to = (frozenset({"viscous_friction"}),)  # where kd alone is off
     experiments: ClassVar[Mapping[str, str]] = {
         "torque_scale": "hang a known weight on {joint} and hold it at two gains",
         "viscous_friction": "let {joint} swing freely with the drive off",
