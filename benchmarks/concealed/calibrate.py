@@ -3,16 +3,17 @@
     python benchmarks/concealed/run.py --split tuning --jobs 2
     python benchmarks/concealed/calibrate.py
 
-A logistic regression on the grounds of every finding that was stated, capped by its share of the evidence as the
-statement is; right is what the score calls right. Writes ``torchrl_athletic/diagnosis/calibration.json``, and prints
-what cross-validation over cases makes of several ridges, by which features and ridge are chosen. Sealed cases are not
-read, since what scores does not tune; answers of another generator or another diagnosis are left out.
+A logistic regression on the grounds of every finding that was stated, capped as the statement is; right is what the
+score calls right. Writes ``torchrl_athletic/diagnosis/calibration.json``, and prints what cross-validation over cases
+makes of several ridges, by which features and ridge are chosen. Sealed cases are not read, since what scores does not
+tune; answers of another generator or another diagnosis are left out.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -26,9 +27,9 @@ from scipy.optimize import minimize
 sys.path.append(str(Path(__file__).parents[2]))
 
 from benchmarks.concealed.cases import CLASS_OF
-from benchmarks.concealed.run import program_digest
+from benchmarks.concealed.run import COUNTS, program_digest
 from benchmarks.concealed.score import RIGHT, Row, known_parameters, load, reliability
-from torchrl_athletic.diagnosis.calibration import EQUALS, Grounds
+from torchrl_athletic.diagnosis.calibration import Grounds
 
 Array = NDArray[np.float64]
 
@@ -73,10 +74,12 @@ class Stated:
 
     features: Array
     """Shape (F, K)."""
-    share: Array
-    """Of the evidence: no finding is stated above it and above one half. Shape (F,)."""
+    most: Array
+    """That may be stated of it. Shape (F,)."""
     grade: NDArray[np.str_]
     """As the score's. Shape (F,)."""
+    weight: Array
+    """Of its case, so that the blocks count as much as they do in the whole proof. Shape (F,)."""
     case: NDArray[np.int64]
     """Shape (F,)."""
     cases: int
@@ -113,7 +116,7 @@ def main(cfg: Config) -> None:
     if not cfg.dry:
         cfg.output.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(content, indent=1))
-    print("\n".join(words(stated, before, chance(weights, stated.features, stated.share), cfg.ridge)))
+    print("\n".join(words(stated, before, chance(weights, stated.features, stated.most), cfg.ridge)))
 
 
 def current(rows: Sequence[Row], program: str | None) -> list[Row]:
@@ -128,17 +131,20 @@ def current(rows: Sequence[Row], program: str | None) -> list[Row]:
 
 
 def findings(rows: Sequence[Row]) -> Stated:
-    """Features, effect and grade of every finding but those whose law is not seen: theirs is no logistic answer."""
+    """Features, effect and grade of every finding but senseless ones: theirs is no logistic answer."""
     of = [
         (number, row.grade(f), f)
         for number, row in enumerate(rows)
         for f in row.findings
-        if not f["grounds"].get("plain", False)
+        if not f["grounds"].get("senseless", False)
     ]
+    drawn = Counter(row.case.block for row in rows)
+    weight = {block: COUNTS[block] / sum(COUNTS.values()) * len(rows) / n for block, n in drawn.items()}
     return Stated(
         np.array([columns(Grounds(**f["grounds"]), f["effect"]) for *_, f in of]).reshape(-1, WIDTH),
-        np.array([f["grounds"]["share"] for *_, f in of], dtype=np.float64),
+        np.array([Grounds(**f["grounds"]).most for *_, f in of], dtype=np.float64),
         np.array([grade for _, grade, _ in of], dtype=np.str_),
+        np.array([weight[rows[number].case.block] for number, *_ in of], dtype=np.float64),
         np.array([number for number, *_ in of], dtype=np.int64),
         len(rows),
     )
@@ -153,27 +159,27 @@ def columns(grounds: Grounds, effect: str) -> list[float]:
 # --- probabilities ----------------------------------------------------------------------------------------------------
 
 
-def chance(weights: Array, features: Array, share: Array) -> Array:
+def chance(weights: Array, features: Array, most: Array) -> Array:
     """What is stated: :func:`~torchrl_athletic.diagnosis.calibration.probability` of each finding. Shape (F,)."""
     odds = np.clip(weights[0] + features @ weights[1:], -20, 20)
-    return np.minimum(1.0 / (1.0 + np.exp(-odds)), np.maximum(share, EQUALS))
+    return np.minimum(1.0 / (1.0 + np.exp(-odds)), most)
 
 
-def fit(features: Array, share: Array, right: Array, ridge: float) -> Array:
-    """Likeliest weights of what is stated, the intercept first. Shape (1 + K,).
+def fit(features: Array, most: Array, right: Array, weight: Array, ridge: float) -> Array:
+    """Likeliest weights of what is stated, the intercept first; cases count by ``weight``. Shape (1 + K,).
 
     The cap makes the likelihood flat where it binds, so that the fit starts from the one without it.
     """
 
     def loss(w: Array, cap: Array) -> float:
         p = np.clip(chance(w, features, cap), 1e-6, 1 - 1e-6)
-        return float(-np.log(np.where(right > 0, p, 1 - p)).sum() + ridge * (w[1:] ** 2).sum())
+        return float(-weight @ np.log(np.where(right > 0, p, 1 - p)) + ridge * (w[1:] ** 2).sum())
 
     bounds: list[tuple[float | None, float | None]] = [(None, None)] * (1 + WIDTH)
     for k, name in enumerate(FEATURES):
         bounds[1 + k] = (0, None) if SIGNS[name] > 0 else (None, 0)
-    weights = np.zeros(1 + features.shape[1])
-    for cap in (np.ones_like(share), share):
+    weights = np.zeros(len(bounds))
+    for cap in (np.ones_like(most), most):
         weights = minimize(loss, weights, args=(cap,), bounds=bounds, method="L-BFGS-B").x
     return np.asarray(weights)
 
@@ -188,9 +194,13 @@ def learn(stated: Stated, before: Stated, ridge: float, kept: NDArray[np.bool_] 
         kept: Which of this program's to learn from; all if None. Shape (F,).
     """
     kept = np.ones(len(stated.right), dtype=bool) if kept is None else kept
-    own, share, right = stated.features[kept], stated.share[kept], stated.right[kept]
+    own, most, right, weight = (x[kept] for x in (stated.features, stated.most, stated.right, stated.weight))
     weights = fit(
-        np.concatenate([own, before.features]), np.append(share, before.share), np.append(right, before.right), ridge
+        np.concatenate([own, before.features]),
+        np.append(most, before.most),
+        np.append(right, before.right),
+        np.append(weight, before.weight),
+        ridge,
     )
     if not before.cases:
         return weights
@@ -198,8 +208,8 @@ def learn(stated: Stated, before: Stated, ridge: float, kept: NDArray[np.bool_] 
 
     def loss(x: Array) -> float:
         level, steep = x[0], np.exp(x[1])
-        p = np.clip(chance(np.array([level, steep]), odds[:, None], share), 1e-6, 1 - 1e-6)
-        return float(-np.log(np.where(right > 0, p, 1 - p)).sum() + 0.5 * x[1] ** 2)
+        p = np.clip(chance(np.array([level, steep]), odds[:, None], most), 1e-6, 1 - 1e-6)
+        return float(-weight @ np.log(np.where(right > 0, p, 1 - p)) + 0.5 * x[1] ** 2)
 
     level, steep = minimize(loss, np.zeros(2), method="Nelder-Mead").x
     return np.append(level, 0.0 * weights[1:]) + np.exp(steep) * weights
@@ -212,7 +222,7 @@ def crossed(stated: Stated, before: Stated, ridge: float, seed: int) -> Array:
     for k in range(FOLDS):
         kept = fold != k
         weights = learn(stated, before, ridge, kept)
-        out[~kept] = chance(weights, stated.features[~kept], stated.share[~kept])
+        out[~kept] = chance(weights, stated.features[~kept], stated.most[~kept])
     return out
 
 

@@ -8,7 +8,7 @@ import pytest
 from effects.arm import address, arm
 
 from torchrl_athletic.diagnosis import gates
-from torchrl_athletic.diagnosis.calibration import PLAIN, Grounds, probability
+from torchrl_athletic.diagnosis.calibration import DECISIVE, EQUALS, SENSELESS, Grounds, probability
 from torchrl_athletic.diagnosis.gates import EXPLAINED, NEAR_FLOOR, PARTLY, summarise, verdict_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Score
 from torchrl_athletic.diagnosis.screen import Candidate
@@ -170,14 +170,25 @@ def test_a_spring_without_stiffness_says_that_nothing_of_a_spring_is_seen():
     grounds = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30, plain=True)
     assert "nothing is seen" in gates._sentence(spring, named, grounds)
     assert "nothing is seen" not in gates._sentence(spring, named, dataclasses.replace(grounds, plain=False))
-    assert probability(grounds, "joint_spring") == PLAIN < probability(dataclasses.replace(grounds, plain=False))
+    assert probability(grounds, "joint_spring") == EQUALS < probability(dataclasses.replace(grounds, plain=False))
 
 
-def test_a_law_whose_values_make_no_sense_together_is_told_as_a_simpler_one():
+def test_what_makes_no_sense_is_hardly_believed_and_nobody_beside_it_by_more_than_half():
+    sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
+    odd, beside = (dataclasses.replace(sure, **{how: True}) for how in ("senseless", "leans"))
+    assert probability(odd) == SENSELESS < probability(beside) == EQUALS < probability(sure)
     of = tuple(Parameter(n, "N·m", 0.0, 0.0, 9.0, 0.1) for n in ("coulomb", "stribeck", "stribeck_speed"))
     law = Candidate(StribeckFriction(), 0, "elbow", of)
-    assert not gates._is_plain(law, np.array([0.5, 0.5, 0.1]), np.ones((200, 3)))
-    assert gates._is_plain(law, np.array([0.0, 0.5, 0.1]), np.ones((200, 3)))
+    assert law.effect.is_physical(of, np.array([0.5, 0.5, 0.1]))
+    assert not law.effect.is_physical(of, np.array([0.0, 0.5, 0.1]))
+    named = {"coulomb": 0.0, "stribeck": 0.5, "stribeck_speed": 0.1}
+    assert "stands in for something else" in gates._sentence(law, named, odd)
+
+
+def test_no_name_with_rivals_left_is_stated_above_one_half():
+    sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
+    assert probability(dataclasses.replace(sure, share=0.7)) == EQUALS
+    assert probability(dataclasses.replace(sure, share=DECISIVE)) > EQUALS
 
 
 def test_the_summary_says_the_most_important_first():

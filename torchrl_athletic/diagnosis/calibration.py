@@ -10,16 +10,14 @@ from importlib.resources import files
 
 import numpy as np
 
+DECISIVE = 0.75
+"""Share of the evidence from which rivals count as refuted: odds below three to one are "not worth more than a bare
+mention" (Kass, Raftery 1995, doi:10.1080/01621459.1995.10476572)."""
 EQUALS = 0.5
-"""Of the probability, what a finding may have beside rivals with as much evidence or more.
-
-The evidence alone would say less: of 26 findings on tuning cases whose rivals had nine tenths of it, a quarter was
-right.
-"""
-
-
-PLAIN = 0.2
-"""The same of a law of which what sets it apart from simpler ones is not seen: then it is likely none of its name."""
+"""The most that a finding may have beside rivals that are not refuted, whoever is ahead. The same holds for a law of
+which what sets it apart from simpler ones is not seen, and for one beside another that makes no sense."""
+SENSELESS = 0.2
+"""The most of a finding that makes no sense as it stands: a motor at the end of what may be, a gear seen in noise."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +45,17 @@ class Grounds:
     """How far its parameters lie from the given model's, in standard deviations."""
     plain: bool = False
     """Whether the recordings show nothing of what sets its law apart from simpler ones."""
+    senseless: bool = False
+    """Whether its values, together, are none that a robot has."""
+    leans: bool = False
+    """Whether another finding on its joint is senseless, so that the two may be halves of something else."""
+
+    @property
+    def most(self) -> float:
+        """The probability that it may have at most."""
+        if self.senseless:
+            return SENSELESS
+        return EQUALS if self.plain or self.leans or self.share < DECISIVE else self.share
 
     def features(self) -> dict[str, float]:
         """Numbers of order one, in which the log odds are linear."""
@@ -78,8 +87,7 @@ def learnt(part: str) -> Mapping[str, float]:
 def probability(grounds: Grounds, effect: str = "") -> float:
     """That a finding with these grounds is true: a logistic regression's answer.
 
-    It is at most one half, or the share of the evidence where that is more: equals share what there is. A name of which
-    nothing is seen but a simpler law's has :data:`PLAIN` at most.
+    It is at most what :attr:`Grounds.most` allows: no name that has rivals left is stated with more than one half.
 
     Args:
         grounds: Of the finding.
@@ -94,8 +102,7 @@ def probability(grounds: Grounds, effect: str = "") -> float:
     weights = learnt("weights")
     odds = weights["intercept"] + sum(weights.get(name, 0.0) * x for name, x in grounds.features().items())
     odds += learnt("effects").get(effect, 0.0)
-    most = PLAIN if grounds.plain else max(grounds.share, EQUALS)
-    return float(min(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))), most))
+    return float(min(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))), grounds.most))
 
 
 def widened(value: float, low: float, high: float) -> tuple[float, float]:

@@ -75,8 +75,14 @@ def judge_findings(evidence: Sequence[Evidence], fitted: Fitted, scores: Collect
     still_open = max((open_share(s) for s in scores), default=1.0)
     stated = {c.key: c for c in fitted.hypothesis.terms}
     above = _above_floor(scores)
+    h = fitted.hypothesis
+    senseless = {
+        c.key
+        for c in h.terms
+        if not c.effect.is_physical(c.parameters, h.values_of(c, fitted.values)) or _is_noise(c, above)
+    }
     out = [
-        _finding(part, term, fitted, stated[term.candidate.key], still_open, above)
+        _finding(part, term, fitted, stated[term.candidate.key], still_open, senseless)
         for part in evidence
         for term in part.best.fit.terms
         if term.candidate.key in stated
@@ -141,7 +147,7 @@ def summarise(
 
 
 def _finding(
-    part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, still_open: float, above: Mapping[str, float]
+    part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, still_open: float, senseless: Collection[Key]
 ) -> Finding:
     bank, candidate, h = part.judge.bank, term.candidate, fitted.hypothesis
     values, samples = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.samples)
@@ -158,7 +164,9 @@ def _finding(
         terms=sum(candidate.joint_name in (None, c.joint_name) for c in h.terms),
         strain=part.best.fit.strain,
         sure=_certainty(chosen, values, samples),
-        plain=_is_plain(chosen, values, samples) or _is_noise(chosen, above),
+        plain=_is_plain(chosen, values, samples),
+        senseless=chosen.key in senseless,
+        leans=any(c.key in senseless and c.joint_name == chosen.joint_name for c in h.terms if c.key != chosen.key),
     )
     likely = probability(grounds, candidate.effect.name)
     per_share = min(likely / max(own, 1e-9), (1.0 - likely) / max(1.0 - own, 1e-9))
@@ -199,7 +207,7 @@ def _certainty(candidate: Candidate, values: Array, samples: Array) -> float:
 
 
 def _is_plain(candidate: Candidate, values: Array, samples: Array) -> bool:
-    """Whether all that sets an effect apart from simpler laws may be nothing, by its intervals, or makes no sense."""
+    """Whether all that sets an effect apart from simpler laws may be nothing, by its intervals."""
     of = {p.name: (values[k], samples[:, k]) for k, p in enumerate(candidate.parameters)}
     given = {p.name: p.nominal for p in candidate.parameters}
     units = {p.name: p.unit for p in candidate.parameters}
@@ -214,8 +222,6 @@ def _is_plain(candidate: Candidate, values: Array, samples: Array) -> bool:
         low, high = np.quantile(apart, [0.025, 0.975])
         return bool(low > least or high < -least)
 
-    if not candidate.effect.is_physical(candidate.parameters, values):
-        return True
     contrasts = candidate.effect.sets_apart
     return bool(contrasts) and not any(is_seen(what) for what in contrasts)
 
@@ -247,6 +253,8 @@ def _sentence(candidate: Candidate, named: Mapping[str, float], grounds: Grounds
     if grounds.scatter > INVARIANT:
         return _stand_in(effect, joint)
     said = effect.sentence(joint, named, candidate.parameters)
+    if grounds.senseless:
+        return f"{said} No robot is likely to have that: it stands in for something else."
     return f"{said} Of what makes it more than a simpler law nothing is seen." if grounds.plain else said
 
 
