@@ -1,14 +1,18 @@
 """Legs in the air: a trunk that is clamped, and one that swings in springs of which nobody knows."""
 
+import re
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
-from effects.hung import model, record
+from effects.hung import late, model, record
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
+from torchrl_athletic.diagnosis.experiment import SECONDS, _gains, _planned, _stood
+from torchrl_athletic.diagnosis.motions import Limits, motions
 from torchrl_athletic.diagnosis.prepare import prepare, refuse_stance
+from torchrl_athletic.diagnosis.replay import take_of
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import RecordingError
 
@@ -68,6 +72,31 @@ def test_a_swinging_trunk_is_followed_and_what_hides_in_a_knee_is_named():
     assert torque == pytest.approx(FRICTION, rel=0.15)
     assert len(diagnosis.answer.findings) == 1
     assert diagnosis.answer.fit["heldout"].share_closed > 0.9
+
+
+def test_a_motion_capture_that_is_late_is_put_right_and_said():
+    takes = [late(record(8.0, friction=FRICTION, seed=k), 0.006) for k in (1, 2)]
+    diagnosis = diagnose(model(), takes[:1], takes[1:], catalogue=FEW)
+    assert told(diagnosis)[:2] == ("coulomb_friction", "left_knee")
+    assert diagnosis.answer.fit["heldout"].share_closed > 0.9
+    shift = re.search(r"base clock shift of the robot offset \+(\S+) s", " ".join(diagnosis.answer.remarks))
+    assert shift is not None
+    assert float(shift[1]) == pytest.approx(0.006, rel=0.1)
+
+
+def test_a_plan_for_a_robot_in_the_air_is_that_of_one_bolted_there():
+    take, plans = record(3.0, held=True), []
+    bolted = mujoco.MjModel.from_xml_string(model().replace('<freejoint name="root"/>', ""))
+    for recording, robot in ((take, bolted), (take.with_base_held((0.0, 0.0, 0.3)), ROBOT)):
+        takes = prepare([recording], robot).signals
+        limits = Limits.of(takes)
+        motion = next(iter(motions(takes, limits, [2], SECONDS)))
+        plan = _planned(motion, 0.0, takes[0].nominal, takes, limits, _gains(takes, robot))
+        assert plan is not None
+        plans.append(plan)
+        take_of(_stood(plan.recording, takes), takes[0].nominal, np.full(4, 1e-9))
+    np.testing.assert_allclose(plans[1].torque, plans[0].torque, atol=1e-6)
+    np.testing.assert_allclose(plans[1].recording.command, plans[0].recording.command, atol=1e-6)
 
 
 def test_a_swinging_trunk_that_is_taken_for_a_clamped_one_looks_like_missing_physics():

@@ -12,6 +12,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from torchrl_athletic.recordings import Recording
 
@@ -94,6 +95,14 @@ def record(
     attitude = read[:, 3:7] + rng.normal(0, noise * BASE_NOISE[1] / 2, (len(time), 4))
     unit = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
     return replace(take, base_position=place, base_orientation=unit)
+
+
+def late(recording: Recording, by: float) -> Recording:
+    """The same with poses of the trunk that are stamped late [s]."""
+    pose = np.hstack([recording.base_position, recording.base_orientation])
+    there = CubicSpline(recording.time, pose)(np.maximum(recording.time - by, recording.time[0]))
+    turn = there[:, 3:] / np.linalg.norm(there[:, 3:], axis=1, keepdims=True)
+    return replace(recording, base_position=there[:, :3], base_orientation=turn)
 
 
 def _springs(given: mujoco.MjModel, q: Array, v: Array) -> Array:

@@ -5,11 +5,12 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from effects.hung import JOINTS, KD, KP, model, record
+from effects.hung import JOINTS, KD, KP, late, model, record
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
-from torchrl_athletic.effects import JointAddress, project_recording
+from torchrl_athletic.diagnosis.screen import TRIMS, trims_for
+from torchrl_athletic.effects import BaseClockShift, JointAddress, Plant, project_recording
 from torchrl_athletic.effects.base import base_columns, base_motion, base_velocity, carried, free_joint
 from torchrl_athletic.effects.signals import inverse_dynamics
 from torchrl_athletic.recordings import Recording, RecordingError
@@ -170,6 +171,40 @@ def test_noise_of_the_base_is_counted_in_what_it_asks_of_the_legs():
     scatter = (read.missing - exact.missing).std(0)
     np.testing.assert_allclose(read.noise, scatter, rtol=0.25)
     assert (exact.noise < 0.01 * scatter).all()
+
+
+def test_a_base_that_is_stamped_late_leaves_its_fingerprint():
+    right = record(seconds=6.0, noise=0.0)
+    given, shifted = (project_recording(r, ROBOT, np.zeros(4), kernel=0.01) for r in (right, late(right, 0.001)))
+    column = BaseClockShift().fingerprint(shifted, 0, {}).columns[:, :, 0]
+    left, inner = shifted.missing - given.missing, slice(20, -20)
+    np.testing.assert_allclose(0.001 * column[inner], left[inner], atol=0.03 * np.abs(left).max())
+    assert np.abs(left).max() > 0.01
+
+
+def test_a_base_that_is_stamped_late_is_replayed_in_time():
+    right = record(seconds=6.0, noise=0.0)
+    right_way, other_way = ([[0.008]], [[-0.008]])
+    paths = []
+    for r, offset in ((right, [[0.0]]), (late(right, 0.008), right_way), (late(right, 0.008), other_way)):
+        windows = windows_of(take_of(r, ROBOT, np.full(4, 1e-9)), 0.5)
+
+        def build(plant: Plant, values: Array) -> None:
+            BaseClockShift().apply(plant, 0, values)
+
+        paths.append(simulate(windows, build, np.array(offset))[0, 1:])
+    np.testing.assert_allclose(paths[1], paths[0], atol=2e-3)
+    assert np.abs(paths[2] - paths[0]).max() > 0.02
+
+
+def test_a_base_that_stands_has_no_clock():
+    held = record(seconds=2.0, held=True)
+    loose, swung = held.with_base_held((0.0, 0.0, 0.3)), record(seconds=2.0)
+    named = []
+    for r, given in ((held, BOLTED), (loose, ROBOT), (swung, ROBOT)):
+        trims = trims_for([project_recording(r, given, np.zeros(4))], TRIMS)
+        named.append("base_clock_shift" in {t.effect.name for t in trims})
+    assert named == [False, False, True]
 
 
 def test_a_ball_in_the_room_is_no_base():

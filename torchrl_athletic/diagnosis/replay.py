@@ -311,20 +311,22 @@ def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array,
     qvel[:, take.address.dof] = velocity
     at, dof = base_columns(take.model)
     if take.base is not None:
-        qpos[:, at], qvel[:, dof] = take.base.pose[sample], take.base.velocity[sample]
+        begin = _base_from(before, plant, take, 0)
+        qpos[:, at], qvel[:, dof] = begin.pose[:, 0], begin.velocity[:, 0]
+    carry = _carry(before, plant, windows)
     physics.reset(qpos=qpos, qvel=qvel)
 
     steps = windows.length * take.substeps
     command = _delayed_commands(windows, plant, sets)  # (rows, steps, J)
     if take.recording.position_target is None and plant.open_loop:
         forces = np.zeros((rows, steps, take.model.nv))
-        forces[..., take.address.dof], forces[..., dof] = _drive(command, plant, take), _carry(windows, sets)
+        forces[..., take.address.dof], forces[..., dof] = _drive(command, plant, take), carry
         states = physics.rollout(steps, torch.from_numpy(forces), into="qfrc_applied", record=("qpos", "qvel"))
         q, v = (states[name].numpy()[:, take.substeps - 1 :: take.substeps] for name in ("qpos", "qvel"))
         out = q[:, :, take.address.qpos] - _lead(take.model) * (v[:, :, take.address.dof] - velocity[:, None])
     else:
         with np.errstate(all="ignore"):  # of rows that diverge
-            out = _closed_loop(physics, command, plant, windows, sets)
+            out = _closed_loop(physics, command, carry, plant, windows, sets)
     out = _hold_finite(out * plant.encoder_scale[:, None] + plant.encoder_offset[:, None])
     return out.reshape(sets, count, windows.length, joints)
 
@@ -338,13 +340,15 @@ def _lead(model: mujoco.MjModel) -> float:
     return 0.0 if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.5 * float(model.opt.timestep)
 
 
-def _closed_loop(physics: BatchPhysics, command: Array, plant: Plant, windows: Windows, sets: int) -> Array:
+def _closed_loop(
+    physics: BatchPhysics, command: Array, carry: Array, plant: Plant, windows: Windows, sets: int
+) -> Array:
     """Step by step, for torques that depend on the state. Returns true positions where the encoders sit."""
     take, step = windows.take, float(windows.take.model.opt.timestep)
     r = take.recording
     qpos, qvel, applied = physics.qpos.numpy(), physics.qvel.numpy(), physics.qfrc_applied.numpy()
     at, dof = take.address.qpos, take.address.dof
-    (_, base), carry = base_columns(take.model), _carry(windows, sets)
+    _, base = base_columns(take.model)
     keep = np.where(plant.lag > 1e-6, np.exp(-step / np.maximum(plant.lag, 1e-6)), 0.0)
     servo = None if r.position_target is None else _servo(r, plant)
     state = _lag_state(windows, plant, sets) if servo is not None and keep.any() else None
@@ -380,14 +384,24 @@ def _closed_loop(physics: BatchPhysics, command: Array, plant: Plant, windows: W
     return out
 
 
-def _carry(windows: Windows, sets: int) -> Array:
+def _carry(start: Start, plant: Plant, windows: Windows) -> Array:
     """Forces that move a heavy base from one recorded velocity to the next. Shape (rows, steps, 6), or 0 for 6."""
-    take, steps = windows.take, windows.length * windows.take.substeps
+    take = windows.take
     if take.base is None:
-        return np.zeros((sets * len(windows.start), steps, 0))
+        return np.zeros((plant.rows, windows.length * take.substeps, 0))
     _, dof = base_columns(take.model)
-    gain = np.diff(take.base.velocity, axis=0)[windows.index - 1] / take.period
-    return np.tile((take.model.dof_armature[dof] * gain).repeat(take.substeps, axis=1), (sets, 1, 1))
+    gain = np.diff(_base_from(start, plant, take, windows.length).velocity, axis=1) / take.period
+    return (take.model.dof_armature[dof] * gain).repeat(take.substeps, axis=1)
+
+
+def _base_from(start: Start, plant: Plant, take: Take, length: int) -> BaseMotion:
+    """The base at each row's start and ``length`` samples on, with its stamps put right. Rows, length + 1, K."""
+    assert take.base is not None
+    late = (plant.base_offset / take.period)[:, None]
+    at = np.clip(start.sample[:, None] + np.arange(length + 1) + late, start.first[:, None], start.last[:, None])
+    low = np.minimum(at.astype(np.intp), start.last[:, None] - 1)
+    share = (at - low)[..., None]
+    return take.base.moved(lambda x: (1 - share) * x[low] + share * x[low + 1])
 
 
 def _servo(r: Recording, plant: Plant) -> Callable[[Array, Array, Array], Array]:

@@ -10,6 +10,7 @@ so heavy that nothing disturbs it, and is pushed as it was accelerated.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -45,6 +46,12 @@ class BaseMotion:
     def __getitem__(self, at: slice | NDArray[np.intp]) -> BaseMotion:
         """At some of the instants."""
         return BaseMotion(self.pose[at], self.velocity[at], self.acceleration[at])
+
+    def moved(self, convert: Callable[[Array], Array]) -> BaseMotion:
+        """With each of its numbers resampled; the quaternion is made a unit again."""
+        pose, velocity, acceleration = (convert(x) for x in (self.pose, self.velocity, self.acceleration))
+        turn = pose[..., 3:] / np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
+        return BaseMotion(np.concatenate([pose[..., :3], turn], -1), velocity, acceleration)
 
     @property
     def at_rest(self) -> BaseMotion:
