@@ -12,7 +12,7 @@ from torchrl_athletic.diagnosis import Diagnosis, diagnose
 from torchrl_athletic.diagnosis.experiment import SECONDS, _gains, _planned, _stood
 from torchrl_athletic.diagnosis.motions import Limits, motions
 from torchrl_athletic.diagnosis.prepare import prepare, refuse_stance
-from torchrl_athletic.diagnosis.replay import take_of
+from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import RecordingError
 
@@ -82,6 +82,18 @@ def test_a_motion_capture_that_is_late_is_put_right_and_said():
     shift = re.search(r"base clock shift of the robot offset \+(\S+) s", " ".join(diagnosis.answer.remarks))
     assert shift is not None
     assert float(shift[1]) == pytest.approx(0.006, rel=0.1)
+
+
+def test_pieces_that_are_replayed_as_one_keep_their_own_base():
+    take = record(6.0, noise=0.0)
+    gap = replace(take, time=np.where(take.time > 3.0, take.time + 1.0, take.time))
+    (joined,) = prepare([gap], ROBOT).takes
+    assert len(joined.pieces) == 2
+    together, apart = (
+        np.concatenate([simulate(windows_of(t, 0.5), lambda *_: None, np.zeros((1, 0)))[0] for t in takes])
+        for takes in ([joined], joined.pieces)
+    )
+    np.testing.assert_allclose(together, apart, atol=1e-12)
 
 
 def test_a_plan_for_a_robot_in_the_air_is_that_of_one_bolted_there():

@@ -100,6 +100,18 @@ def test_attitude_and_its_rates_follow_a_steady_turn_of_several_rounds():
     np.testing.assert_allclose(alike[inner], 1.0, atol=1e-9)
 
 
+def test_acceleration_is_the_rate_of_velocity_and_velocity_that_of_the_pose():
+    angle, wide = 1.5 * np.sin(9 * TIME), 0.05  # so wide that a mean of attitudes is far from a unit
+    place = np.stack([np.sin(4 * TIME), np.cos(3 * TIME), 0 * TIME], -1)
+    motion = base_motion(take(np.zeros((len(TIME), 4)), place, about_y(angle)), ROBOT, TIME, wide)
+    assert motion is not None
+    pose, velocity = (np.gradient(x, TIME, axis=0) for x in (motion.pose, motion.velocity))
+    inner = slice(2, -2)
+    np.testing.assert_allclose(base_velocity(motion.pose, pose)[inner], motion.velocity[inner], atol=0.01)
+    np.testing.assert_allclose(velocity[inner], motion.acceleration[inner], atol=0.2)
+    assert np.abs(motion.acceleration[:, 4]).max() > 50.0
+
+
 def test_velocity_is_what_mujoco_integrates():
     rng = np.random.default_rng(0)
     pose, velocity, step = rng.normal(size=(20, 7)), rng.normal(size=(20, 6)), 1e-6
