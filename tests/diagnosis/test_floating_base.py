@@ -96,6 +96,14 @@ def test_pieces_that_are_replayed_as_one_keep_their_own_base():
     np.testing.assert_allclose(together, apart, atol=1e-12)
 
 
+def test_a_robot_that_swung_otherwise_was_not_repeated():
+    again = {"metadata": {"repeat": 1}}
+    swung = [replace(record(3.0, noise=n), **again) for n in (1.0, 2.0)]
+    held = [replace(without_base(r).with_base_held((0.0, 0.0, 0.3)), **again) for r in swung]
+    assert prepare(swung, ROBOT).repeatability is None
+    assert prepare(held, ROBOT).repeatability is not None
+
+
 def test_a_plan_for_a_robot_in_the_air_is_that_of_one_bolted_there():
     take, plans = record(3.0, held=True), []
     bolted = mujoco.MjModel.from_xml_string(model().replace('<freejoint name="root"/>', ""))

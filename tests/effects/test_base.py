@@ -8,10 +8,13 @@ import pytest
 from effects.hung import JOINTS, KD, KP, late, model, record
 from numpy.typing import NDArray
 
+from torchrl_athletic.diagnosis.compare import noise_floor
+from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.screen import TRIMS, trims_for
-from torchrl_athletic.effects import BaseClockShift, JointAddress, Plant, project_recording
+from torchrl_athletic.effects import BaseClockShift, EncoderScale, JointAddress, Plant, project_recording
 from torchrl_athletic.effects.base import base_columns, base_motion, base_velocity, carried, free_joint
+from torchrl_athletic.effects.gear import LinkMotion
 from torchrl_athletic.effects.signals import inverse_dynamics
 from torchrl_athletic.recordings import Recording, RecordingError
 
@@ -76,6 +79,11 @@ def test_legs_in_free_fall_have_no_weight():
     assert np.abs(hangs.required).max() > 1.0
     np.testing.assert_allclose(falls.required, 0.0, atol=1e-5)
     np.testing.assert_allclose(falls.load, hangs.load)  # what load-dependent friction goes by is the pose's
+    for fall, weight in ((True, 0.01), (False, 0.1)):
+        s = falls if fall else hangs
+        link = LinkMotion(s.nominal, s.address, s.fine_step, s.fine_position, s.fine_velocity, base=s.fine_base)
+        for felt in (link.load, link.slopes(0)[0], EncoderScale().fingerprint(s, 0, {}).columns):
+            assert (np.abs(felt[20:-20]).max() < weight) == fall
 
 
 def test_a_trunk_on_its_side_has_gravity_from_its_side():
@@ -217,6 +225,28 @@ def test_a_base_that_stands_has_no_clock():
         trims = trims_for([project_recording(r, given, np.zeros(4))], TRIMS)
         named.append("base_clock_shift" in {t.effect.name for t in trims})
     assert named == [False, False, True]
+
+
+def test_noise_of_the_base_is_counted_in_the_floor_of_a_replay():
+    clean, noisy = (record(seconds=8.0, noise=n) for n in (0.0, 5.0))
+    noisy = replace(noisy, position=clean.position)
+    exact, read = (take_of(r, ROBOT, np.full(4, 1e-6)) for r in (clean, noisy))
+    scatter = np.sqrt(np.mean((read.base.velocity - exact.base.velocity) ** 2, axis=0))
+    np.testing.assert_allclose(np.sqrt(np.mean(read.base_noise**2, axis=0)), scatter, rtol=0.35)
+    windows, nothing = windows_of(read, 0.5), Hypothesis(())
+    path, true, misread = (
+        simulate(windows_of(t, 0.5), nothing.build, np.zeros((1, 0)))[0]
+        for t in (read, exact, read.misread(np.random.default_rng(0)))
+    )
+    made, guessed = (np.sqrt(((other - path) ** 2).mean((0, 1))) for other in (true, misread))
+    assert (0.5 * made < guessed).all()
+    assert (guessed < 1.2 * made).all()
+    truth = [path]
+    floors = [
+        noise_floor([replace(windows, take=t)], nothing, np.zeros(0), truth, np.zeros(4), np.random.default_rng(0))
+        for t in (read, replace(read, base_noise=0 * read.base_noise))
+    ]
+    assert (floors[0] > floors[1]).all()
 
 
 def test_a_ball_in_the_room_is_no_base():
