@@ -114,6 +114,9 @@ def test_everything_that_decides_the_answer_is_in_the_digest(recordings):
         inputs_digest(MODEL, [one.slice(0, 299), recordings[1]], {"seed": 0}),
         inputs_digest(MODEL, [replace(one, joint_names=("other",)), recordings[1]], {"seed": 0}),
         inputs_digest(MODEL, [replace(one, metadata={"repeat": 1}), recordings[1]], {"seed": 0}),
+        inputs_digest(MODEL, [one.with_base_held((0, 0, 1)), recordings[1]], {"seed": 0}),
+        inputs_digest(MODEL, [one.with_base_held((0, 0, 2)), recordings[1]], {"seed": 0}),
+        inputs_digest(MODEL, [one.with_base_held((0, 0, 1), (0, 1, 0, 0)), recordings[1]], {"seed": 0}),
         inputs_digest(
             MODEL, [type(one)(one.time, one.joint_names, -one.position, torque_command=one.command)], {"seed": 0}
         ),

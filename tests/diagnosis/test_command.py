@@ -60,12 +60,14 @@ def test_files_and_folders_are_named_one_after_the_other(folder):
 
 
 def test_every_flag_reaches_the_diagnosis(folder, asked, capsys):
-    flags = "--model robot.xml --recordings train --drive measured --seed 4 --time-budget 60 --output there"
+    flags = "--model robot.xml --recordings train --drive measured --base fixed --seed 4 --time-budget 60"
+    flags += " --output there"
     main(parsed(*flags.split()))
     [((model, recordings, heldout), settings)] = asked
     assert (model, len(recordings), heldout) == (Path("robot.xml"), 2, [])
-    assert {k: settings[k] for k in ("drive", "seed", "time_budget", "output")} == {
+    assert {k: settings[k] for k in ("drive", "base", "seed", "time_budget", "output")} == {
         "drive": "measured",
+        "base": "fixed",
         "seed": 4,
         "time_budget": 60.0,
         "output": Path("there"),

@@ -47,6 +47,7 @@ MEMORY_TERMS = {
     "encoder_offset": [0.05],
     "encoder_scale": [1.05],
     "clock_offset": [0.01],
+    "base_clock_shift": [0.002],
     "clock_shift": [0.001],
     "gain_mismatch": [1.1, 0.9],
     "disturbance": [0.2, 0.5, 0.1, 0.0],

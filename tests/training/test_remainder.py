@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -40,6 +41,12 @@ class Brake(nn.Module):
 def takes(kinds, **joint) -> list:
     true = pendulum(joint=" ".join(f'{key}="{value}"' for key, value in {"damping": 0.05, **joint}.items()))
     return [record(true, smooth_torque(4.0, 1.5, seed=k), noise=1e-4, seed=k) for k in kinds]
+
+
+def test_a_robot_that_floats_is_left_to_its_names():
+    take = takes([0])[0].with_base_held((0.0, 0.0, 1.0))
+    with pytest.raises(ValueError, match=r"base of this robot floats.* leave out --uan"):
+        learn_remainder(SimpleNamespace(recordings=(take,)))
 
 
 @pytest.fixture(scope="module")

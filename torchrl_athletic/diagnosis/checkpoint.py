@@ -66,6 +66,8 @@ def inputs_digest(xml: str, recordings: Iterable[Recording], settings: dict[str,
             "kp",
             "kd",
             "torque_measured",
+            "base_position",
+            "base_orientation",
         ):
             value = getattr(r, name)
             digest.update(name.encode() + (b"" if value is None else np.ascontiguousarray(value).tobytes()))

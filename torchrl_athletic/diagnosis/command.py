@@ -47,6 +47,8 @@ class Config:
     """JSON column map for foreign names and units."""
     drive: Literal["command", "measured"] = "command"
     """Torque that drives the simulation: what was commanded, or what was measured."""
+    base: Literal["recorded", "fixed"] = "recorded"
+    """Of a floating robot in the air: its recorded pose, or held where the model has it."""
     dataset: Literal["emps", "two_link_arm", "pendulum", "xl330", "unbalanced_disk"] | None = None
     """Diagnose a public recording of a real robot instead."""
     demo: int = 0
@@ -81,6 +83,7 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
                 heldout,
                 joined=new,
                 drive=config.drive,
+                base=config.base,
                 seed=config.seed,
                 time_budget=config.time_budget,
                 output=config.output,

@@ -101,7 +101,7 @@ def noise_floor(
         v = take.velocity[w.start] + take.start_noise[1][w.start] * rng.standard_normal(
             (len(w.start), len(position_noise))
         )
-        noisy = simulate(w, hypothesis.build, values[None], start=(q, v))[0]
+        noisy = simulate(replace(w, take=take.misread(rng)), hypothesis.build, values[None], start=(q, v))[0]
         finer = simulate(replace(w, take=w.take.halved()), hypothesis.build, values[None])[0]
         wrong = (noisy - ideal) ** 2 + 4 * (finer - ideal) ** 2
         square += np.minimum(wrong.mean(1), np.quantile(wrong.mean(1), 0.95, axis=0)).mean(0) * len(w.start) * w.length

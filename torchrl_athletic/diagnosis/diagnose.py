@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import mujoco
 import numpy as np
@@ -40,11 +40,13 @@ from torchrl_athletic.diagnosis.screen import (
 )
 from torchrl_athletic.diagnosis.search import RICHER, Judge, Scored, keys, noisy_joints, richer, rivals, search, singles
 from torchrl_athletic.effects import CATALOGUE, Effect
+from torchrl_athletic.effects.base import free_joint
 from torchrl_athletic.effects.effect import is_slide
-from torchrl_athletic.recordings import Recording
+from torchrl_athletic.recordings import Recording, RecordingError
 
 Array = NDArray[np.float64]
 Model: TypeAlias = str | Path | mujoco.MjSpec
+Base = Literal["recorded", "fixed"]
 
 CHECKPOINT = "progress.json"
 CLOSE = 10.0
@@ -146,6 +148,7 @@ def diagnose(
     joined: Sequence[Recording] = (),
     catalogue: Sequence[Effect] = CATALOGUE,
     drive: Drive = "command",
+    base: Base = "recorded",
     seed: int = 0,
     time_budget: float | None = None,
     output: str | Path | None = None,
@@ -154,12 +157,15 @@ def diagnose(
     """Locate where a model and recordings differ, say what physics was left out, model it, and measure the gain.
 
     Args:
-        model: MJCF as a path, as text or as an ``MjSpec``; every joint of it must be recorded.
+        model: MJCF as a path, as text or as an ``MjSpec``; every joint of it must be recorded. Its base may float, in
+            the air: nobody records the forces of the ground.
         recordings: Takes to fit.
         heldout: Takes of another kind, used only to compare and to score.
         joined: Takes of experiments that an earlier diagnosis proposed, to fit as well.
         catalogue: Effects to consider.
         drive: Whether the commanded or the measured torque drives the simulation.
+        base: Of a floating robot: ``"recorded"`` takes its pose from the recordings, ``"fixed"`` holds it where the
+            model has it.
         seed: Of the bootstrap and of the choice of windows.
         time_budget: Wall-clock time after which no further combination is fitted [s].
         output: Folder for the report. Without it nothing is written, and nothing can be resumed.
@@ -183,7 +189,8 @@ def diagnose(
     """
     compiled, xml, name = load_model(model)
     order = recordings[0].joint_names if recordings else ()
-    fitted, aside = (tuple(r.ordered(order) for r in group) for group in ((*recordings, *joined), heldout))
+    takes = ((*recordings, *joined), heldout)
+    fitted, aside = (tuple(_stood(r.ordered(order), compiled, base) for r in group) for group in takes)
     work = _Work(
         compiled, xml, name, fitted, aside, tuple(catalogue), drive, seed, time_budget,
         None if output is None else Path(output), progress or Progress(), len(joined),
@@ -205,6 +212,20 @@ def diagnose(
     if result.answer.complete:
         work.progress.update(1.0)
     return result
+
+
+def _stood(recording: Recording, model: mujoco.MjModel, base: Base) -> Recording:
+    """The recording with the base where the model has it, if it is said to be fixed."""
+    joint = free_joint(model)
+    if base == "recorded" or joint is None:
+        return recording
+    if recording.base_position is not None:
+        raise RecordingError(
+            f"{recording.source}: base_position was recorded, and base is said to be 'fixed'. Leave one out: the "
+            "recorded pose may be constant."
+        )
+    at = int(model.jnt_qposadr[joint])
+    return recording.with_base_held(model.qpos0[at : at + 3], model.qpos0[at + 3 : at + 7])
 
 
 def load_model(model: Model) -> tuple[mujoco.MjModel, str, str]:

@@ -28,6 +28,7 @@ from torchrl_athletic.diagnosis.result import Finding
 from torchrl_athletic.diagnosis.screen import Atom, Key, row_noise
 from torchrl_athletic.diagnosis.search import Judge, Scored, alternatives
 from torchrl_athletic.diagnosis.separation import ENOUGH, Products, Rivals, thinned
+from torchrl_athletic.effects.base import carried
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.effects.payload import with_payload
 from torchrl_athletic.effects.signals import (
@@ -219,7 +220,7 @@ def _weights(judge: Judge, xml: str) -> dict[float, mujoco.MjModel]:
     """A weight that the last link feels well, and the model with it; none where its weight is unknown."""
     s = judge.bank.takes[0]
     mass = float(f"{HEAVY * s.nominal.body_subtreemass[s.address.body[-1]]:.1g}")
-    return {mass: with_payload(xml, s.recording.joint_names, mass)} if mass else {}
+    return {mass: carried(with_payload(xml, s.recording.joint_names, mass))} if mass else {}
 
 
 def answer_set(judge: Judge, best: Scored, term: Atom) -> dict[Key, Scored]:
@@ -466,10 +467,17 @@ def _seen(rivals: Rivals, plan: _Plan, sensors: _Sensors) -> Signals:
         )  # fmt: skip
     else:
         log = replace(r, time=time, position=path, velocity=velocity, position_target=r.command[held])
+    log = _stood(log, rivals.takes)
     s = project_recording(
         log, plan.model, sensors.position, sensors.velocity, None, kernel_for([log]), sensors.correlation
     )
     return replace(s, noise=sensors.louder * s.noise)
+
+
+def _stood(recording: Recording, takes: Sequence[Signals]) -> Recording:
+    """A plan's recording; of a floating robot with its base held where that of the recordings at hand began."""
+    base = takes[0].base
+    return recording if base is None else recording.with_base_held(base.pose[0, :3], base.pose[0, 3:])
 
 
 def _joints_of(rivals: Sequence[Scored]) -> list[int]:
@@ -505,7 +513,8 @@ def _planned(
         speed_share = float((np.abs(velocity) / limits.velocity).max())
         if ((path < low - slack) | (path > high + slack))[:, moved].any() or speed_share > 1:
             return None
-        torque = inverse_dynamics(smooth, address, path, velocity, acceleration)
+        base = None if takes[0].base is None else takes[0].base[np.zeros(len(path), dtype=np.intp)].at_rest
+        torque = inverse_dynamics(smooth, address, path, velocity, acceleration, base)
         torque_share = float((np.abs(torque) / limits.torque).max())
         if torque_share <= MARGIN:
             break
@@ -570,7 +579,8 @@ def _simulated(plan: _Plan, rivals: Rivals) -> Array:
 
     On the simulation's grid. Shape (rivals, DRAWS, T, J).
     """
-    windows = windows_of(take_of(plan.recording, plan.model, np.full(plan.recording.num_joints, 1e-9)), None)
+    stood = _stood(plan.recording, rivals.takes)
+    windows = windows_of(take_of(stood, plan.model, np.full(stood.num_joints, 1e-9)), None)
     assert rivals.draws is not None
     out = []
     for s, coefficients, drawn in zip(rivals.rivals, rivals.known, rivals.draws, strict=True):

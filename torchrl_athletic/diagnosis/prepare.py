@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.replay import Take, join, take_of
 from torchrl_athletic.effects import JointAddress, Signals, project_recording
+from torchrl_athletic.effects.base import base_columns, pose_of
 from torchrl_athletic.effects.payload import with_payload
 from torchrl_athletic.effects.signals import kernel_for, torque_range
 from torchrl_athletic.recordings import (
@@ -25,6 +26,7 @@ from torchrl_athletic.recordings import (
     repeat_noise,
     split_at_gaps,
 )
+from torchrl_athletic.recordings.base import base_moves
 from torchrl_athletic.recordings.recording import BEGAN
 
 Array = NDArray[np.float64]
@@ -32,6 +34,8 @@ Drive = Literal["command", "measured"]
 
 SAME_RATE = 0.002
 """Relative difference of sampling rates below which takes share a grid."""
+LOOKS = 500
+"""Instants of a take at which contact is looked for."""
 PAYLOAD = "payload_kg"
 """Key of a recording's metadata: known mass fastened to the far end of the last link, which the model lacks [kg]."""
 
@@ -110,6 +114,7 @@ def prepare(
     left_out: list[str] = []
     for r, q, own, period in zip(recordings, quality, kernels, _periods(recordings), strict=True):
         carried = _carrying(model, xml, r)
+        refuse_stance(r, model)
         for piece in _pieces(r):
             start = int(np.searchsorted(r.time, piece.time[0]))
             mask = _unfit(q)[start : start + piece.num_samples]
@@ -129,7 +134,38 @@ def prepare(
             "Excite the joints, clear of their stops, and record again."
         )
     noise = np.median([q.position_noise for q in quality], axis=0)
-    return Prepared(quality, tuple(signals), tuple(join(takes)), noise, repeat_noise(recordings), tuple(left_out))
+    repeatable = [r for r in recordings if not base_moves(r)]  # nobody carries a robot twice the same way
+    return Prepared(quality, tuple(signals), tuple(join(takes)), noise, repeat_noise(repeatable), tuple(left_out))
+
+
+def refuse_stance(recording: Recording, model: mujoco.MjModel) -> None:
+    """Refuse a take in which a floating robot touches the world of its model, at up to :data:`LOOKS` instants.
+
+    A base that never moves may be held elsewhere than the model's floor is: nothing is asked of it.
+
+    Raises:
+        RecordingError: If it does, since nobody recorded the forces there.
+    """
+    pose = pose_of(recording, model)
+    if pose is None or not base_moves(recording):
+        return
+    address, data = JointAddress.of(model, recording.joint_names, recording.source), mujoco.MjData(model)
+    at, _ = base_columns(model)
+    standing = model.body_weldid[model.geom_bodyid] == 0
+    rows = np.linspace(0, recording.num_samples - 1, min(LOOKS, recording.num_samples)).astype(int)
+    touching = []
+    for row in rows:
+        data.qpos[at], data.qpos[address.qpos] = pose[row], recording.position[row]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        pairs = data.contact.geom[data.contact.dist < 0]
+        touching.append(bool(standing[pairs].any()))
+    if any(touching):
+        raise RecordingError(
+            f"{recording.source}: the robot touches the world of the model in {np.mean(touching):.0%} of the take, "
+            f"first at {recording.time[rows[int(np.argmax(touching))]]:.3f} s, and nobody recorded the forces there. "
+            "Cut the take to where its legs are in the air; or take the floor out of the model, if it hung above one."
+        )
 
 
 def _with_known_noise(quality: Sequence[Quality], old: int) -> list[Quality]:

@@ -7,16 +7,18 @@ drifting through the rest of the take.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import mujoco
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter, savgol_coeffs, savgol_filter
 
+from torchrl_athletic.effects.base import BaseMotion, base_columns, base_velocity, carried, pose_of
 from torchrl_athletic.effects.gear import JoinedMotion, LinkMotion
 from torchrl_athletic.effects.inertia import free_of_simple_bodies
 from torchrl_athletic.effects.plant import Law, Now, Plant, Start
@@ -29,6 +31,7 @@ from torchrl_athletic.effects.signals import (
 )
 from torchrl_athletic.effects.timing import low_pass
 from torchrl_athletic.physics import BatchPhysics
+from torchrl_athletic.recordings.noise import base_noise
 from torchrl_athletic.recordings.recording import Recording
 
 Array = NDArray[np.float64]
@@ -61,6 +64,10 @@ class Take:
     """Shape (S, J)."""
     start_noise: Array
     """Standard deviation of ``position`` and ``velocity``. Shape (2, S, J)."""
+    base: BaseMotion | None = None
+    """How the base of a floating robot moved, fitted likewise. S samples."""
+    base_noise: Array = field(default_factory=lambda: np.zeros((1, 6)))
+    """Standard deviation of its velocity. Shape (S, 6), or (1, 6) without one."""
     pieces: tuple[Take, ...] = ()
     """What it was joined from, one after the other; empty if it is one gap-free recording."""
 
@@ -106,7 +113,14 @@ class Take:
         """What the measured motion asks of the links."""
         if self.pieces:
             return JoinedMotion.of(tuple(piece.link for piece in self.pieces))
-        return LinkMotion(self.model, self.address, self.period, self.position, self.velocity)
+        return LinkMotion(self.model, self.address, self.period, self.position, self.velocity, base=self.base)
+
+    def misread(self, rng: np.random.Generator) -> Take:
+        """The same with the noise of its velocity on the base of a floating robot."""
+        if self.base is None:
+            return self
+        velocity = self.base.velocity + self.base_noise * rng.standard_normal(self.base.velocity.shape)
+        return replace(self, base=replace(self.base, velocity=velocity))
 
     def halved(self) -> Take:
         """The same at half the physics step."""
@@ -137,7 +151,7 @@ def take_of(
         step = min(step, float(np.min(0.3 * inertia / np.maximum(recording.kd, 1e-12))))
     substeps = int(np.ceil(period / step - 1e-3))
     step = period / substeps
-    driven = model.__copy__()
+    driven = carried(model).__copy__()
     driven.opt.timestep = step
     driven.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     free_of_simple_bodies(driven)
@@ -147,8 +161,8 @@ def take_of(
     measured = _interpolate(time, recording.time, recording.position)
     longest = kernel_for([recording])
     late = _stamp_jitter(recording.time)  # a reading is off by what the joint moved meanwhile
-    rough = np.gradient(gaussian_filter1d(measured, max(longest / period, 1.0), axis=0), period, axis=0)
     slow = np.sqrt((1 + noise_correlation) / (1 - noise_correlation))  # its mean over many samples is off by more
+    rough = _rough_velocity(measured, period, longest)
     position_noise = np.hypot(slow * position_noise, late * np.abs(rough))
     position, position_sigma = _local_fit(_cubics(measured, 0, period, longest, position_noise))
     slopes = _cubics(measured, 1, period, longest, position_noise)
@@ -157,7 +171,32 @@ def take_of(
         slopes += _cubics(_interpolate(time, recording.time, recording.velocity), 0, period, longest, velocity_noise)
     velocity, velocity_sigma = _local_fit(slopes)
     noise = np.stack([position_sigma, velocity_sigma])
-    return Take(recording, driven, address, substeps, time, measured, position, velocity, noise)
+    base, base_noise = _base_of(recording, driven, time, longest, late)
+    return Take(recording, driven, address, substeps, time, measured, position, velocity, noise, base, base_noise)
+
+
+def _base_of(
+    recording: Recording, model: mujoco.MjModel, time: Array, longest: float, late: float
+) -> tuple[BaseMotion | None, Array]:
+    """How the base moved, from local cubic fits like the joints' states, and the noise of its velocity."""
+    pose, period = pose_of(recording, model), float(time[1] - time[0])
+    if pose is None:
+        return None, np.zeros((1, 6))
+    measured = _interpolate(time, recording.time, pose)
+    linear, angular = base_noise(recording)
+    noise = np.hypot([linear] * 3 + [angular / 2] * 4, late * np.abs(_rough_velocity(measured, period, longest)))
+    fitted, _ = _local_fit(_cubics(measured, 0, period, longest, noise))
+    rate, sigma = _local_fit(_cubics(measured, 1, period, longest, noise))
+    fitted[:, 3:] /= np.linalg.norm(fitted[:, 3:], axis=1, keepdims=True)
+    velocity = base_velocity(fitted, rate)
+    sigma_of_turn = 2 * np.sqrt((sigma[:, 3:] ** 2).mean(1, keepdims=True)).repeat(3, axis=1)
+    motion = BaseMotion(fitted, velocity, CubicSpline(time, velocity)(time, 1))
+    return motion, np.hstack([sigma[:, :3], sigma_of_turn])
+
+
+def _rough_velocity(measured: Array, period: float, longest: float) -> Array:
+    smooth = gaussian_filter1d(measured, max(longest / period, 1.0), axis=0)
+    return np.asarray(np.gradient(smooth, period, axis=0), dtype=np.float64)
 
 
 def join(takes: Sequence[Take]) -> list[Take]:
@@ -189,6 +228,8 @@ def _joined(takes: Sequence[Take]) -> Take:
     return replace(
         takes[0], time=along("time"), measured=along("measured"), position=along("position"),
         velocity=along("velocity"), start_noise=along("start_noise", 1), pieces=tuple(takes),
+        base=None if takes[0].base is None else BaseMotion.joined([take.base for take in takes if take.base]),
+        base_noise=along("base_noise"),
     )  # fmt: skip
 
 
@@ -268,18 +309,24 @@ def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array,
     qpos[:, take.address.qpos] = position
     qvel = np.zeros((rows, take.model.nv))
     qvel[:, take.address.dof] = velocity
+    at, dof = base_columns(take.model)
+    if take.base is not None:
+        begin = _base_from(before, plant, take, 0)
+        qpos[:, at], qvel[:, dof] = begin.pose[:, 0], begin.velocity[:, 0]
+    carry = _carry(before, plant, windows)
     physics.reset(qpos=qpos, qvel=qvel)
 
     steps = windows.length * take.substeps
     command = _delayed_commands(windows, plant, sets)  # (rows, steps, J)
     if take.recording.position_target is None and plant.open_loop:
-        torque = _drive(command, plant, take)
-        states = physics.rollout(steps, torch.from_numpy(torque), into="torque", record=("qpos", "qvel"))
+        forces = np.zeros((rows, steps, take.model.nv))
+        forces[..., take.address.dof], forces[..., dof] = _drive(command, plant, take), carry
+        states = physics.rollout(steps, torch.from_numpy(forces), into="qfrc_applied", record=("qpos", "qvel"))
         q, v = (states[name].numpy()[:, take.substeps - 1 :: take.substeps] for name in ("qpos", "qvel"))
         out = q[:, :, take.address.qpos] - _lead(take.model) * (v[:, :, take.address.dof] - velocity[:, None])
     else:
         with np.errstate(all="ignore"):  # of rows that diverge
-            out = _closed_loop(physics, command, plant, windows, sets)
+            out = _closed_loop(physics, command, carry, plant, windows, sets)
     out = _hold_finite(out * plant.encoder_scale[:, None] + plant.encoder_offset[:, None])
     return out.reshape(sets, count, windows.length, joints)
 
@@ -293,12 +340,15 @@ def _lead(model: mujoco.MjModel) -> float:
     return 0.0 if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.5 * float(model.opt.timestep)
 
 
-def _closed_loop(physics: BatchPhysics, command: Array, plant: Plant, windows: Windows, sets: int) -> Array:
+def _closed_loop(
+    physics: BatchPhysics, command: Array, carry: Array, plant: Plant, windows: Windows, sets: int
+) -> Array:
     """Step by step, for torques that depend on the state. Returns true positions where the encoders sit."""
     take, step = windows.take, float(windows.take.model.opt.timestep)
     r = take.recording
     qpos, qvel, applied = physics.qpos.numpy(), physics.qvel.numpy(), physics.qfrc_applied.numpy()
     at, dof = take.address.qpos, take.address.dof
+    _, base = base_columns(take.model)
     keep = np.where(plant.lag > 1e-6, np.exp(-step / np.maximum(plant.lag, 1e-6)), 0.0)
     servo = None if r.position_target is None else _servo(r, plant)
     state = _lag_state(windows, plant, sets) if servo is not None and keep.any() else None
@@ -326,12 +376,32 @@ def _closed_loop(physics: BatchPhysics, command: Array, plant: Plant, windows: W
         now.position, now.velocity, now.torque = q, v, torque
         for law in plant.laws:
             torque = torque + law(now)
-        applied[:, dof] = torque
+        applied[:, dof], applied[:, base] = torque, carry[:, i]
         physics.step()
         if (i + 1) % take.substeps == 0:
             read, rate = _motor_side(plant, qpos[:, at], qvel[:, dof])
             out[:, i // take.substeps] = read - lead * (rate - first_rate)
     return out
+
+
+def _carry(start: Start, plant: Plant, windows: Windows) -> Array:
+    """Forces that move a heavy base from one recorded velocity to the next. Shape (rows, steps, 6), or 0 for 6."""
+    take = windows.take
+    if take.base is None:
+        return np.zeros((plant.rows, windows.length * take.substeps, 0))
+    _, dof = base_columns(take.model)
+    gain = np.diff(_base_from(start, plant, take, windows.length).velocity, axis=1) / take.period
+    return (take.model.dof_armature[dof] * gain).repeat(take.substeps, axis=1)
+
+
+def _base_from(start: Start, plant: Plant, take: Take, length: int) -> BaseMotion:
+    """The base at each row's start and ``length`` samples on, with its stamps put right. Rows, length + 1, K."""
+    assert take.base is not None
+    late = (plant.base_offset / take.period)[:, None]
+    at = np.clip(start.sample[:, None] + np.arange(length + 1) + late, start.first[:, None], start.last[:, None])
+    low = np.minimum(at.astype(np.intp), start.last[:, None] - 1)
+    share = (at - low)[..., None]
+    return take.base.moved(lambda x: (1 - share) * x[low] + share * x[low + 1])
 
 
 def _servo(r: Recording, plant: Plant) -> Callable[[Array, Array, Array], Array]:

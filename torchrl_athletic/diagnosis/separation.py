@@ -260,4 +260,5 @@ def _rms(noise: Array) -> Array:
 
 def thinned(s: Signals, every: int = THINNED) -> Signals:
     names = ("keep", "position", "velocity", "acceleration", "command", "required", "missing", "bias", "valid")
-    return replace(s, **{name: getattr(s, name)[::every] for name in names})
+    base = None if s.base is None else s.base[::every]
+    return replace(s, base=base, **{name: getattr(s, name)[::every] for name in names})

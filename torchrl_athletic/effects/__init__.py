@@ -17,7 +17,7 @@ from torchrl_athletic.effects.friction import (
 )
 from torchrl_athletic.effects.gravity import GravityTilt
 from torchrl_athletic.effects.inertia import LinkCom, LinkInertia, LinkMass, ReflectedInertia
-from torchrl_athletic.effects.nuisance import ClockShift, LinkComShift
+from torchrl_athletic.effects.nuisance import BaseClockShift, ClockShift, LinkComShift
 from torchrl_athletic.effects.payload import Payload
 from torchrl_athletic.effects.plant import Law, Now, Plant, Start
 from torchrl_athletic.effects.presliding import Hysteresis
@@ -71,6 +71,7 @@ __all__ = [
     "ActuationLag",
     "AsymmetricFriction",
     "Backlash",
+    "BaseClockShift",
     "ClockOffset",
     "ClockShift",
     "Compliance",

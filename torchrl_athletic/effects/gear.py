@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from torchrl_athletic.effects.base import BaseMotion
 from torchrl_athletic.effects.signals import (
     JointAddress,
     bristle,
@@ -66,6 +67,8 @@ class LinkMotion:
     """Of :meth:`slopes`, by joint."""
     starts: dict[tuple[int, bool, bytes], Array] = field(default_factory=dict)
     """Of :meth:`Gear.begin`, by joint, play, and what else decides them."""
+    base: BaseMotion | None = None
+    """Of a floating robot. S samples."""
 
     @cached_property
     def acceleration(self) -> Array:
@@ -76,7 +79,8 @@ class LinkMotion:
     @cached_property
     def load(self) -> Array:
         """Torque that each link asks for, its own rotor left out, the model's dry friction included. Shape (S, J)."""
-        torque = inverse_dynamics(self._links, self.address, self.position, self.velocity, self.acceleration)
+        motion = self.position, self.velocity, self.acceleration
+        torque = inverse_dynamics(self._links, self.address, *motion, self.base)
         loss = self.model.dof_frictionloss[self.address.dof]
         for j in map(int, np.flatnonzero(loss)):
             torque[:, j] += loss[j] * self.sliding(j)
@@ -96,8 +100,9 @@ class LinkMotion:
                 motion = list(self._some)
                 motion[k] = motion[k].copy()
                 motion[k][:, joint] += step
-                rise = inverse_dynamics(self._links, self.address, *motion) - self._some_load
-                out.append(self._between(rise / step))
+                q, v, a = motion
+                changed = inverse_dynamics(self._links, self.address, q, v, a, self._some_base)
+                out.append(self._between((changed - self._some_load) / step))
             self.derivatives[joint] = np.stack(out)
         return self.derivatives[joint]
 
@@ -114,7 +119,11 @@ class LinkMotion:
 
     @cached_property
     def _some_load(self) -> Array:
-        return inverse_dynamics(self._links, self.address, *self._some)
+        return inverse_dynamics(self._links, self.address, *self._some, self._some_base)
+
+    @property
+    def _some_base(self) -> BaseMotion | None:
+        return None if self.base is None else self.base[:: self._stride]
 
     @cached_property
     def _links(self) -> mujoco.MjModel:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -11,6 +12,7 @@ from torchrl_athletic.effects.effect import Array, Effect, Fingerprint, Paramete
 from torchrl_athletic.effects.inertia import carries_link, recompute_constants
 from torchrl_athletic.effects.plant import Plant
 from torchrl_athletic.effects.signals import JointAddress, Signals
+from torchrl_athletic.recordings.base import base_moves
 
 _AXES = ("x", "y", "z")
 
@@ -58,6 +60,48 @@ class LinkComShift(Effect):
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
         shift = ", ".join(f"{1e3 * values[axis]:+.3g}" for axis in _AXES)
         return f"The centre of mass of the link moved by {joint} lies ({shift}) mm from where the model has it."
+
+
+class BaseClockShift(Effect):
+    """The pose of a floating robot's base was stamped by another clock than its joints, or came later.
+
+    Parameters: ``offset`` [s] by which the base is stamped late against the joints.
+
+    Fingerprint: -∂ID/∂t on every joint, where time passes for the base alone.
+
+    Simulation: the base moves by its recording, the offset early.
+    """
+
+    name = "base_clock_shift"
+    family = "sensing"
+    whole_robot = True
+    shows_in = "acceleration"
+    equation = "base(t) = recorded(t + o)"
+    source = "Furgale, Rehder, Siegwart 2013, doi:10.1109/IROS.2013.6696514"
+
+    def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
+        return (Parameter("offset", "s", 0.0, -0.05, 0.05, 0.005),)
+
+    def parameters_of(self, takes: Sequence[Signals], joint: int) -> tuple[Parameter, ...]:
+        moves = any(base_moves(s.recording) for s in takes)
+        return super().parameters_of(takes, joint) if moves else ()
+
+    def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
+        return [{}]
+
+    def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
+        assert s.fine_base is not None
+        torques = []
+        for ahead in (1, -1):
+            at = (np.arange(len(s.fine_time)) + ahead).clip(0, len(s.fine_time) - 1)
+            torques.append(replace(s, base=s.fine_base[at].moved(s.project)).inverse())
+        return Fingerprint(-((torques[0] - torques[1]) / (2 * s.fine_step))[:, :, None], fixed)
+
+    def apply(self, plant: Plant, joint: int, values: Array) -> None:
+        plant.base_offset += values[:, 0]
+
+    def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
+        return f"The base is stamped {1e3 * values['offset']:+.3g} ms late against the joints."
 
 
 class ClockShift(Effect):

@@ -158,6 +158,8 @@ class Plant:
     """Reading at the true zero [rad]."""
     clock_offset: Array = field(init=False)
     """By which the stamps of positions are late against those of commands [s], either sign. Shape (rows,)."""
+    base_offset: Array = field(init=False)
+    """By which the stamps of a floating base are late against those of the joints [s], either sign. Shape (rows,)."""
 
     def __post_init__(self) -> None:
         shape = (self.rows, len(self.address.dof))
@@ -165,7 +167,7 @@ class Plant:
             setattr(self, name, np.zeros(shape))
         for name in ("torque_scale", "kp_scale", "kd_scale", "encoder_scale"):
             setattr(self, name, np.ones(shape))
-        self.clock_offset = np.zeros(self.rows)
+        self.clock_offset, self.base_offset = np.zeros(self.rows), np.zeros(self.rows)
 
     def of(self, name: str) -> Array:
         """Per-row values of a model field, also ``"opt.gravity"``, to be written in place. Shape (rows, *field)."""

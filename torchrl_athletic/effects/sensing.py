@@ -94,7 +94,7 @@ class EncoderScale(Effect):
             q, v, a = s.position.copy(), s.velocity.copy(), s.acceleration.copy()
             for x in (q, v, a):
                 x[:, joint] *= by
-            return inverse_dynamics(s.model, s.address, q, v, a)
+            return inverse_dynamics(s.model, s.address, q, v, a, s.base)
 
         return Fingerprint(((scaled(1 + _STEP) - scaled(1 - _STEP)) / (2 * _STEP))[:, :, None], fixed)
 

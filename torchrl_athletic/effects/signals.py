@@ -24,6 +24,8 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d, minimum_filter1d
 from scipy.signal import welch
 from scipy.sparse import csr_array
 
+from torchrl_athletic.effects.base import BaseMotion, base_columns, base_motion, carried, free_joint
+from torchrl_athletic.recordings.noise import base_noise
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
 Array = NDArray[np.float64]
@@ -42,7 +44,10 @@ FINE_STEP = 0.0025
 
 @dataclass(frozen=True)
 class JointAddress:
-    """Where the recorded joints are in the model. Each field has shape (J,)."""
+    """Where the recorded joints are in the model. Each field has shape (J,).
+
+    The free joint of a floating base is none of them: its motion is prescribed.
+    """
 
     joint: NDArray[np.intp]
     qpos: NDArray[np.intp]
@@ -55,10 +60,10 @@ class JointAddress:
 
         Raises:
             RecordingError: If the model lacks a recorded joint, or has a degree of freedom that was not recorded,
-            because its
-                motion would have to be invented.
+                because its motion would have to be invented; the base may float.
         """
-        known = {model.joint(i).name: i for i in range(model.njnt)}
+        base = free_joint(model)
+        known = {model.joint(i).name: i for i in range(model.njnt) if i != base}
         unknown = [name for name in names if name not in known]
         if unknown:
             raise RecordingError(
@@ -72,7 +77,10 @@ class JointAddress:
             )
         single = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
         if any(int(model.jnt_type[known[name]]) not in single for name in names):
-            raise RecordingError(f"{source}: only hinge and slide joints can be diagnosed; give the base a fixed pose.")
+            raise RecordingError(
+                f"{source}: only hinge and slide joints can be diagnosed, of a robot whose base may float. Record "
+                "the base's pose as base_position and base_orientation, and take other free bodies out of the model."
+            )
         joint = np.array([known[name] for name in names], dtype=np.intp)
         return cls(joint, model.jnt_qposadr[joint], model.jnt_dofadr[joint], model.jnt_bodyid[joint])
 
@@ -92,11 +100,19 @@ def smooth_dynamics(model: mujoco.MjModel) -> mujoco.MjModel:
     return copy
 
 
-def inverse_dynamics(model: mujoco.MjModel, address: JointAddress, q: Array, v: Array, a: Array) -> Array:
-    """Joint torques that the motion asks for [N·m]. Shapes (N, J) in and out."""
+def inverse_dynamics(
+    model: mujoco.MjModel, address: JointAddress, q: Array, v: Array, a: Array, base: BaseMotion | None = None
+) -> Array:
+    """Joint torques that the motion asks for [N·m]. Shapes (N, J) in and out.
+
+    A floating base moves as prescribed; without ``base`` it rests where the model has it.
+    """
     data, torque = mujoco.MjData(model), np.empty((len(q), model.nv))
     full_q, full_v, full_a = np.tile(model.qpos0, (len(q), 1)), np.zeros_like(torque), np.zeros_like(torque)
     full_q[:, address.qpos], full_v[:, address.dof], full_a[:, address.dof] = q, v, a
+    if base is not None:
+        at, dof = base_columns(model)
+        full_q[:, at], full_v[:, dof], full_a[:, dof] = base.pose, base.velocity, base.acceleration
     qpos, qvel, qacc, wanted = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
     everything = int(mujoco.mjtStage.mjSTAGE_NONE)
     for k in range(len(q)):
@@ -107,7 +123,12 @@ def inverse_dynamics(model: mujoco.MjModel, address: JointAddress, q: Array, v: 
 
 
 def inertia_matrix(model: mujoco.MjModel, address: JointAddress, q: Array) -> Array:
-    """Joint-space inertia at each sample. Shape (N, J, J)."""
+    """Joint-space inertia at each sample, of a base that does not give way. Shape (N, J, J)."""
+    return _full_inertia(model, address, q)[:, address.dof[:, None], address.dof]
+
+
+def _full_inertia(model: mujoco.MjModel, address: JointAddress, q: Array) -> Array:
+    """Of all degrees of freedom, a floating base's among them. Shape (N, nv, nv)."""
     data, out = mujoco.MjData(model), np.empty((len(q), model.nv, model.nv))
     full_q = np.tile(model.qpos0, (len(q), 1))
     full_q[:, address.qpos] = q
@@ -118,7 +139,7 @@ def inertia_matrix(model: mujoco.MjModel, address: JointAddress, q: Array) -> Ar
         mujoco.mj_comPos(model, data)
         mujoco.mj_makeM(model, data)
         mujoco.mj_fullM(model, data, out[k])
-    return out[:, address.dof[:, None], address.dof]
+    return out
 
 
 def held_command(time: Array, command: Array, edges: Array) -> Array:
@@ -181,6 +202,10 @@ class Signals:
     """Lightly smoothed, for nonlinear features. Shape (M, J)."""
     fine_velocity: Array
     """Shape (M, J)."""
+    base: BaseMotion | None = None
+    """Of a floating robot, projected like the joints. N instants."""
+    fine_base: BaseMotion | None = None
+    """The same, lightly smoothed. M instants."""
 
     @property
     def time(self) -> Array:
@@ -229,7 +254,7 @@ class Signals:
     def inverse(self, model: mujoco.MjModel | None = None, position: Array | None = None) -> Array:
         """Inverse dynamics along the motion, of another model or from another position [N·m]. Shape (N, J)."""
         q = self.position if position is None else position
-        return inverse_dynamics(model or self.model, self.address, q, self.velocity, self.acceleration)
+        return inverse_dynamics(model or self.model, self.address, q, self.velocity, self.acceleration, self.base)
 
     @cached_property
     def rigid(self) -> Array:
@@ -240,7 +265,8 @@ class Signals:
     def load(self) -> Array:
         """Torque that gravity and springs ask for at rest [N·m]. Shape (N, J)."""
         zero = np.zeros_like(self.velocity)
-        return inverse_dynamics(self.model, self.address, self.position, zero, zero)
+        base = None if self.base is None else self.base.at_rest
+        return inverse_dynamics(self.model, self.address, self.position, zero, zero, base)
 
     @cached_property
     def inertia(self) -> Array:
@@ -269,6 +295,7 @@ def project_recording(
         noise_correlation: Of the position's noise from one sample to the next, white if None. Shape (J,).
     """
     address = JointAddress.of(model, recording.joint_names, recording.source)
+    model = carried(model)
     smooth = smooth_dynamics(model)
     period = 1.0 / recording.rate
     kernel = kernel_for([recording]) if kernel is None else kernel
@@ -291,6 +318,9 @@ def project_recording(
     def motion(seconds: float) -> tuple[Array, Array, Array]:
         return _motion(q, v, direct, seconds / fine_step, fine_step)
 
+    def base(seconds: float) -> BaseMotion | None:
+        return base_motion(recording, model, fine_time, seconds)
+
     edge = int(np.ceil(5 * width))
     if len(fine_time) < 2 * edge + 50:
         raise RecordingError(
@@ -300,6 +330,7 @@ def project_recording(
     keep = np.arange(edge, len(fine_time) - edge, max(1, int(0.8 * width)))
     light, coarse = _light(kernel), min(2 * _light(kernel), kernel)
     fine_q, fine_v, fine_a = motion(light)
+    fine_base, whole_base = base(light), base(kernel)
     position, velocity, acceleration = (x[keep] for x in motion(kernel))
     empty = np.zeros_like(position)
     draft = Signals(
@@ -322,15 +353,20 @@ def project_recording(
         valid=np.ones(empty.shape, dtype=np.bool_),
         fine_position=fine_q,
         fine_velocity=fine_v,
+        base=None if whole_base is None else whole_base[keep],
+        fine_base=fine_base,
     )
-    required = draft.project(inverse_dynamics(smooth, address, fine_q, fine_v, fine_a)) + _nominal_dry_friction(draft)
-    rougher = inverse_dynamics(smooth, address, *motion(coarse))
+    required = inverse_dynamics(smooth, address, fine_q, fine_v, fine_a, fine_base)
+    required = draft.project(required) + _nominal_dry_friction(draft)
+    rougher = inverse_dynamics(smooth, address, *motion(coarse), base(coarse))
     rest = np.sqrt(kernel**2 - coarse**2)
     rougher = (_gaussian(rougher, rest / fine_step) if rest > 0 else rougher)[keep] + _nominal_dry_friction(draft)
     torque = _limited(draft, draft.torque_of(draft.project_command(draft.raw_command())))
     noise = np.sqrt(
         np.mean((draft.inertia**2 @ (sigma_a**2)[:, None])[..., 0], axis=0) + (_damping(draft) * sigma_v) ** 2
     )
+    if fine_base is not None:
+        noise = np.hypot(noise, _noise_of_base(draft, gain[2] * base_noise(recording)))
     if recording.kp is not None and recording.kd is not None:  # the torque is computed from the readings
         noise = np.sqrt(noise**2 + (recording.kp * sigma_q) ** 2 + (recording.kd * sigma_v) ** 2)
     return replace(
@@ -526,6 +562,13 @@ def _nominal_dry_friction(s: Signals) -> Array:
     for j in map(int, np.flatnonzero(loss)):
         friction[:, j] = loss[j] * sliding_direction(s, j)
     return friction
+
+
+def _noise_of_base(s: Signals, noise: Array) -> Array:
+    """Torque that noise of the base's linear and angular acceleration, shape (2,), asks of the joints. Shape (J,)."""
+    _, base = base_columns(s.model)
+    coupling = _full_inertia(s.model, s.address, s.position)[:, s.address.dof, base]
+    return np.asarray(np.sqrt((coupling**2 @ np.repeat(noise**2, 3)).mean(0)), dtype=np.float64)
 
 
 def _damping(s: Signals) -> Array:

@@ -218,7 +218,7 @@ _MOTIONS: WeakKeyDictionary[Signals, LinkMotion] = WeakKeyDictionary()
 def _link_motion(s: Signals) -> LinkMotion:
     """What the lightly smoothed motion asks of the links, found once a recording."""
     if s not in _MOTIONS:
-        _MOTIONS[s] = LinkMotion(s.nominal, s.address, s.fine_step, s.fine_position, s.fine_velocity)
+        _MOTIONS[s] = LinkMotion(s.nominal, s.address, s.fine_step, s.fine_position, s.fine_velocity, base=s.fine_base)
     return _MOTIONS[s]
 
 

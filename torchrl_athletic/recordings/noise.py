@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_athletic.recordings.base import base_pose
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 from torchrl_athletic.recordings.resampling import GAP_FACTOR
 
@@ -63,6 +64,19 @@ def sensor_noise(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.
     correlated = np.array([sigma for sigma, _ in _first_order(left, step)])
     position = np.maximum(white, correlated)
     return position, None if recording.velocity is None else channels(recording.velocity)
+
+
+def base_noise(recording: Recording) -> NDArray[np.float64]:
+    """Standard deviation of one reading of the base's position [m] and of its attitude about an axis [rad].
+
+    Found as :func:`sensor_noise` finds white noise; zero if no base was recorded. Shape (2,).
+    """
+    pose = base_pose(recording)
+    if pose is None:
+        return np.zeros(2)
+    weights, rows = _difference_weights(recording)
+    square = np.array([_channel_noise(weights, channel[rows], encoder_step(channel)) ** 2 for channel in pose.T])
+    return np.sqrt([square[:3].mean(), 4 * square[3:].sum() / 3])  # of four numbers of a unit quaternion three are free
 
 
 def noise_correlation(recording: Recording) -> NDArray[np.float64]:

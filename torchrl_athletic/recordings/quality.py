@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from torchrl_athletic.recordings.noise import encoder_step, noise_correlation, repeat_noise, sensor_noise
+from torchrl_athletic.recordings.base import base_pose
+from torchrl_athletic.recordings.noise import base_noise, encoder_step, noise_correlation, repeat_noise, sensor_noise
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 from torchrl_athletic.recordings.resampling import GAP_FACTOR, gap_rows, resample, split_at_gaps
 
@@ -30,6 +31,8 @@ LOST_EVERY = 3.0
 """A hole is masked in each so many seconds at most, the worst first: masks reach as far as the projection looks [s]."""
 STALL_TIME = 0.1
 """A joint that rests for less [s] turns round; it is not stalled."""
+FASTEST_BASE = 20.0
+"""Speed that no robot in the air is carried at [m/s]."""
 _LIKELY_RADIANS = 8 * np.pi
 _KNOWN_FACTORS = {
     180 / np.pi: "degrees/s against rad",
@@ -103,6 +106,7 @@ class Quality:
     - 'stalled': the joint is pushed hard against something that the command does not know of, such as a stop. A joint
       that sticks in friction is *not* stalled: how hard it was pushed before it broke loose is what friction is
       identified from.
+    - 'base', of a floating robot only: the pose of the base jumps away and back, or repeats an old one while it moves.
     """
     warnings: tuple[str, ...]
     """Sentences, each with the mend."""
@@ -204,6 +208,8 @@ def check_quality(recording: Recording, torque_limit: ArrayLike | None = None) -
         "clipped": _flat_tops(recording.torque_command, recording),
         "stalled": _stalled(recording, saturated, 1.5 * resolution + 6 * position_noise),
     }
+    if recording.base_position is not None:
+        masks["base"] = np.repeat(_base_lost(recording)[:, None], recording.num_joints, axis=1)
     scale, velocity_shift = _velocity_against_position(recording)
     response, command_shift = _response_against_command(recording)
     quality = Quality(
@@ -277,9 +283,7 @@ def _frozen(recording: Recording, smallest_move: Floats, velocity_noise: Floats 
     """Readings repeated exactly while the joint moved by more than ``smallest_move`` (J,)."""
     mask = np.zeros(recording.position.shape, dtype=np.bool_)
     for j, q in enumerate(recording.position.T):
-        for start, stop in _runs(np.diff(q) == 0):  # rows start + 1 to stop repeat row start
-            if _catches_up(recording.time, q, start, stop, smallest_move[j]):
-                mask[start + 1 : stop + 1, j] = True
+        mask[:, j] = _repeated(recording.time, q, smallest_move[j])
         if recording.velocity is None or velocity_noise is None:
             continue
         v = recording.velocity[:, j]
@@ -290,6 +294,25 @@ def _frozen(recording: Recording, smallest_move: Floats, velocity_noise: Floats 
             if abs(v[start]) > slowest and abs(hidden) > smallest_move[j] and caught_up:
                 mask[start + 1 : stop + 1, j] = True
     return mask
+
+
+def _repeated(time: Floats, q: Floats, smallest_move: float) -> Mask:
+    """Where one channel stands still and then jumps to where it would have been."""
+    mask = np.zeros(len(q), dtype=np.bool_)
+    for start, stop in _runs(np.diff(q) == 0):  # rows start + 1 to stop repeat row start
+        if _catches_up(time, q, start, stop, smallest_move):
+            mask[start + 1 : stop + 1] = True
+    return mask
+
+
+def _base_lost(recording: Recording) -> Mask:
+    """Where no number of the base's pose was read anew, or one is a spike. Shape (T,)."""
+    pose = base_pose(recording)
+    assert pose is not None
+    linear, angular = base_noise(recording)
+    noise = np.array([linear] * 3 + [angular / 2] * 4)
+    repeated = [_repeated(recording.time, channel, 4 * sigma) for channel, sigma in zip(pose.T, noise, strict=True)]
+    return np.asarray(np.any(repeated, axis=0) | _spikes(pose, np.maximum(10 * noise, 1e-9)).any(1), dtype=np.bool_)
 
 
 def _catches_up(time: Floats, q: Floats, start: int, stop: int, smallest_move: float) -> bool:
@@ -527,6 +550,7 @@ def _time_shift(a: Floats, b: Floats, step: float, longest: float = 0.3) -> tupl
 
 def _with_warnings(quality: Quality, recording: Recording) -> Quality:
     found = [*_stamp_warnings(quality), *_mask_warnings(quality), *_unit_warnings(quality, recording)]
+    found += _base_warnings(quality, recording)
     return replace(quality, warnings=tuple(f"{quality.source}: {text}" for text in found))
 
 
@@ -594,6 +618,22 @@ def _unit_warnings(quality: Quality, recording: Recording) -> list[str]:
                 "degrees or encoder counts. Convert it to rad, unless the joint does make several turns."
             )
         found += _velocity_warnings(joint, quality.velocity_scale[j], quality.velocity_shift[j], 1 / quality.rate)
+    return found
+
+
+def _base_warnings(quality: Quality, recording: Recording) -> list[str]:
+    if recording.base_position is None:
+        return []
+    found, lost = [], quality.masks["base"].any(1).mean()
+    speed = np.linalg.norm(np.diff(recording.base_position, axis=0), axis=1) / np.diff(recording.time)
+    if lost:
+        found.append(
+            f"the base: {lost:.1%} of its poses jump away and back, or repeat an old one. Look for lost markers."
+        )
+    if (fastest := float(np.quantile(speed, 0.99))) > FASTEST_BASE:
+        found.append(
+            f"base_position moves at up to {fastest:.0f} a second, which looks like millimetres. Convert it to m."
+        )
     return found
 
 

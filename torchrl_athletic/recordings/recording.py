@@ -14,6 +14,9 @@ TorqueSemantics = Literal["link_side", "current_derived"]
 
 _PER_SAMPLE = ("position", "velocity", "torque_command", "position_target", "torque_measured")
 _PER_JOINT = ("kp", "kd")
+_OF_BASE = {"base_position": 3, "base_orientation": 4}
+_UNIT = 0.01
+"""By which the length of a quaternion may differ from one: more than rounding to three decimals makes of it."""
 
 
 class RecordingError(ValueError):
@@ -62,6 +65,11 @@ class Recording:
     """Measured torque [N·m]. Shape (T, J)."""
     torque_semantics: TorqueSemantics | None = None
     """Where ``torque_measured`` comes from: a sensor on the link, or motor current times a constant."""
+    base_position: NDArray[np.float64] | None = None
+    """Where the base of a floating robot was: origin of the body with the free joint, in the world [m].
+    Shape (T, 3)."""
+    base_orientation: NDArray[np.float64] | None = None
+    """Its attitude as unit quaternion w, x, y, z, from the body's frame to the world's. Shape (T, 4). Either sign."""
     metadata: Mapping[str, Any] = field(default_factory=dict)
     """JSON-compatible notes: robot, payload, excitation, fixture, repeat id."""
     source: str = "memory"
@@ -70,7 +78,7 @@ class Recording:
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", _floats(self, "time"))
         object.__setattr__(self, "joint_names", _names(self))
-        for name in _PER_SAMPLE + _PER_JOINT:
+        for name in (*_PER_SAMPLE, *_PER_JOINT, *_OF_BASE):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _floats(self, name))
         _check(self)
@@ -139,12 +147,22 @@ class Recording:
         }
         return replace(self, joint_names=tuple(joint_names), **moved)
 
+    def with_base_held(self, position: ArrayLike, orientation: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> Recording:
+        """The same take of a robot whose base stood still, such as with its trunk clamped and its legs in the air.
+
+        Args:
+            position: Of the base in the world [m]. Shape (3,).
+            orientation: Unit quaternion w, x, y, z. Shape (4,).
+        """
+        position, orientation = (np.tile(value, (self.num_samples, 1)) for value in (position, orientation))
+        return replace(self, base_position=position, base_orientation=orientation)
+
     def slice(self, start: int, stop: int) -> Recording:
         """Samples ``start`` to ``stop`` as a recording of its own."""
         cut = {
             f.name: getattr(self, f.name)[start:stop]
             for f in fields(self)
-            if f.name in ("time", *_PER_SAMPLE) and getattr(self, f.name) is not None
+            if f.name in ("time", *_PER_SAMPLE, *_OF_BASE) and getattr(self, f.name) is not None
         }
         return replace(self, **cut)
 
@@ -195,7 +213,8 @@ def _check(r: Recording) -> None:
                 f"{r.source}: {name} has shape {value.shape}, but time ({samples} samples) and joint_names "
                 f"({joints} joints) ask for {shape}. One row a sample and one column a joint."
             )
-    for name in ("time", *_PER_SAMPLE):
+    _check_base(r)
+    for name in ("time", *_PER_SAMPLE, *_OF_BASE):
         value = getattr(r, name)
         if value is not None and not np.isfinite(value).all():
             row = int(np.argwhere(~np.isfinite(value))[0][0])
@@ -212,6 +231,31 @@ def _check(r: Recording) -> None:
         )
     _check_command(r)
     _check_metadata(r)
+
+
+def _check_base(r: Recording) -> None:
+    missing = [name for name in _OF_BASE if getattr(r, name) is None]
+    if len(missing) == 1:
+        raise RecordingError(
+            f"{r.source}: {missing[0]} is missing. The pose of the base is base_position (T, 3) in m and "
+            "base_orientation (T, 4), w x y z; give both, constant ones of a base that was held, or neither."
+        )
+    for name, columns in _OF_BASE.items():
+        value = getattr(r, name)
+        if value is not None and value.shape != (len(r.time), columns):
+            raise RecordingError(
+                f"{r.source}: {name} has shape {value.shape}, needed is ({len(r.time)}, {columns}): one row for each "
+                "stamp in time. Interpolate the base's log at the joints' stamps."
+            )
+    if r.base_orientation is not None:
+        length = np.linalg.norm(r.base_orientation, axis=1)
+        wrong = np.abs(length - 1.0) > _UNIT
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise RecordingError(
+                f"{r.source}: base_orientation is {r.base_orientation[row]} at row {row}, of length {length[row]:.3g}. "
+                "Give unit quaternions, w first; Euler angles and rotation vectors must be converted."
+            )
 
 
 def _check_command(r: Recording) -> None:

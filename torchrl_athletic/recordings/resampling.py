@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_athletic.recordings.base import base_pose
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
 GAP_FACTOR = 5.0
@@ -62,6 +63,7 @@ def resample(recording: Recording, step: float, max_gap: float | None = None) ->
     def held(values: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
         return None if values is None else _mean_of_hold(recording.time, values, grid, step)
 
+    base = linear(base_pose(recording))
     return replace(
         recording,
         time=grid,
@@ -70,6 +72,8 @@ def resample(recording: Recording, step: float, max_gap: float | None = None) ->
         torque_command=held(recording.torque_command),
         position_target=held(recording.position_target),
         torque_measured=linear(recording.torque_measured),
+        base_position=None if base is None else base[:, :3],
+        base_orientation=None if base is None else base[:, 3:] / np.linalg.norm(base[:, 3:], axis=1, keepdims=True),
     )
 
 

@@ -77,6 +77,11 @@ def learn_remainder(
             "the diagnosis holds no recordings (it was loaded, or stopped early), so there is nothing to learn from. "
             "Diagnose to the end, and hand over what diagnose() returns."
         )
+    if diagnosis.recordings[0].base_position is not None:
+        raise ValueError(
+            "the base of this robot floats, and a net is trained on a robot that stands. Name what you can, and leave "
+            "out --uan."
+        )
     named = acted_out(diagnosis.corrected)
     robot = driven_robot(corrected_xml(diagnosis.xml, named), diagnosis.recordings)
     torch.manual_seed(diagnosis.answer.seed)

@@ -60,7 +60,7 @@ Of the first two, the part that brakes both ways is in the model. A clock that i
 commands, which no recording tells from it; one that is early is left out, since nothing acts before its command.
 """
 
-OF_THE_RECORDING = frozenset({"clock_shift", "disturbance"})
+OF_THE_RECORDING = frozenset({"base_clock_shift", "clock_shift", "disturbance"})
 """Effects of one recording, which no robot has for good: how it was stamped, and what pushed it once."""
 
 NOT_ACTED_OUT: Mapping[str, str] = {

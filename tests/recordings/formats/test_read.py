@@ -1,6 +1,7 @@
 """Every reader, on a file of its own library, tells the same take."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -9,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from recordings.formats.foreign_files import WRITERS, assert_same, make_recording, write_csv, write_npz
 
-from torchrl_athletic.recordings import Column, ColumnMap, RecordingError, read_recordings
+from torchrl_athletic.recordings import Column, ColumnMap, RecordingError, read_recordings, write_recording
 
 
 def what_the_file_does_not_say(recording) -> ColumnMap:
@@ -325,3 +326,77 @@ def test_a_folder_of_two_link_arm_logs(real_recordings):
         np.testing.assert_array_equal(read.time, frame["time"])
         np.testing.assert_array_equal(read.position, np.stack([frame["pos_meas1"], frame["pos_meas2"]], 1))
         np.testing.assert_array_equal(read.torque_measured, np.stack([frame["tau_meas1"], frame["tau_meas2"]], 1))
+
+
+# --- the base of a floating robot ---
+
+
+def floating():
+    plain = make_recording()
+    turn = 0.2 * np.sin(plain.time)
+    return replace(
+        plain,
+        base_position=np.stack([np.sin(plain.time), np.cos(plain.time), 0 * plain.time], -1),
+        base_orientation=np.stack([np.cos(turn / 2), 0 * turn, np.sin(turn / 2), 0 * turn], -1),
+    )
+
+
+def write_base_csv(path, recording, columns):
+    table = {"time": recording.time}
+    for i, joint in enumerate(recording.joint_names):
+        table |= {f"position/{joint}": recording.position[:, i], f"target/{joint}": recording.position_target[:, i]}
+    values = np.hstack([recording.base_position, recording.base_orientation])
+    table |= dict(zip(columns, values.T, strict=True))
+    pd.DataFrame(table).to_csv(path, index=False)
+
+
+@pytest.mark.parametrize("name", ["take.npz", "take.parquet"])
+def test_what_is_written_of_a_base_is_read_back(name, tmp_path):
+    write_recording(floating(), tmp_path / name)
+    [read] = read_recordings(tmp_path / name)
+    assert_same(read, floating())
+    np.testing.assert_array_equal(read.base_position, floating().base_position)
+    np.testing.assert_array_equal(read.base_orientation, floating().base_orientation)
+    assert "not_read" not in read.metadata
+
+
+@pytest.mark.parametrize("mark", ["/", "_"])
+def test_a_csv_has_one_column_an_axis(mark, tmp_path):
+    names = [f"base_position{mark}{a}" for a in "xyz"] + [f"base_orientation{mark}{a}" for a in "wxyz"]
+    write_base_csv(tmp_path / "take.csv", floating(), names)
+    columns = ColumnMap(position_target="target/{joint}", kp=1.0, kd=0.1)
+    [read] = read_recordings(tmp_path / "take.csv", columns)
+    np.testing.assert_allclose(read.base_position, floating().base_position, rtol=1e-12)
+    np.testing.assert_allclose(read.base_orientation, floating().base_orientation, rtol=1e-12)
+
+
+def test_a_column_map_finds_a_base_in_millimetres_with_w_last(tmp_path):
+    names = ["px", "py", "pz", "qw", "qx", "qy", "qz"]
+    write_base_csv(
+        tmp_path / "take.csv", replace(floating(), base_position=1e3 * floating().base_position), names[:3] + names[3:]
+    )
+    columns = ColumnMap(
+        position_target="target/{joint}",
+        kp=1.0,
+        kd=0.1,
+        base_position=Column("p{axis}", unit="mm"),
+        base_orientation=Column(("qw", "qx", "qy", "qz")),
+    )
+    [read] = read_recordings(tmp_path / "take.csv", columns)
+    np.testing.assert_allclose(read.base_position, floating().base_position, rtol=1e-12)
+    np.testing.assert_allclose(read.base_orientation, floating().base_orientation, rtol=1e-12)
+
+
+def test_a_base_with_columns_missing_is_refused_by_name(tmp_path):
+    names = ["base_position/x", "other", "base_position/z", *(f"base_orientation/{a}" for a in "wxyz")]
+    write_base_csv(tmp_path / "take.csv", floating(), names)
+    with pytest.raises(RecordingError, match=r"base_position is looked for in 'base_position/y', which is not there"):
+        read_recordings(tmp_path / "take.csv", ColumnMap(position_target="target/{joint}", kp=1.0, kd=0.1))
+    columns = ColumnMap(position_target="target/{joint}", kp=1.0, kd=0.1, base_position=Column(("other",)))
+    with pytest.raises(RecordingError, match=r"base_position has shape \(\d+, 1\); needed is \(T, 3\), for x, y, z"):
+        read_recordings(tmp_path / "take.csv", columns)
+
+
+def test_joint_states_have_no_place_for_a_base(tmp_path):
+    with pytest.raises(RecordingError, match=r"no place for base_position .* Write \.npz or \.parquet"):
+        write_recording(floating(), tmp_path / "take.mcap")

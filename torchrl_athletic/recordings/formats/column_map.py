@@ -16,6 +16,8 @@ from torchrl_athletic.recordings.recording import RecordingError, TorqueSemantic
 
 SIGNALS = ("position", "velocity", "torque_command", "position_target", "torque_measured")
 """Fields of a recording with one value a sample and joint."""
+BASE = {"base_position": ("x", "y", "z"), "base_orientation": ("w", "x", "y", "z")}
+"""Fields of a recording of a floating robot, and the numbers that each has a sample."""
 
 _POSITION = {
     "rad": (1.0, 1.0), "m": (1.0, 1.0), "deg": (math.pi, 180.0), "rev": (math.tau, 1.0), "mm": (1.0, 1e3),
@@ -36,6 +38,8 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
     },
     "torque_command": _TORQUE,
     "torque_measured": _TORQUE,
+    "base_position": {"m": (1.0, 1.0), "mm": (1.0, 1e3)},
+    "base_orientation": {"1": (1.0, 1.0)},
 }  # fmt: skip
 """Units that a :class:`Column` may have, for each field."""
 
@@ -59,7 +63,8 @@ class Column:
 
     name: str | tuple[str, ...]
     """Name in the file. ``{joint}`` in it is replaced by the name that each joint has in the file; a name without it
-    is that of an array (T, J). A tuple names one column a joint."""
+    is that of an array (T, J). A tuple names one column a joint. For the base, ``{axis}`` stands for w, x, y and z,
+    and a tuple names its three or four columns in this order."""
     unit: str | tuple[str, ...] | None = None
     """Unit of the numbers in the file. None: SI."""
     scale: float | tuple[float, ...] = 1.0
@@ -177,6 +182,10 @@ class ColumnMap:
     """Measured torque. Needs ``torque_semantics``, unless it is a current."""
     torque_semantics: TorqueSemantics | None = None
     """``link_side`` or ``current_derived``."""
+    base_position: Column | str | None = None
+    """Position of a floating robot's base."""
+    base_orientation: Column | str | None = None
+    """Its attitude, a unit quaternion: ``Column(("qw", "qx", "qy", "qz"))``."""
     kp: float | tuple[float, ...] | None = None
     """Proportional gain [N·m/rad], one for all joints or one a joint."""
     kd: float | tuple[float, ...] | None = None
@@ -194,7 +203,7 @@ class ColumnMap:
         for f in fields(self):
             if isinstance(value := getattr(self, f.name), list):
                 object.__setattr__(self, f.name, tuple(value))
-        for name in ("time", *SIGNALS):
+        for name in ("time", *SIGNALS, *BASE):
             if isinstance(value := getattr(self, name), str):
                 object.__setattr__(self, name, Column(value))
             elif isinstance(value, Mapping):

@@ -81,6 +81,11 @@ def write_mcap(recording: Recording, path: Path) -> None:
     :func:`read_mcap`.
     """
     writer_module = import_format_library("mcap_ros2.writer")
+    if recording.base_position is not None:
+        raise RecordingError(
+            f"{recording.source}: JointState messages have no place for base_position and base_orientation. Write .npz "
+            "or .parquet."
+        )
     stamps = np.rint(recording.time * 1e9)
     if np.abs(stamps).max() >= 2**31 * 1e9 or (np.diff(stamps) <= 0).any():
         raise RecordingError(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.recordings.formats.column_map import SIGNALS
+from torchrl_athletic.recordings.formats.column_map import BASE, SIGNALS
 from torchrl_athletic.recordings.formats.foreign_library import decoding, import_format_library
 from torchrl_athletic.recordings.formats.metadata import metadata_text
 from torchrl_athletic.recordings.formats.take import NOTES, Take, parse_json_object
@@ -73,6 +73,9 @@ def write_parquet(recording: Recording, path: Path) -> None:
     for signal in SIGNALS:
         if (values := getattr(recording, signal)) is not None:
             columns |= {f"{signal}/{joint}": values[:, i] for i, joint in enumerate(recording.joint_names)}
+    for name, axes in BASE.items():
+        if (values := getattr(recording, name)) is not None:
+            columns |= {f"{name}/{axis}": values[:, i] for i, axis in enumerate(axes)}
     notes = {
         "joint_names": recording.joint_names,
         "kp": None if recording.kp is None else recording.kp.tolist(),

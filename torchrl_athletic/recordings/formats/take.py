@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.recordings.formats.column_map import SIGNALS, Column, ColumnMap
+from torchrl_athletic.recordings.formats.column_map import BASE, SIGNALS, Column, ColumnMap
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
 _OPTIONAL = ("velocity", "torque_command", "position_target", "torque_measured")
@@ -54,6 +54,7 @@ def recording_from_take(take: Take, columns: ColumnMap) -> Recording:
             if columns.column(name) is None:
                 _check_same_joints(take, name, column, labels, columns)
             signals[name] = _signal(take, name, column, labels, used)
+    base_position, base_orientation = (_of_base(take, columns, name, used) for name in BASE)
     time = _time(take, columns, len(signals["position"]), used)
     kp, kd = (_gain(take, columns, key, labels, used) for key in ("kp", "kd"))
     metadata = {**_metadata(take), **take.metadata, **columns.metadata}
@@ -63,6 +64,8 @@ def recording_from_take(take: Take, columns: ColumnMap) -> Recording:
         time=time,
         joint_names=names,
         **signals,
+        base_position=base_position,
+        base_orientation=base_orientation,
         kp=kp,
         kd=kd,
         torque_semantics=_semantics(take, columns, found.get("torque_measured")),
@@ -157,6 +160,28 @@ def _signal(take: Take, signal: str, column: Column, labels: tuple[str, ...], us
             )
         raw = _select(take, column.name, raw, labels)
     return column.to_si(raw, signal, take.source)
+
+
+def _of_base(take: Take, columns: ColumnMap, name: str, used: set[str]) -> NDArray[np.float64] | None:
+    """Position or attitude of the base in SI units: one array, or one column an axis. Shape (T, 3) or (T, 4)."""
+    axes = BASE[name]
+    column = columns.column(name)
+    if column is None:
+        there = [f"{name}{mark}{{axis}}" for mark in "/_" if f"{name}{mark}{axes[-1]}" in take.fields]
+        if name not in take.fields and not there:
+            return None
+        column = Column(name if name in take.fields else there[0])
+    if isinstance(column.name, str) and "{axis}" not in column.name:
+        raw = _numbers(take, column.name, name, used)
+    else:
+        patterns = column.name if isinstance(column.name, tuple) else (column.name,) * len(axes)
+        named = [pattern.replace("{axis}", axis) for pattern, axis in zip(patterns, axes, strict=False)]
+        raw = np.stack([_numbers(take, one, name, used) for one in named], axis=-1)
+    if raw.ndim != 2 or raw.shape[1] != len(axes):
+        raise RecordingError(
+            f"{take.source}: {name} has shape {raw.shape}; needed is (T, {len(axes)}), for {', '.join(axes)}."
+        )
+    return column.to_si(raw, name, take.source)
 
 
 def _select(take: Take, name: str, array: NDArray[np.float64], labels: tuple[str, ...]) -> NDArray[np.float64]:
