@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from diagnosis.sample import slider
 
+from torchrl_athletic.diagnosis.diagnose import _damped
 from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.report import terminal_summary
 from torchrl_athletic.diagnosis.report.page import render
 from torchrl_athletic.diagnosis.report.words import same_as
 from torchrl_athletic.diagnosis.result import Answer, Estimate, Finding, Name
 from torchrl_athletic.effects import CATALOGUE
+from torchrl_athletic.recordings import Recording
 
 
 def finding(effect: str, joint: str | None, **values: tuple[float, float]) -> Finding:
@@ -23,8 +26,10 @@ TORQUES = [effect for effect in CATALOGUE if effect.name != "gain_mismatch"]
 """What applies where torques are commanded."""
 
 
-def names(*findings: Finding, joints=("hip", "knee"), catalogue=CATALOGUE) -> list[set[tuple[Name, ...]]]:
-    return [set(f.alternatives) for f in with_alternatives(findings, joints, catalogue)]
+def names(
+    *findings: Finding, joints=("hip", "knee"), catalogue=CATALOGUE, damped=("hip", "knee")
+) -> list[set[tuple[Name, ...]]]:
+    return [set(f.alternatives) for f in with_alternatives(findings, joints, catalogue, damped)]
 
 
 def asymmetric(positive: tuple[float, float], negative: tuple[float, float]) -> Finding:
@@ -63,6 +68,22 @@ def test_a_loop_that_damps_too_much_has_a_larger_kd_or_viscous_friction():
     assert names(finding("gain_mismatch", "knee", kp_scale=(0.95, 1.05), kd_scale=(0.7, 0.9))) == [set()]
     assert names(finding("viscous_friction", "knee", damping=(1.0, 2.0))) == [{gains}]
     assert names(finding("viscous_friction", "knee", damping=(1.0, 2.0)), catalogue=TORQUES) == [set()]
+    for f in (finding("viscous_friction", "knee", damping=(1.0, 2.0)),
+              finding("gain_mismatch", "knee", kp_scale=(0.9, 1.1), kd_scale=(1.2, 1.4))):  # fmt: skip
+        assert names(f, damped=("hip",)) == [set()]
+
+
+def test_a_kd_that_differs_between_recordings_or_is_zero_tells_it_from_friction():
+    time, still = np.arange(3) / 100, np.zeros((3, 2))
+
+    def take(*kd: float) -> Recording:
+        return Recording(time, ("hip", "knee"), still, position_target=still, kp=np.ones(2), kd=np.array(kd))
+
+    torques = Recording(time, ("hip", "knee"), still, torque_command=still)
+    assert _damped([take(1, 2), take(1, 2)]) == ["hip", "knee"]
+    assert _damped([take(1, 2), take(1, 3)]) == ["hip"]
+    assert _damped([take(1, 0)]) == ["hip"]
+    assert _damped([take(1, 2), torques]) == []
 
 
 def test_a_late_clock_is_a_delay_of_every_joint_and_an_early_one_is_not():

@@ -445,7 +445,7 @@ class _Work:
         ]
         findings = judge_findings(evidence, fitted, scores.values()) if fitted is not None else ()
         applying = [e for e in self.catalogue if all(e.applies(s) for s in self.train.signals)]
-        findings = with_alternatives(findings, names, applying)
+        findings = with_alternatives(findings, names, applying, _damped(self.recordings))
         is_open = self._is_open(fitted)
         verdict, share = verdict_of(evidence, findings, scores.get("train"), scores.get("heldout"), is_open)
         if verdict == "nothing_missing" or harms(scores.get("train")):
@@ -646,6 +646,16 @@ def _against(worse: Array) -> float:
     error = float(worse.std() / np.sqrt(max(len(worse), 1)))
     beyond = max(float(worse.mean()) - ALIKE, 0.0)
     return float(np.clip((beyond / error) ** 2, 0.0, CLOSE)) if error > 0 else 0.0
+
+
+def _damped(recordings: Sequence[Recording]) -> list[str]:
+    """Joints that follow their targets with one kd, above zero, in all recordings."""
+    gains = [r.kd for r in recordings if r.kd is not None]
+    if len(gains) < len(recordings):
+        return []
+    return [
+        n for n, kd in zip(recordings[0].joint_names, np.transpose(gains), strict=True) if kd[0] > 0 and not np.ptp(kd)
+    ]
 
 
 def _encode(fitted: Fitted) -> dict[str, Any]:

@@ -12,18 +12,19 @@ Values = Mapping[str, Estimate]
 
 
 def with_alternatives(
-    findings: Sequence[Finding], joints: Sequence[str], catalogue: Sequence[Effect]
+    findings: Sequence[Finding], joints: Sequence[str], catalogue: Sequence[Effect], damped: Collection[str] = ()
 ) -> tuple[Finding, ...]:
     """The same findings, each with the names that no recording can tell from its own.
 
     What an effect declares in ``identical_to`` holds where its values make it so: friction by direction is dry friction
     with an offset only as long as its viscous part is the same both ways, only a clock that is late is a delay, gains
-    are a torque's scale if both are off by one factor, and viscous friction if kd alone is too large.
+    are a torque's scale if both are off by one factor, and viscous friction if kd alone is too large and always the same.
 
     Args:
         findings: As stated.
         joints: Of the robot: a delay is a clock's offset where all of them have it.
         catalogue: Of the diagnosis, as far as its effects apply to the recordings.
+        damped: Joints that follow their targets with one kd, above zero, in all recordings.
 
     Example:
         >>> from torchrl_athletic.effects import CATALOGUE
@@ -38,7 +39,8 @@ def with_alternatives(
     for f in findings:
         same = _declared(f, joints, known)
         same += [(Name(whole.name, _joint(whole, f)),) for whole in catalogue if _is_part(f, whole, findings, joints)]
-        out.append(replace(f, alternatives=tuple(same)))
+        told = [names for names in same if f.joint not in damped and _DAMPING <= {f.effect, *(n.effect for n in names)}]
+        out.append(replace(f, alternatives=tuple(names for names in same if names not in told)))
     return tuple(out)
 
 
@@ -99,6 +101,8 @@ def _only_kd(values: Values) -> bool:
     return low <= 1.0 <= high and values["kd_scale"].value > 1.0
 
 
+_DAMPING = frozenset({"gain_mismatch", "viscous_friction"})
+"""What a loop cannot tell apart until its kd changes."""
 _HOLDS: Mapping[tuple[str, str], Callable[[Values], bool]] = {
     ("asymmetric_friction", "coulomb_friction"): _same_both_ways,
     ("clock_offset", "actuation_delay"): lambda values: values["offset"].value >= 0,
