@@ -653,9 +653,8 @@ def _damped(recordings: Sequence[Recording]) -> list[str]:
     gains = [r.kd for r in recordings if r.kd is not None]
     if len(gains) < len(recordings):
         return []
-    return [
-        n for n, kd in zip(recordings[0].joint_names, np.transpose(gains), strict=True) if kd[0] > 0 and not np.ptp(kd)
-    ]
+    alike = (np.min(gains, axis=0) > 0) & (np.ptp(gains, axis=0) == 0)
+    return [name for name, same in zip(recordings[0].joint_names, alike, strict=True) if same]
 
 
 def _encode(fitted: Fitted) -> dict[str, Any]:

@@ -18,7 +18,8 @@ def with_alternatives(
 
     What an effect declares in ``identical_to`` holds where its values make it so: friction by direction is dry friction
     with an offset only as long as its viscous part is the same both ways, only a clock that is late is a delay, gains
-    are a torque's scale if both are off by one factor, and viscous friction if kd alone is too large and always the same.
+    are a torque's scale if both are off by one factor, and viscous friction if kd alone is too large, and always the
+    same.
 
     Args:
         findings: As stated.
