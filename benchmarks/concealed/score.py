@@ -124,10 +124,11 @@ def main(cfg: Config) -> None:
     if cfg.split == "sealed":
         lines += [_checked_key(cfg), ""]
     content: dict[str, Any] = {}
+    answers: dict[str, Sequence[Row]] = {}
     for method in (m for m in get_args(Method) if (cfg.folder / m).is_dir()):
         rows = load(cfg.folder / method, cfg.split, cfg.seed)
         if rows:
-            content[method] = numbers(rows)
+            answers[method], content[method] = rows, numbers(rows)
             lines += [f"`{method}`: {_answered_by(rows)}", ""]
             if cfg.rows:
                 print("\n".join(line(row) for row in rows))
@@ -135,7 +136,7 @@ def main(cfg: Config) -> None:
                 lines += tables(rows, content[method])
     if not content:
         raise SystemExit(f"{cfg.folder} holds no answer of {cfg.split}, seed {cfg.seed}. Run run.py first.")
-    lines += comparison(content)
+    lines += comparison(answers)
     cfg.output.mkdir(parents=True, exist_ok=True)
     path = cfg.output / f"concealed_{cfg.split}"
     path.with_suffix(".md").write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -468,11 +469,17 @@ def tables(rows: Sequence[Row], n: Mapping[str, Any]) -> list[str]:
     return [*out, ""]
 
 
-def comparison(content: Mapping[str, Any]) -> list[str]:
-    """All methods side by side."""
+def comparison(answers: Mapping[str, Sequence[Row]]) -> list[str]:
+    """All methods side by side, the diagnosis once more on the cases of each other one."""
+    of = dict(answers)
+    for method, rows in answers.items() if "diagnosis" in answers else ():
+        cases = {r.case.name for r in rows}
+        if method != "diagnosis":
+            of[f"diagnosis, cases of {method}"] = [r for r in answers["diagnosis"] if r.case.name in cases]
     out = ["| method | single: name | class | joint | wrong over 0.5 | false alarms | outside, left out | pairs | "
            "held-out gap closed | s |", "|---|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
-    for method, n in content.items():
+    for method, rows in of.items():
+        n = numbers(rows)
         s = n["single"]
         cells = [s["name"], s["class"], s["joint"], s["wrong_name_over_half"], n["quiet"]["false_alarm"],
                  n["open_set"]["both"], n["pairs"]["both_named"], n["share_closed_median"]]  # fmt: skip

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from benchmarks.concealed.cases import Case
 from benchmarks.concealed.hidden import Truth
-from benchmarks.concealed.score import Row, known_parameters, numbers, tables
+from benchmarks.concealed.score import Row, comparison, known_parameters, numbers, tables
 
 FRICTION = Truth("coulomb_friction", "elbow", {"torque": 1.0})
 OFFSET = Truth("torque_offset", "wrist", {"torque": 0.5})
@@ -131,3 +133,12 @@ def test_the_key_knows_no_phase_and_no_sign_of_a_drift():
     assert known_parameters(drift, {**found, "effect": "thermal_drift"}) == [({"value": -0.3}, -0.2)]
     assert known_parameters(ripple, {**found, "effect": "torque_ripple"}) == [({"value": -0.3}, 0.2)]
     assert known_parameters(drift, {**found, "effect": "torque_ripple"}) == []
+
+
+def test_the_diagnosis_stands_beside_a_baseline_on_the_cases_that_both_answered():
+    right, wrong = ([said(effect, "elbow")] for effect in ("coulomb_friction", "backlash"))
+    first, second = row("single", [FRICTION], wrong), row("single", [FRICTION], right)
+    second = replace(second, case=replace(second.case, index=1))
+    table = comparison({"diagnosis": [first, second], "naive_bic": [first]})
+    named = {line.split("|")[1].strip(): line.split("|")[2].strip() for line in table[2:]}
+    assert named == {"diagnosis": "0.500 (2)", "naive_bic": "0.000 (1)", "diagnosis, cases of naive_bic": "0.000 (1)"}
