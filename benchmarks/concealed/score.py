@@ -39,6 +39,8 @@ SUPERSETS: dict[str, tuple[str, ...]] = {
 """Names whose law holds another one's as a special case: right, but listed apart."""
 RIGHT = ("right", "superset")
 """Grades of a finding that count as true where probabilities are scored."""
+ONLY_KD = 0.03
+"""By which kp may be off where kd alone is wrong: what a log is off by in its gains."""
 RATIOS = (0.0, 1.0, 2.0, 3.0, 6.0, 12.0, 30.0, np.inf)
 """Edges of the bins of the detection-limit curve."""
 UNSIGNED = {"gravity_tilt", "thermal_drift"}
@@ -92,7 +94,8 @@ class Row:
         said = (finding["effect"], finding["joint"])
         truth = self.case.truths[k]
         alike = self.case.equivalents[k] if k < len(self.case.equivalents) else ()
-        if said in ((truth.effect, truth.joint), *alike) or (truth.effect, truth.joint) in _same(finding):
+        same = (truth.effect, truth.joint) in _same(finding) and _is_same(truth, finding["effect"])
+        if same or said in ((truth.effect, truth.joint), *alike):
             return "right"
         if said[0] in SUPERSETS.get(truth.effect, ()) and said[1] == truth.joint:
             return "superset"
@@ -112,6 +115,13 @@ class Row:
         for f in self.findings:
             out += [*f.get("rivals", ()), *({"effect": effect, "joint": joint} for effect, joint in _same(f))]
         return out
+
+
+def _is_same(truth: Truth, name: str) -> bool:
+    """Whether the other name states the truth: gains are viscous friction only where kd alone is too large."""
+    if {truth.effect, name} != {"gain_mismatch", "viscous_friction"} or truth.effect == "viscous_friction":
+        return True
+    return abs(truth.parameters["kp_scale"] - 1.0) <= ONLY_KD and truth.parameters["kd_scale"] > 1.0
 
 
 def _same(finding: Mapping[str, Any]) -> list[tuple[str, str | None]]:
@@ -473,8 +483,9 @@ def comparison(answers: Mapping[str, Sequence[Row]]) -> list[str]:
     """All methods side by side, the diagnosis once more on the cases of each other one."""
     of = dict(answers)
     for method, rows in answers.items() if "diagnosis" in answers else ():
-        cases = {r.case.name for r in rows}
+        cases = {r.case.name for r in rows} & {r.case.name for r in answers["diagnosis"]}
         if method != "diagnosis":
+            of[method] = [r for r in rows if r.case.name in cases]
             of[f"diagnosis, cases of {method}"] = [r for r in answers["diagnosis"] if r.case.name in cases]
     out = ["| method | single: name | class | joint | wrong over 0.5 | false alarms | outside, left out | pairs | "
            "held-out gap closed | s |", "|---|---|---|---|---|---|---|---|---|---|"]  # fmt: skip

@@ -142,3 +142,13 @@ def test_the_diagnosis_stands_beside_a_baseline_on_the_cases_that_both_answered(
     table = comparison({"diagnosis": [first, second], "naive_bic": [first]})
     named = {line.split("|")[1].strip(): line.split("|")[2].strip() for line in table[2:]}
     assert named == {"diagnosis": "0.500 (2)", "naive_bic": "0.000 (1)", "diagnosis, cases of naive_bic": "0.000 (1)"}
+
+
+def test_gains_are_viscous_friction_only_where_kd_alone_is_too_large():
+    def named(kp: float, kd: float) -> float:
+        gains = Truth("gain_mismatch", "elbow", {"kp_scale": kp, "kd_scale": kd})
+        r = row("single", [gains], [said("viscous_friction", "elbow")])
+        r.result["answer"]["findings"][0]["alternatives"] = [[{"effect": "gain_mismatch", "joint": "elbow"}]]
+        return numbers([r])["single"]["name"][0]
+
+    assert [named(1.01, 1.3), named(0.8, 1.3), named(1.01, 0.8)] == [1.0, 0.0, 0.0]

@@ -10,6 +10,7 @@ from effects.hung import late, model, record
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
 from torchrl_athletic.diagnosis.experiment import SECONDS, _gains, _planned, _stood
+from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.motions import Limits, motions
 from torchrl_athletic.diagnosis.prepare import prepare, refuse_stance
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
@@ -59,7 +60,8 @@ def test_the_corrected_model_still_floats(clamped):
     assert np.count_nonzero(changed) == 1
     np.testing.assert_array_equal(corrected.dof_armature[:6], 0.0)  # what carries it in a replay stays there
     np.testing.assert_array_equal(corrected.geom_contype, ROBOT.geom_contype)
-    take = diagnosis.recordings[0]
+    take = record(8.0, friction=FRICTION, held=True, seed=1)
+    take = take if take.base_position is None else without_base(take)  # as it was handed in
     again = Diagnosis.load(out, FEW).corrected
     np.testing.assert_array_equal(again.rollout(take), diagnosis.corrected.rollout(take))
 
@@ -146,3 +148,20 @@ def test_a_robot_that_stands_is_refused():
         refuse_stance(low, ROBOT)
     refuse_stance(take, ROBOT)
     refuse_stance(without_base(take).with_base_held((0.0, 0.0, 0.0)), ROBOT)  # a gantry over another floor
+
+
+def test_a_pose_that_was_lost_does_not_push_the_replay():
+    clean = record(8.0, seed=1)
+    lost = clean.base_position.copy()
+    lost[800] = 0.0
+    windows = [windows_of(prepare([r], ROBOT).takes[0], 0.5) for r in (clean, replace(clean, base_position=lost))]
+    off = []
+    for w in windows:
+        moved = simulate(w, Hypothesis(()).build, np.zeros((1, 0)))[0]
+        off.append(np.sqrt(np.mean((moved - w.take.position[w.index]) ** 2)))
+    assert off[1] == pytest.approx(off[0], rel=0.1)
+
+
+def test_a_base_is_recorded_or_fixed_and_nothing_else():
+    with pytest.raises(ValueError, match="base is 'clamped', needed is one of 'recorded', 'fixed'"):
+        diagnose(model(), [record(8.0, held=True, seed=1)], base="clamped")  # type: ignore[arg-type]

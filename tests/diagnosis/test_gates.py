@@ -10,7 +10,7 @@ from effects.arm import address, arm
 from torchrl_athletic.diagnosis import gates
 from torchrl_athletic.diagnosis.calibration import DECISIVE, EQUALS, SENSELESS, Grounds, probability
 from torchrl_athletic.diagnosis.gates import EXPLAINED, NEAR_FLOOR, PARTLY, summarise, verdict_of
-from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Score
+from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import (
     AsymmetricFriction,
@@ -69,6 +69,14 @@ def verdict(findings=(FINDING,), train=0.0, heldout=None, torque_left=0.0, is_op
 )
 def test_the_verdict_table(case, expected):
     assert verdict(**case)[0] == expected
+
+
+def test_what_makes_no_sense_or_is_as_likely_as_not_explains_nothing():
+    even = dataclasses.replace(FINDING, probability=0.5)
+    assert verdict([even])[0] == "partly_explained"
+    shared = dataclasses.replace(even, rivals=(Rival("backlash", "elbow", 0.5, ""),))
+    assert verdict([shared])[0] == "explained"
+    assert verdict([dataclasses.replace(shared, grounds={"senseless": True})])[0] == "partly_explained"
 
 
 def test_the_unexplained_share_is_the_greater_one():

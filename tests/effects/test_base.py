@@ -277,3 +277,13 @@ def test_a_base_that_nobody_speaks_of_rests_where_the_model_has_it():
     q, v, a = np.random.default_rng(0).normal(size=(3, 5, 4))
     bolted = inverse_dynamics(BOLTED, JointAddress.of(BOLTED, JOINTS), q, v, a)
     np.testing.assert_allclose(inverse_dynamics(ROBOT, at, q, v, a), bolted, atol=1e-9)
+
+
+def test_a_base_that_the_model_ties_to_the_world_is_refused():
+    def tied(active: str) -> mujoco.MjModel:
+        weld = f'<equality><weld name="gantry" body1="trunk" active="{active}"/></equality></mujoco>'
+        return mujoco.MjModel.from_xml_string(model().replace("</mujoco>", weld))
+
+    with pytest.raises(RecordingError, match="equality 'gantry' of the model ties 'trunk' to the world"):
+        carried(tied("true"))
+    carried(tied("false"))

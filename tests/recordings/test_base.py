@@ -8,6 +8,7 @@ import pytest
 from torchrl_athletic.recordings import Recording, RecordingError, check_quality, resample, split_at_gaps
 from torchrl_athletic.recordings.base import base_moves, base_pose
 from torchrl_athletic.recordings.noise import base_noise
+from torchrl_athletic.recordings.quality import with_known_base
 
 TIME = np.arange(1200) / 200
 TURN = 0.3 * np.sin(3 * TIME)
@@ -102,6 +103,13 @@ def test_noise_of_the_base_is_found_for_place_and_angle():
         ({"place": changed(PLACE, slice(500, 502), 0.0)}, slice(500, 502)),
         ({"attitude": changed(ATTITUDE, 700, [1.0, 0.0, 0.0, 0.0])}, slice(700, 701)),
         ({"place": changed(PLACE, slice(101, 106), PLACE[100])}, slice(101, 106)),
+        (
+            {
+                "place": changed(PLACE + 1.0, slice(300, 340), 0.0),
+                "attitude": changed(ATTITUDE, slice(300, 340), [1.0, 0.0, 0.0, 0.0]),
+            },
+            slice(300, 340),
+        ),
     ],
 )
 def test_poses_that_drop_out_or_freeze_are_masked_for_all_joints_and_counted(fields, rows):
@@ -118,3 +126,18 @@ def test_a_clean_pose_is_left_alone_and_millimetres_are_suspected():
     assert not quality.masks["base"].any()
     assert not any("base" in w for w in quality.warnings)
     assert any("looks like millimetres" in w for w in check_quality(swing(1e3 * PLACE)).warnings)
+
+
+def test_samples_whose_pose_was_lost_are_left_out_and_the_others_stay():
+    take = swing(changed(PLACE, slice(500, 502), 0.0))
+    known = with_known_base(take)
+    assert set(take.time[500:502]).isdisjoint(known.time)
+    assert known.num_samples >= take.num_samples - 6
+    clean = swing()
+    assert with_known_base(clean) is clean
+
+
+def test_a_slower_log_that_is_held_is_told():
+    rows = np.arange(len(TIME)) // 2 * 2
+    warnings = check_quality(swing(PLACE[rows], ATTITUDE[rows])).warnings
+    assert any("50% of its poses are the one before" in w and "Interpolate" in w for w in warnings)

@@ -17,7 +17,9 @@ from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate
 from torchrl_athletic.effects import CATALOGUE, Effect, JointAddress, Plant
+from torchrl_athletic.effects.base import Base, held_base
 from torchrl_athletic.recordings import Recording, sensor_noise
+from torchrl_athletic.recordings.quality import with_known_base
 
 Array = NDArray[np.float64]
 
@@ -33,6 +35,8 @@ class Simulation:
     hypothesis: Hypothesis
     values: Array
     """Shape (P,)."""
+    base: Base = "recorded"
+    """Whether the base of a floating robot moves as recorded, or is held where the model has it."""
 
     def rollout(self, recording: Recording, window: float | None = 0.5) -> Array:
         """Positions that the encoders would read if the simulated robot got the recorded command.
@@ -46,7 +50,9 @@ class Simulation:
         """
         given_order = recording.joint_names
         recording = recording.ordered(self.joint_names)
-        take = take_of(recording, self.model, *sensor_noise(recording))
+        if self.base == "fixed" and recording.base_position is None:
+            recording = held_base(recording, self.model)
+        take = take_of(with_known_base(recording), self.model, *sensor_noise(recording))
         windows = windows_of(take, window)
         predicted = simulate(windows, self.hypothesis.build, self.values[None])[0]
         path = take.position.copy()
@@ -63,6 +69,7 @@ class Simulation:
         return {
             "schema": SCHEMA,
             "joint_names": list(self.joint_names),
+            "base": self.base,
             "effects": [self._entry(c) for c in self.hypothesis.terms],
             "trims": [self._entry(c) for c in self.hypothesis.trims],
         }
@@ -109,7 +116,8 @@ class Simulation:
                 candidates.append(Candidate(effect, joint, entry["joint"], parameters))
                 values.extend(entry["parameters"][p.name]["value"] for p in parameters)
             groups.append(tuple(candidates))
-        return cls(model, names, Hypothesis(*groups), np.array(values, dtype=np.float64))
+        base = content.get("base", "recorded")
+        return cls(model, names, Hypothesis(*groups), np.array(values, dtype=np.float64), base)
 
 
 def corrected_xml(xml: str, simulation: Simulation) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias, get_args
 
 import mujoco
 import numpy as np
@@ -40,13 +40,12 @@ from torchrl_athletic.diagnosis.screen import (
 )
 from torchrl_athletic.diagnosis.search import RICHER, Judge, Scored, keys, noisy_joints, richer, rivals, search, singles
 from torchrl_athletic.effects import CATALOGUE, Effect
-from torchrl_athletic.effects.base import free_joint
+from torchrl_athletic.effects.base import Base, free_joint, held_base
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.recordings import Recording, RecordingError
 
 Array = NDArray[np.float64]
 Model: TypeAlias = str | Path | mujoco.MjSpec
-Base = Literal["recorded", "fixed"]
 
 CHECKPOINT = "progress.json"
 CLOSE = 10.0
@@ -137,7 +136,7 @@ class Diagnosis:
         xml = content["model_xml"]
         model = mujoco.MjModel.from_xml_string(xml)
         corrected = Simulation.from_json(content, model, catalogue)
-        return cls(answer, _as_given(model, corrected.joint_names), corrected, xml)
+        return cls(answer, _as_given(model, corrected.joint_names, corrected.base), corrected, xml)
 
 
 def diagnose(
@@ -193,7 +192,7 @@ def diagnose(
     fitted, aside = (tuple(_stood(r.ordered(order), compiled, base) for r in group) for group in takes)
     work = _Work(
         compiled, xml, name, fitted, aside, tuple(catalogue), drive, seed, time_budget,
-        None if output is None else Path(output), progress or Progress(), len(joined),
+        None if output is None else Path(output), progress or Progress(), len(joined), base,
     )  # fmt: skip
     try:
         work.run()
@@ -216,16 +215,14 @@ def diagnose(
 
 def _stood(recording: Recording, model: mujoco.MjModel, base: Base) -> Recording:
     """The recording with the base where the model has it, if it is said to be fixed."""
-    joint = free_joint(model)
-    if base == "recorded" or joint is None:
-        return recording
-    if recording.base_position is not None:
+    if base not in get_args(Base):
+        raise ValueError(f"base is {base!r}, needed is one of {', '.join(map(repr, get_args(Base)))}.")
+    if base == "fixed" and free_joint(model) is not None and recording.base_position is not None:
         raise RecordingError(
             f"{recording.source}: base_position was recorded, and base is said to be 'fixed'. Leave one out: the "
             "recorded pose may be constant."
         )
-    at = int(model.jnt_qposadr[joint])
-    return recording.with_base_held(model.qpos0[at : at + 3], model.qpos0[at + 3 : at + 7])
+    return recording if base == "recorded" else held_base(recording, model)
 
 
 def load_model(model: Model) -> tuple[mujoco.MjModel, str, str]:
@@ -281,6 +278,7 @@ class _Work:
     progress: Progress
     joined: int = 0
     """How many of the recordings, the last ones, are of experiments."""
+    base: Base = "recorded"
     started: float = field(default_factory=time.monotonic)
     interrupted: bool = False
     stage: str = "quality"
@@ -436,9 +434,9 @@ class _Work:
         assert self.train is not None
         assert self.signals_bank is not None
         names = self.recordings[0].joint_names
-        nominal = _as_given(self.model, names)
+        nominal = _as_given(self.model, names, self.base)
         fitted = self.fits[self.chosen] if self.fits else None
-        corrected = nominal if fitted is None else Simulation(self.model, names, fitted.hypothesis, fitted.values)
+        corrected = nominal if fitted is None else replace(nominal, hypothesis=fitted.hypothesis, values=fitted.values)
         scores = self.scores[self.chosen] if self.scores else {}
         evidence = [
             e for e in (self.drive_evidence, self.options[self.chosen] if self.options else None) if e is not None
@@ -661,5 +659,5 @@ def _encode(fitted: Fitted) -> dict[str, Any]:
     return {"values": fitted.values.tolist(), "samples": fitted.samples.tolist(), "cost": fitted.cost}
 
 
-def _as_given(model: mujoco.MjModel, names: tuple[str, ...]) -> Simulation:
-    return Simulation(model, names, Hypothesis(()), np.zeros(0))
+def _as_given(model: mujoco.MjModel, names: tuple[str, ...], base: Base) -> Simulation:
+    return Simulation(model, names, Hypothesis(()), np.zeros(0), base)

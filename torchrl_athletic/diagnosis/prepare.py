@@ -27,6 +27,7 @@ from torchrl_athletic.recordings import (
     split_at_gaps,
 )
 from torchrl_athletic.recordings.base import base_moves
+from torchrl_athletic.recordings.quality import with_known_base
 from torchrl_athletic.recordings.recording import BEGAN
 
 Array = NDArray[np.float64]
@@ -114,10 +115,12 @@ def prepare(
     left_out: list[str] = []
     for r, q, own, period in zip(recordings, quality, kernels, _periods(recordings), strict=True):
         carried = _carrying(model, xml, r)
-        refuse_stance(r, model)
-        for piece in _pieces(r):
-            start = int(np.searchsorted(r.time, piece.time[0]))
-            mask = _unfit(q)[start : start + piece.num_samples]
+        known = with_known_base(r)  # a lost pose must not push the base of a replay
+        unfit = _unfit(q)[np.isin(r.time, known.time)]
+        refuse_stance(known, model)
+        for piece in _pieces(known):
+            start = int(np.searchsorted(known.time, piece.time[0]))
+            mask = unfit[start : start + piece.num_samples]
             velocity_noise = q.velocity_noise if _velocity_fits(q) else None
             try:
                 s = project_recording(piece, carried, q.position_noise, velocity_noise, mask, own, q.noise_correlation)

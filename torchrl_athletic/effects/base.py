@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -23,6 +24,8 @@ from torchrl_athletic.recordings.base import base_pose
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
 Array = NDArray[np.float64]
+Base = Literal["recorded", "fixed"]
+"""Whether the base of a floating robot moves as recorded, or stands where the model has it."""
 
 HEAVY = 1e8
 """Inertia that carries a base in simulation, per its own: its joints disturb its acceleration by a 1e-8 of theirs."""
@@ -70,6 +73,15 @@ def free_joint(model: mujoco.MjModel) -> int | None:
     free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
     roots = set(model.body_rootid[model.jnt_bodyid[~free]].tolist())
     return next((int(j) for j in np.flatnonzero(free) if int(model.jnt_bodyid[j]) in roots), None)
+
+
+def held_base(recording: Recording, model: mujoco.MjModel) -> Recording:
+    """The recording with the base of a floating robot where the model has it; itself if that is bolted to the world."""
+    joint = free_joint(model)
+    if joint is None:
+        return recording
+    at = int(model.jnt_qposadr[joint])
+    return recording.with_base_held(model.qpos0[at : at + 3], model.qpos0[at + 3 : at + 7])
 
 
 def base_columns(model: mujoco.MjModel) -> tuple[slice, slice]:
@@ -166,10 +178,26 @@ def carried(model: mujoco.MjModel) -> mujoco.MjModel:
     model.dof_armature[dof] = HEAVY * (np.diag(mass) - model.dof_armature)[dof]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     model.opt.tolerance = min(model.opt.tolerance, TOLERANCE)
+    _refuse_ties(model)
     standing = model.body_weldid[model.geom_bodyid] == 0
     model.geom_contype[standing] = model.geom_conaffinity[standing] = 0
     model.pair_margin[standing[model.pair_geom1] | standing[model.pair_geom2]] = APART
     return model
+
+
+def _refuse_ties(model: mujoco.MjModel) -> None:
+    """Refuse constraints between the base and the world, which no inertia withstands."""
+    joint = free_joint(model)
+    trunk = int(model.body_weldid[model.jnt_bodyid[joint]])
+    for k in range(model.neq):
+        if model.eq_objtype[k] != mujoco.mjtObj.mjOBJ_BODY or not model.eq_active0[k]:
+            continue
+        ends = {int(model.body_weldid[model.eq_obj1id[k]]), int(model.body_weldid[model.eq_obj2id[k]])}
+        if ends == {0, trunk}:
+            raise RecordingError(
+                f"equality {model.equality(k).name or k!r} of the model ties {model.body(trunk).name!r} to the world, "
+                "and the base is prescribed by the recordings. Take the equality out of the model."
+            )
 
 
 def _vector_part(turn: Array, other: Array) -> Array:

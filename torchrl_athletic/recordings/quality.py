@@ -31,6 +31,8 @@ LOST_EVERY = 3.0
 """A hole is masked in each so many seconds at most, the worst first: masks reach as far as the projection looks [s]."""
 STALL_TIME = 0.1
 """A joint that rests for less [s] turns round; it is not stalled."""
+HELD_POSES = 0.9
+"""Share of new poses below which a moving base was logged by something slower than the joints, and held between."""
 FASTEST_BASE = 20.0
 """Speed that no robot in the air is carried at [m/s]."""
 _LIKELY_RADIANS = 8 * np.pi
@@ -312,7 +314,20 @@ def _base_lost(recording: Recording) -> Mask:
     linear, angular = base_noise(recording)
     noise = np.array([linear] * 3 + [angular / 2] * 4)
     repeated = [_repeated(recording.time, channel, 4 * sigma) for channel, sigma in zip(pose.T, noise, strict=True)]
-    return np.asarray(np.any(repeated, axis=0) | _spikes(pose, np.maximum(10 * noise, 1e-9)).any(1), dtype=np.bool_)
+    lost = np.any(repeated, axis=0) | _spikes(pose, np.maximum(10 * noise, 1e-9)).any(1)
+    jumps = np.linalg.norm(np.diff(pose[:, :3], axis=0), axis=1) / np.diff(recording.time) > FASTEST_BASE
+    for start, stop in _runs((np.diff(pose, axis=0) == 0).all(1)):  # a filler in place of the pose
+        if start > 0 and stop + 1 < len(pose) and jumps[start - 1] and jumps[stop]:
+            lost[start : stop + 1] = True
+    return np.asarray(lost, dtype=np.bool_)
+
+
+def with_known_base(recording: Recording) -> Recording:
+    """The recording without the samples at which the pose of its base was lost; itself if none was."""
+    if recording.base_position is None:
+        return recording
+    lost = _base_lost(recording)
+    return recording.where(~lost) if lost.any() else recording
 
 
 def _catches_up(time: Floats, q: Floats, start: int, stop: int, smallest_move: float) -> bool:
@@ -625,6 +640,14 @@ def _base_warnings(quality: Quality, recording: Recording) -> list[str]:
     if recording.base_position is None:
         return []
     found, lost = [], quality.masks["base"].any(1).mean()
+    pose = base_pose(recording)
+    assert pose is not None
+    new = float(np.diff(pose, axis=0).any(1).mean())
+    if 0.0 < new < HELD_POSES:
+        found.append(
+            f"the base: {1 - new:.0%} of its poses are the one before, as where a slower log is held until the next "
+            "pose comes. Interpolate the base's own log at the joints' stamps."
+        )
     speed = np.linalg.norm(np.diff(recording.base_position, axis=0), axis=1) / np.diff(recording.time)
     if lost:
         found.append(

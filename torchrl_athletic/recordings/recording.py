@@ -159,8 +159,13 @@ class Recording:
 
     def slice(self, start: int, stop: int) -> Recording:
         """Samples ``start`` to ``stop`` as a recording of its own."""
+        rows = np.arange(self.num_samples)
+        return self.where((rows >= start) & (rows < stop))
+
+    def where(self, kept: NDArray[np.bool_]) -> Recording:
+        """The samples that are kept, shape (T,), as if the others had not been logged."""
         cut = {
-            f.name: getattr(self, f.name)[start:stop]
+            f.name: getattr(self, f.name)[kept]
             for f in fields(self)
             if f.name in ("time", *_PER_SAMPLE, *_OF_BASE) and getattr(self, f.name) is not None
         }
