@@ -208,6 +208,15 @@ def test_the_summary_says_the_most_important_first():
     assert "none were kept aside" in summarise("explained", [FINDING], WHERE, score(0.0), False, 0.04)[2]
 
 
+def test_the_summary_says_that_nothing_is_likely_whether_or_not_there_are_rivals():
+    for rivals in ((), (Rival("backlash", "elbow", 0.1, ""),)):
+        vague = dataclasses.replace(FINDING, probability=0.2, rivals=rivals)
+        assert any(
+            "None of this is likely" in line for line in summarise("unexplained", [vague], WHERE, None, True, 1.0)
+        )
+    assert not any("None of this" in line for line in summarise("explained", [FINDING], WHERE, None, True, 0.0))
+
+
 def test_the_summary_of_no_finding_tells_nothing_missing_from_unexplained():
     assert summarise("nothing_missing", [], WHERE, score(0.0), True, 0.0) == (
         "Nothing is missing: the model follows the recordings as closely as the sensors' noise allows.",

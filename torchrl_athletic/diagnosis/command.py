@@ -16,6 +16,7 @@ from torchrl_athletic.diagnosis.diagnose import Diagnosis, ModelError, diagnose
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.report import terminal_summary
+from torchrl_athletic.effects.base import Base
 from torchrl_athletic.recordings import (
     ColumnMap,
     FetchError,
@@ -47,7 +48,7 @@ class Config:
     """JSON column map for foreign names and units."""
     drive: Literal["command", "measured"] = "command"
     """Torque that drives the simulation: what was commanded, or what was measured."""
-    base: Literal["recorded", "fixed"] = "recorded"
+    base: Base = "recorded"
     """Of a floating robot in the air: its recorded pose, or held where the model has it."""
     dataset: Literal["emps", "two_link_arm", "pendulum", "xl330", "unbalanced_disk"] | None = None
     """Diagnose a public recording of a real robot instead."""

@@ -102,7 +102,7 @@ def verdict_of(
         nothing = not is_open and near  # within the tolerances of the trims
         return ("nothing_missing", 0.0) if nothing else ("unexplained", share)
     torque_left = max((float(part.left().max(initial=0.0)) for part in evidence), default=0.0)
-    likely = all((f.probability > LIKELY or f.rivals) and not (f.grounds or {}).get("senseless") for f in findings)
+    likely = all((f.probability > LIKELY or f.rivals) and not f.grounds.get("senseless") for f in findings)
     if near and share <= EXPLAINED and torque_left <= 2 * EXPLAINED and likely:
         return "explained", share
     return ("partly_explained" if share <= PARTLY else "unexplained"), share
@@ -123,7 +123,7 @@ def summarise(
     elif not findings:
         out.append("The model and the robot differ, and no effect of the catalogue explains how.")
     out += [f.sentence for f in findings]
-    if findings and all(f.probability <= LIKELY and not f.rivals for f in findings):
+    if findings and all(f.probability < LIKELY for f in findings):
         out.append("None of this is likely: look for physics that the catalogue does not have yet.")
     where = [x for x in locations if x.regime != "everywhere"][:1]
     if verdict != "nothing_missing" and locations:

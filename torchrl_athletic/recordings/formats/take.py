@@ -174,8 +174,8 @@ def _of_base(take: Take, columns: ColumnMap, name: str, used: set[str]) -> NDArr
     if isinstance(column.name, str) and "{axis}" not in column.name:
         raw = _numbers(take, column.name, name, used)
     else:
-        patterns = column.name if isinstance(column.name, tuple) else (column.name,) * len(axes)
-        named = [pattern.replace("{axis}", axis) for pattern, axis in zip(patterns, axes, strict=False)]
+        pattern = column.name
+        named = pattern if isinstance(pattern, tuple) else [pattern.replace("{axis}", axis) for axis in axes]
         raw = np.stack([_numbers(take, one, name, used) for one in named], axis=-1)
     if raw.ndim != 2 or raw.shape[1] != len(axes):
         raise RecordingError(
