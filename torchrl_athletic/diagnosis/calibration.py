@@ -87,7 +87,7 @@ def learnt(part: str) -> Mapping[str, float]:
 def probability(grounds: Grounds, effect: str = "") -> float:
     """That a finding with these grounds is true: a logistic regression's answer.
 
-    It is at most what :attr:`Grounds.most` allows: no name whose rivals are not refuted is stated with more than one half.
+    It is at most what :attr:`Grounds.most` allows: no name whose rivals are not refuted is stated above one half.
 
     Args:
         grounds: Of the finding.

@@ -395,6 +395,9 @@ def test_a_base_with_columns_missing_is_refused_by_name(tmp_path):
     columns = ColumnMap(position_target="target/{joint}", kp=1.0, kd=0.1, base_position=Column(("other",)))
     with pytest.raises(RecordingError, match=r"base_position has shape \(\d+, 1\); needed is \(T, 3\), for x, y, z"):
         read_recordings(tmp_path / "take.csv", columns)
+    columns = ColumnMap(position_target="target/{joint}", kp=1.0, kd=0.1, base_position=Column(("other",) * 4))
+    with pytest.raises(RecordingError, match=r"base_position has shape \(\d+, 4\); needed is \(T, 3\), for x, y, z"):
+        read_recordings(tmp_path / "take.csv", columns)
 
 
 def test_joint_states_have_no_place_for_a_base(tmp_path):
