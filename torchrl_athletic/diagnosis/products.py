@@ -27,8 +27,9 @@ class Products:
     def __init__(self, joints: int, stretch: NDArray[np.intp]) -> None:
         self.joints = joints
         self._slices = [slice(*ends) for ends in _runs(stretch)]
-        self._columns = [np.empty((0, len(stretch))) for _ in range(joints)]
-        """Per joint, of the columns that touch it. Shape (at least its count, rows)."""
+        self._columns = [np.empty((0, len(stretch)), dtype=np.float32) for _ in range(joints)]
+        """Per joint, of the columns that touch it, rounded, to be kept in half the memory; their products are exact.
+        Shape (at least its count, rows)."""
         self._gram = [np.zeros((len(self._slices), 0, 0)) for _ in range(joints)]
         self._place: list[dict[int, int]] = [{} for _ in range(joints)]
         """Per joint, column -> where it stands."""
@@ -47,14 +48,15 @@ class Products:
             self._place[j][number] = at
             gram, held = self._gram[j], self._columns[j][: at + 1]
             for k, rows in enumerate(self._slices):
-                gram[k, at, : at + 1] = gram[k, : at + 1, at] = held[:, rows] @ values[rows]
+                part = held[:, rows].astype(np.float64)
+                gram[k, at, : at + 1] = gram[k, : at + 1, at] = part @ part[at]
         return number
 
     def _grow(self, joint: int) -> None:
         size = len(self._columns[joint])
-        more = size + 8
+        more = size // 4 + 16
         columns, gram = self._columns[joint], self._gram[joint]
-        self._columns[joint] = np.concatenate([columns, np.empty((more, columns.shape[1]))])
+        self._columns[joint] = np.concatenate([columns, np.empty((more, columns.shape[1]), dtype=np.float32)])
         self._gram[joint] = np.zeros((len(gram), size + more, size + more))
         self._gram[joint][:, :size, :size] = gram
 
@@ -69,12 +71,12 @@ class Products:
 
     def touching(self, joint: int) -> Array:
         """All columns that are not zero on a joint, in the order in which they came. Shape (n, rows)."""
-        return self._columns[joint][: len(self._place[joint])]
+        return self._columns[joint][: len(self._place[joint])].astype(np.float64)
 
     def column(self, number: int, joint: int) -> Array | None:
         """One joint's part of a column, None where it is zero. Shape (rows,)."""
         at = self._place[joint].get(number)
-        return None if at is None else self._columns[joint][at]
+        return None if at is None else self._columns[joint][at].astype(np.float64)
 
 
 def _runs(stretch: NDArray[np.intp]) -> list[tuple[int, int]]:
