@@ -100,11 +100,11 @@ def test_blocks_of_two_takes_are_not_mixed(rng):
 
 def test_the_residual_is_what_is_left_in_each_stretch_of_each_joint(rng, take):
     bank = Bank([take], [candidate(Given("a", both(rng, 2)))], noise=NOISE)
-    for fit in (bank.fit(bank.atoms), bank.fit(())):
+    for fit in (bank.fit(bank.atoms), bank.fit(())):  # of columns kept in single precision
         square = (bank.rows(fit) * take.valid / NOISE) ** 2
-        np.testing.assert_allclose(fit.residual.sum(1), square.sum(0), rtol=1e-9)
+        np.testing.assert_allclose(fit.residual.sum(1), square.sum(0), rtol=1e-7)
         exact = [[square[bank.stretch == k, j].sum() for k in range(2)] for j in range(2)]
-        np.testing.assert_allclose(fit.residual, exact, rtol=1e-9)
+        np.testing.assert_allclose(fit.residual, exact, rtol=1e-7)
 
 
 def test_a_stretch_of_which_less_is_left_weighs_more(rng, take):
