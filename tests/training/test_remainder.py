@@ -22,7 +22,15 @@ from torchrl_athletic.diagnosis.report.shares import energy_shares
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import CATALOGUE, JointAddress
 from torchrl_athletic.identification.simulator import load_net
-from torchrl_athletic.training.remainder import WithNet, _remark, acted_out, driven_robot, learn_remainder, scored
+from torchrl_athletic.training.remainder import (
+    WithNet,
+    _remark,
+    acted_out,
+    driven_robot,
+    learn_remainder,
+    scored,
+    without_gaps,
+)
 
 ONLY_VISCOUS = tuple(e for e in CATALOGUE if e.name == "viscous_friction")
 
@@ -110,6 +118,17 @@ def test_a_net_is_taught_written_and_its_share_is_told(damped, tmp_path):
     net, robot = load_net(tmp_path / "uan.pt"), driven_robot(damped.xml, damped.recordings)
     again = scored(damped, damped.corrected, net, robot, "heldout")
     assert again.after == pytest.approx(fit["heldout_uan"].after, rel=1e-6)
+
+
+def test_drop_outs_cut_the_takes_that_a_net_learns_from(damped):
+    first = damped.recordings[0]
+    logged = (first.time < 1.5) | ((first.time > 1.6) & (first.time < 2.0)) | (first.time > 2.1)
+    holed = replace(damped, recordings=(first.where(logged),))
+    before, after = without_gaps(holed.recordings)
+    assert before.duration == pytest.approx(1.5, abs=0.02)  # 0.4 s are too short for a window
+    assert after.time[0] > 2.1
+    found = learn_remainder(holed, minutes=60.0, iterations=1, rows=4, progress=False)
+    assert found.answer.fit["train_uan"].after > 0
 
 
 def test_a_diagnosis_without_recordings_is_refused(damped):

@@ -18,12 +18,13 @@ from torchrl_athletic.diagnosis.compare import score
 from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.replay import SHORTEST
 from torchrl_athletic.effects import JointAddress, Law, Now, Parameter, Plant, Start
 from torchrl_athletic.effects.effect import torque_bound
 from torchrl_athletic.envs import replay_env
 from torchrl_athletic.envs.replay import Driven
 from torchrl_athletic.networks import save_checkpoint, uan
-from torchrl_athletic.recordings import Recording
+from torchrl_athletic.recordings import Recording, split_at_gaps
 from torchrl_athletic.robots import Robot, from_mjcf
 from torchrl_athletic.training.ppo import train
 from torchrl_athletic.training.uan import takes_of, torque_unit, units_of
@@ -85,7 +86,7 @@ def learn_remainder(
     named = acted_out(diagnosis.corrected)
     robot = driven_robot(corrected_xml(diagnosis.xml, named), diagnosis.recordings)
     torch.manual_seed(diagnosis.answer.seed)
-    takes = takes_of([_named(r, robot) for r in diagnosis.recordings], robot)
+    takes = takes_of([_named(r, robot) for r in without_gaps(diagnosis.recordings)], robot)
     net = uan(HISTORY, HIDDEN, **units_of(takes, robot))
     base = DifferentiableTorqueEnv(robot, num_envs=rows)
     env = replay_env(
@@ -138,6 +139,11 @@ def driven_robot(xml: str, recordings: Sequence[Recording]) -> Robot:
         return robot
     columns = [recordings[0].joint_names.index(name) for name in robot.joint_names]
     return replace(robot, kp=tuple(kp[columns].tolist()), kd=tuple(kd[columns].tolist()))
+
+
+def without_gaps(recordings: Sequence[Recording]) -> list[Recording]:
+    """What lies between drop-outs, each piece a take, without pieces too short to replay."""
+    return [piece for r in recordings for piece in split_at_gaps(r) if piece.duration >= SHORTEST]
 
 
 def _named(recording: Recording, robot: Robot) -> Recording:
