@@ -65,7 +65,9 @@ def reliability(ax: Axes, calibration: Mapping[str, Any]) -> None:
     stated, true = (np.array([b[key] for b in bins]) for key in ("stated", "true"))
     ends = np.array([interval(b["true"], b["n"]) for b in bins]).T
     ax.plot([0, 1], [0, 1], color=GREY, linewidth=1, label="as stated")
-    ax.errorbar(stated, true, np.abs(ends - true), fmt="o", color=BLUE, capsize=2, label="sealed findings, 95 %")
+    ax.errorbar(
+        stated, true, np.abs(ends - true), fmt="o", color=BLUE, capsize=2, label="sealed findings, 95 % if independent"
+    )
     for b, top in zip(bins, ends[1], strict=True):
         ax.annotate(str(b["n"]), (b["stated"], min(top + 0.015, 1.01)), ha="center", fontsize=7, color=GREY)
     ax.set(xlim=(0, 1), ylim=(0, 1.06), xlabel="stated probability", ylabel="share that is right")
@@ -74,7 +76,7 @@ def reliability(ax: Axes, calibration: Mapping[str, Any]) -> None:
 
 
 def detection(ax: Axes, by_ratio: Mapping[str, Mapping[str, Any]]) -> None:
-    """How often single effects are named that move the robot by some times its noise."""
+    """How often single effects are named whose torque is some times that of the sensors' noise."""
     edges = sorted(by_ratio, key=lambda name: float(name.split()[0]))
     place = np.arange(len(edges))
     for key, label, colour in (("anything", "anything stated", ORANGE), ("name", "named, with its joint", BLUE)):
@@ -86,7 +88,9 @@ def detection(ax: Axes, by_ratio: Mapping[str, Mapping[str, Any]]) -> None:
     labels = [f"{e}\n({n})" for e, n in zip(ranges, counts, strict=True)]
     ax.set_xticks(place, labels, fontsize=8)
     ax.set(
-        ylim=(0, 1.06), xlabel="motion that the effect makes, over the noise (cases)", ylabel="share of single effects"
+        ylim=(0, 1.06),
+        xlabel="missing torque of the effect, over the sensors' noise (cases)",
+        ylabel="share of single effects",
     )
     ax.set_title("Detection limit", loc="left", fontsize=10)
     ax.legend(frameon=False, loc="lower right", fontsize=8)

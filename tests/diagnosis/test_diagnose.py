@@ -12,7 +12,7 @@ import pytest
 from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
-from torchrl_athletic.diagnosis.diagnose import BEHIND, ModelError, _decide, load_model
+from torchrl_athletic.diagnosis.diagnose import ModelError, _decide, load_model
 from torchrl_athletic.diagnosis.gates import Evidence
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.effects import CATALOGUE
@@ -150,22 +150,6 @@ def test_a_richer_law_that_is_not_taken_does_not_keep_a_rival_from_being_preferr
     errors = [noise[0], noise[1] - 0.5, noise[2] - 0.2]
     assert _decide(options, errors, [0.10, 0.08, 0.09])[0] == 2
     assert _decide(options, errors, [0.10, 0.02, 0.09])[0] == 1
-
-
-@pytest.mark.parametrize(
-    ("worse", "left", "expected"),
-    [
-        (4.0, (0.99, 0.01), 1),  # in three windows of a hundred, and that is all the error there is
-        (4.0, (0.99, 0.30), 0),  # it does not explain the error
-        (4.0, (0.40, 0.01), 0),  # the other one does not leave it
-        (0.5, (0.99, 0.01), 0),  # what was left was hardly more than the floor
-    ],
-)
-def test_what_acts_seldom_is_taken_where_it_alone_explains_the_error(worse, left, expected):
-    noise = 0.01 * np.random.default_rng(0).normal(size=(2, 100))
-    noise[0, :3] += worse
-    options = [Evidence(None, None), Evidence(None, None, BEHIND)]
-    assert _decide(options, list(noise), left)[0] == expected
 
 
 @pytest.mark.parametrize(

@@ -127,6 +127,10 @@ def test_drop_outs_cut_the_takes_that_a_net_learns_from(damped):
     before, after = without_gaps(holed.recordings)
     assert before.duration == pytest.approx(1.5, abs=0.02)  # 0.4 s are too short for a window
     assert after.time[0] > 2.1
+    assert without_gaps([first.slice(0, 100)])[0].duration < 1.0  # without a drop-out it is taken as it is
+    pieces = first.where((first.time * 10).astype(int) % 8 < 6)
+    with pytest.raises(ValueError, match=r"longest has 0\.\d+ s.*Leave out --uan"):
+        without_gaps([pieces])
     found = learn_remainder(holed, minutes=60.0, iterations=1, rows=4, progress=False)
     assert found.answer.fit["train_uan"].after > 0
 

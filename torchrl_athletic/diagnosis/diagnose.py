@@ -61,8 +61,6 @@ ALONE = 2
 """How many of these."""
 BEHIND = 9.0
 """Evidence against them: only a simulation that is decisively better speaks for one."""
-CLEAR = 0.1
-"""Share of the error energy that one may leave to refute, few as its windows may be, those that leave :data:`LOST`."""
 DRIVE_EFFECTS = ("actuation_delay", "actuation_lag", "torque_scale", "torque_offset")
 """What can happen between a command and a measured torque."""
 BEFORE_THE_MOTOR = frozenset({"actuation_delay", "actuation_lag", "torque_saturation", "speed_torque_limit"})
@@ -634,11 +632,6 @@ def _decide(options: Sequence[Evidence], errors: Sequence[Array], left: Sequence
     ]
     best = min((e for e, t in zip(errors, taken, strict=True) if t), key=lambda e: float(e.mean()))
     against = np.array([_against(e - best) if t else CLOSE for e, t in zip(errors, taken, strict=True)])
-    if min(share for share, t in zip(left, taken, strict=False) if t) <= CLEAR:
-        seldom = [
-            share >= LOST and float((e - best).max()) > np.log(FOLLOWS) for e, share in zip(errors, left, strict=True)
-        ]
-        against[seldom] = CLOSE  # a stop that is reached twice says nothing in the mean of all windows
     behind = np.array([o.behind if t else np.inf for o, t in zip(options, taken, strict=False)])
     return int(np.argmin(against + behind)), against
 

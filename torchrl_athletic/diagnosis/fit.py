@@ -175,7 +175,7 @@ def _solve(problem: _Problem, x: Array, low: Array, high: Array, max_iter: int) 
         bounds=[low, high],
         eps=1e-4,
         max_iter=max_iter,
-        mu_factor=10**0.5,  # a tenth as many trials as the library's where steps are refused, as gears often do
+        mu_factor=10**0.5,  # a fifth of the library's trials where steps are refused, as gears often do
         xtol=1e-3,
         verbose=minimize.Verbosity.SILENT,
     )

@@ -71,7 +71,7 @@ def learn_remainder(
         The diagnosis with the two scores.
 
     Raises:
-        ValueError: If the diagnosis holds no recordings, or takes of several kinds or gains.
+        ValueError: If the diagnosis holds no recordings, takes of several kinds or gains, or drop-outs everywhere.
     """
     if not diagnosis.recordings:
         raise ValueError(
@@ -142,8 +142,20 @@ def driven_robot(xml: str, recordings: Sequence[Recording]) -> Robot:
 
 
 def without_gaps(recordings: Sequence[Recording]) -> list[Recording]:
-    """What lies between drop-outs, each piece a take, without pieces too short to replay."""
-    return [piece for r in recordings for piece in split_at_gaps(r) if piece.duration >= SHORTEST]
+    """Recordings with drop-outs cut into takes, the others as they are; pieces under a second are left out.
+
+    Raises:
+        ValueError: If nothing is left; says how long the longest piece is.
+    """
+    cut = [split_at_gaps(r) for r in recordings]
+    kept = [piece for pieces in cut for piece in pieces if len(pieces) == 1 or piece.duration >= SHORTEST]
+    if not kept:
+        longest = max(piece.duration for pieces in cut for piece in pieces)
+        raise ValueError(
+            f"{recordings[0].source}: drop-outs leave no second in one piece, the longest has {longest:.2f} s, too "
+            "short for a net to learn from. Leave out --uan, or record again without drop-outs."
+        )
+    return kept
 
 
 def _named(recording: Recording, robot: Robot) -> Recording:
