@@ -89,7 +89,7 @@ def detection(ax: Axes, by_ratio: Mapping[str, Mapping[str, Any]]) -> None:
     ax.set_xticks(place, labels, fontsize=8)
     ax.set(
         ylim=(0, 1.06),
-        xlabel="missing torque of the effect, over the sensors' noise (cases)",
+        xlabel="missing torque over the sensors' noise (cases)",
         ylabel="share of single effects",
     )
     ax.set_title("Detection limit", loc="left", fontsize=10)
