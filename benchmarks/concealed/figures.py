@@ -8,7 +8,6 @@ Reads the numbers that ``score.py`` wrote and runs nothing.
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +19,6 @@ import tyro
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import beta
-
-sys.path.append(str(Path(__file__).parents[2]))
 
 BLUE, GREY, ORANGE = "#1D3557", "#8D99AE", "#E76F51"
 
