@@ -12,7 +12,7 @@ import pytest
 from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
-from torchrl_athletic.diagnosis.diagnose import ModelError, _decide, load_model
+from torchrl_athletic.diagnosis.diagnose import BEHIND, ModelError, _decide, load_model
 from torchrl_athletic.diagnosis.gates import Evidence
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.effects import CATALOGUE
@@ -26,6 +26,12 @@ INTERVAL = {"type": "array", "items": NUMBER, "minItems": 2, "maxItems": 2}
 TEXT = {"type": "string", "minLength": 1}
 JOINT = {"type": ["string", "null"]}
 ERRORS = {"before": NUMBER, "after": NUMBER, "floor": NUMBER}
+
+
+def leaving(share, joints=1):
+    """A score that leaves a share of the error energy above the floor."""
+    joint = {"before": np.sqrt(101.0), "after": np.sqrt(1.0 + 100.0 * share), "floor": 1.0}
+    return Score(1.0, 1.0, 1.0, 0.0, {f"joint{k}": joint for k in range(joints)})
 
 
 def an_object(properties, optional=()):
@@ -137,19 +143,41 @@ def test_the_folder_holds_the_four_files_and_nothing_else(diagnosis, output):
     ],
 )
 def test_the_simulation_decides_between_what_the_torques_leave_open(better, left, behind, is_richer, expected):
-    noise = 0.01 * np.random.default_rng(0).normal(size=(2, 100))
+    errors = 10 * np.exp(0.01 * np.random.default_rng(0).normal(size=(2, 100, 1)))
     options = [Evidence(None, None), Evidence(None, None, behind, is_richer)]
-    chosen, against = _decide(options, [noise[0], noise[1] - better], [0.1, left])
+    chosen, against = _decide(options, [errors[0], errors[1] * np.exp(-better)], [leaving(0.1), leaving(left)])
     assert chosen == expected
     assert against[chosen] == 0 or expected == 0
 
 
 def test_a_richer_law_that_is_not_taken_does_not_keep_a_rival_from_being_preferred():
-    noise = 0.01 * np.random.default_rng(0).normal(size=(3, 100))
+    noise = 10 * np.exp(0.01 * np.random.default_rng(0).normal(size=(3, 100, 1)))
     options = [Evidence(None, None), Evidence(None, None, 0.0, True), Evidence(None, None, 3.0)]
-    errors = [noise[0], noise[1] - 0.5, noise[2] - 0.2]
-    assert _decide(options, errors, [0.10, 0.08, 0.09])[0] == 2
-    assert _decide(options, errors, [0.10, 0.02, 0.09])[0] == 1
+    errors = list(noise * np.exp([[[0.0]], [[-0.5]], [[-0.2]]]))
+    assert _decide(options, errors, [leaving(0.10), leaving(0.08), leaving(0.09)])[0] == 2
+    assert _decide(options, errors, [leaving(0.10), leaving(0.02), leaving(0.09)])[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("times", "lost", "turned", "left", "expected"),
+    [
+        (50.0, (20, 21, 200), (), (0.99, 0.01), 2),  # on two occasions, and that is all the error there is
+        (50.0, (20, 200), (300,), (0.99, 0.01), 0),  # elsewhere it is the other way round
+        (50.0, (20, 21, 22), (), (0.99, 0.01), 0),  # one occasion may be a blow that nobody recorded
+        (50.0, (20, 200), (), (0.99, 0.30), 0),  # it does not explain the error
+        (50.0, (20, 200), (), (0.40, 0.01), 0),  # the preferred one does not leave it
+        (2.0, (20, 200), (), (0.99, 0.01), 0),  # what was left was hardly more than the floor
+    ],
+)
+def test_what_acts_seldom_is_taken_where_it_alone_explains_the_error(times, lost, turned, left, expected):
+    noise = np.exp(0.2 * np.random.default_rng(0).normal(size=(400, 3)))  # what a start state adds is in all of them
+    plain, stop = noise.copy(), noise.copy()
+    plain[list(lost), 1] *= times
+    stop[list(turned), 1] *= times
+    options = [Evidence(None, None), Evidence(None, None, 3.0), Evidence(None, None, BEHIND)]
+    spring = plain * np.exp(-0.01)  # follows elsewhere, and does no better where it counts
+    scores = [leaving(left[0], joints=3), leaving(left[0], joints=3), leaving(left[1], joints=3)]
+    assert _decide(options, [plain, spring, stop], scores)[0] == expected
 
 
 @pytest.mark.parametrize(

@@ -213,6 +213,14 @@ def test_a_stop_that_is_seldom_met_is_not_idle_and_a_spring_that_does_nothing_is
     assert stop in idle_terms(nowhere, [take(free, r, 1e-4)], np.random.default_rng(0))
 
 
+def test_no_draw_of_windows_misses_a_stop_that_is_met_once_in_three_minutes():
+    free, r = stopped(15000, seconds=180.0)
+    stop = candidate(JointStop(), r, free)
+    fitted = Fitted(Hypothesis((stop,)), np.array([0.7, 1.0, 100.0]), np.zeros((1, 3)), 0.0)
+    t = take(free, r, 1e-4)
+    assert not any(idle_terms(fitted, [t], np.random.default_rng(seed)) for seed in range(12))
+
+
 def test_a_term_that_moves_the_simulation_away_from_the_recording_is_idle():
     r = record(pendulum(), smooth_torque(6.0), noise=1e-4)
     friction = candidate(ViscousFriction(), r, pendulum())

@@ -61,6 +61,8 @@ ALONE = 2
 """How many of these."""
 BEHIND = 9.0
 """Evidence against them: only a simulation that is decisively better speaks for one."""
+CLEAR = 0.1
+"""Share of the error energy that one may leave to refute those that leave :data:`LOST`, few as its windows may be."""
 DRIVE_EFFECTS = ("actuation_delay", "actuation_lag", "torque_scale", "torque_offset")
 """What can happen between a command and a measured torque."""
 BEFORE_THE_MOTOR = frozenset({"actuation_delay", "actuation_lag", "torque_saturation", "speed_torque_limit"})
@@ -295,7 +297,7 @@ class _Work:
     adjusted: set[Key] = field(default_factory=set)
     """Trims that may move in all fits alike."""
     errors: list[Array] = field(default_factory=list)
-    """Logarithm of every window's error, of each fit."""
+    """Of every window of the fitted recordings, of each fit. Shapes (W, J)."""
     chosen: int = 0
 
     def run(self) -> None:
@@ -399,13 +401,12 @@ class _Work:
                         prepared.repeatability,
                     )  # fmt: skip
                     if split == "train":  # what was kept aside scores the answer, it does not choose it
-                        floor = np.array([joint["floor"] for joint in scores["train"].per_joint.values()])
-                        self.errors.append(np.log(np.maximum(after, np.maximum(floor, 1e-12))).sum(1))
+                        self.errors.append(after)
             self.scores.append(scores)
             self.progress.update((k + 1) / len(self.fits))
         if not self.errors:
             return
-        self.chosen, against = _decide(self.options, self.errors, [open_share(s["train"]) for s in self.scores])
+        self.chosen, against = _decide(self.options, self.errors, [s["train"] for s in self.scores])
         simulated = {keys(o.best.fit.terms): float(a) for o, a in zip(self.options, against, strict=False)}
         self.options = tuple(replace(o, simulated=simulated) for o in self.options)
 
@@ -618,22 +619,43 @@ def _trimmed(corrected: Simulation) -> tuple[str, ...]:
     return (f"Beside the findings the corrected model was adjusted within its tolerances: {', '.join(changes)}.",)
 
 
-def _decide(options: Sequence[Evidence], errors: Sequence[Array], left: Sequence[float]) -> tuple[int, Array]:
+def _decide(options: Sequence[Evidence], errors: Sequence[Array], scores: Sequence[Score]) -> tuple[int, Array]:
     """Which option torques and simulation speak for, and what the simulation says against each.
 
     Args:
         options: What was fitted, the preferred one first.
-        errors: Logarithm of every window's error, of each option. Shapes (W,).
-        left: Share of the error energy above the floor that each leaves.
+        errors: Error of each window, of each option. Shapes (W, J).
+        scores: Of the same windows.
     """
+    floors = [np.maximum([joint["floor"] for joint in s.per_joint.values()], 1e-12) for s in scores]
+    logs = [np.log(np.maximum(e, floor)).sum(1) for e, floor in zip(errors, floors, strict=True)]
+    left = [open_share(s) for s in scores]
     taken = [
-        not option.richer or (_against(errors[0] - e) >= CLOSE and share <= (1 - RICHER) * left[0])
-        for option, e, share in zip(options, errors, left, strict=False)
+        not option.richer or (_against(logs[0] - e) >= CLOSE and share <= (1 - RICHER) * left[0])
+        for option, e, share in zip(options, logs, left, strict=False)
     ]
-    best = min((e for e, t in zip(errors, taken, strict=True) if t), key=lambda e: float(e.mean()))
-    against = np.array([_against(e - best) if t else CLOSE for e, t in zip(errors, taken, strict=True)])
+    best = min((e for e, t in zip(logs, taken, strict=True) if t), key=lambda e: float(e.mean()))
+    against = np.array([_against(e - best) if t else CLOSE for e, t in zip(logs, taken, strict=True)])
+    least = min((k for k, t in enumerate(taken) if t), key=lambda k: left[k])
+    for k, error in enumerate(errors):
+        floor = np.maximum(floors[k], floors[least])
+        if left[k] >= LOST and left[least] <= CLEAR and _misses(error, errors[least], floor):
+            against[k] = CLOSE  # a stop that is reached twice says nothing in the mean of all windows
     behind = np.array([o.behind if t else np.inf for o, t in zip(options, taken, strict=False)])
     return int(np.argmin(against + behind)), against
+
+
+def _misses(worse: Array, better: Array, floor: Array) -> bool:
+    """Whether the one misses some joint on two occasions or more, the other follows there, and nowhere the reverse.
+
+    Args:
+        worse: Error of each window. Shape (W, J).
+        better: The same of the other option.
+        floor: Of the error, shape (J,).
+    """
+    lost, turned = worse > FOLLOWS * np.maximum(better, floor), better > FOLLOWS * np.maximum(worse, floor)
+    began = np.diff(lost, axis=0, prepend=False) & lost  # neighbouring windows may see one occasion
+    return bool((began.sum(0) >= 2).any() and not turned.any())
 
 
 def _against(worse: Array) -> float:

@@ -27,7 +27,7 @@ LEAVES = 0.3
 """Share of a window's error that a term may leave to be needed for that window alone."""
 TELLING = 4
 """Windows of a fit in which a term acts most, beside those drawn at random."""
-MOST_LOOKED_AT = 200
+MOST_LOOKED_AT = 1000
 """Windows among which those are looked for in which a term acts."""
 SHOOTING = (0.2, WINDOW)
 """Window lengths of the successive fits [s]: short ones are nearly linear and forgive a poor start."""
