@@ -127,7 +127,10 @@ def pushed(start: float, duration: float, torque: float, noise: float = 0.0, see
     return project_recording(later, arm(), np.full(2, noise), kernel=0.015)
 
 
-@pytest.mark.parametrize(("start", "duration", "torque"), [(2.0, 0.5, 0.25), (6.3, 0.12, -0.5), (4.0, 2.0, 0.2)])
+@pytest.mark.parametrize(
+    ("start", "duration", "torque"),
+    [(2.0, 0.5, 0.25), (6.3, 0.12, -0.5), (4.0, 2.0, 0.2), (8.9, 1.0, 0.5), (0.1, 1.0, 0.5)],  # also at a take's ends
+)
 def test_the_matched_filter_finds_the_interval_under_noise(start, duration, torque):
     s = pushed(start, duration, torque, noise=1e-4)
     first = Disturbance().grid(s, 1)[0]

@@ -299,4 +299,4 @@ def _local_median(left: Array, good: NDArray[np.bool_], size: int) -> Array:
     blocks = np.arange(len(left)) // size
     parts = (slice(size * k, size * (k + 1)) for k in range(int(blocks[-1]) + 1))
     medians = np.array([np.median(left[at][good[at]]) if good[at].any() else 0.0 for at in parts])
-    return np.asarray(median_filter(medians, min(21, len(medians)), mode="nearest")[blocks], dtype=np.float64)
+    return np.asarray(median_filter(medians, min(21, len(medians)), mode="reflect")[blocks], dtype=np.float64)
