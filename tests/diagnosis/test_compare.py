@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from diagnosis.plants import candidate, pendulum, record, smooth_torque, take
 
-from torchrl_athletic.diagnosis.compare import harms, noise_floor, open_share, score
+from torchrl_athletic.diagnosis.compare import harms, noise_floor, open_share, score, started
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.replay import simulate, windows_of
+from torchrl_athletic.diagnosis.replay import join, simulate, windows_of
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.effects import ViscousFriction
 
@@ -41,7 +41,7 @@ def test_a_perfect_model_scores_its_floor():
     square, floors = [], []
     for seed in range(3):
         t = take(FINE, recording(seed=seed), NOISE)
-        total, before, after = score([t], Hypothesis(()), np.zeros(0), np.array([NOISE]), np.random.default_rng(0))
+        total, before, after, _ = score([t], Hypothesis(()), np.zeros(0), np.array([NOISE]), np.random.default_rng(0))
         assert total.before == total.after
         np.testing.assert_array_equal(before, after)
         assert after.shape == (11, 1)
@@ -101,3 +101,18 @@ def test_a_correction_that_makes_the_fitted_takes_worse_is_none():
     assert harms(worse)
     assert not harms(better)
     assert not harms(None)
+
+
+def test_windows_of_several_pieces_start_one_after_the_other_and_far_apart():
+    whole = record(pendulum(), smooth_torque(4.0), noise=NOISE)
+    ends = (0, 160), (0, 160), (200, 400)
+    first, *pieces = (take(pendulum(), whole.slice(*e), NOISE, period=0.01) for e in ends)
+    joined = join(pieces)
+    assert len(joined) == 1  # one batch, two pieces
+    windows = [windows_of(t, 0.5) for t in (first, *joined)]
+    began = started(windows)
+    assert len(began) == sum(len(w.start) for w in windows)
+    steps = np.diff(began)
+    assert (steps > 0).all()
+    assert (steps > 30.0).sum() == 2
+    np.testing.assert_allclose(steps[steps < 30.0], 0.5, atol=0.02)

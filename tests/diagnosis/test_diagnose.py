@@ -145,7 +145,8 @@ def test_the_folder_holds_the_four_files_and_nothing_else(diagnosis, output):
 def test_the_simulation_decides_between_what_the_torques_leave_open(better, left, behind, is_richer, expected):
     errors = 10 * np.exp(0.01 * np.random.default_rng(0).normal(size=(2, 100, 1)))
     options = [Evidence(None, None), Evidence(None, None, behind, is_richer)]
-    chosen, against = _decide(options, [errors[0], errors[1] * np.exp(-better)], [leaving(0.1), leaving(left)])
+    scores = [leaving(0.1), leaving(left)]
+    chosen, against = _decide(options, [errors[0], errors[1] * np.exp(-better)], scores, 0.5 * np.arange(100))
     assert chosen == expected
     assert against[chosen] == 0 or expected == 0
 
@@ -153,31 +154,64 @@ def test_the_simulation_decides_between_what_the_torques_leave_open(better, left
 def test_a_richer_law_that_is_not_taken_does_not_keep_a_rival_from_being_preferred():
     noise = 10 * np.exp(0.01 * np.random.default_rng(0).normal(size=(3, 100, 1)))
     options = [Evidence(None, None), Evidence(None, None, 0.0, True), Evidence(None, None, 3.0)]
-    errors = list(noise * np.exp([[[0.0]], [[-0.5]], [[-0.2]]]))
-    assert _decide(options, errors, [leaving(0.10), leaving(0.08), leaving(0.09)])[0] == 2
-    assert _decide(options, errors, [leaving(0.10), leaving(0.02), leaving(0.09)])[0] == 1
+    errors, began = list(noise * np.exp([[[0.0]], [[-0.5]], [[-0.2]]])), 0.5 * np.arange(100)
+    assert _decide(options, errors, [leaving(0.10), leaving(0.08), leaving(0.09)], began)[0] == 2
+    assert _decide(options, errors, [leaving(0.10), leaving(0.02), leaving(0.09)], began)[0] == 1
+
+
+def seldom(lost, turned=(), times=50.0, left=(0.99, 0.01), size=1.0):
+    """Which of three is chosen: nothing, a spring that follows better but where it counts, a stop that follows there.
+
+    Args:
+        lost: Windows and joints that nothing and spring miss.
+        turned: The same of the stop.
+        times: How far.
+        left: Share of the error energy that they leave, and that the stop leaves.
+        size: Of the errors, in units of the floor.
+    """
+    rng = np.random.default_rng(0)
+    plain = size * np.exp(0.2 * rng.normal(size=(400, 3)))  # what a start state adds is in all of them
+    stop = plain.copy()
+    plain[tuple(np.transpose(lost))] *= times
+    if turned:
+        stop[tuple(np.transpose(turned))] *= times
+    spring = plain * np.exp(-0.3 * (1 + rng.normal(size=(400, 1))))
+    options = [Evidence(None, None), Evidence(None, None, 3.0), Evidence(None, None, BEHIND)]
+    scores = [leaving(left[0], 3), leaving(left[0], 3), leaving(left[1], 3)]
+    return _decide(options, [plain, spring, stop], scores, 0.5 * np.arange(400))[0]
+
+
+TWICE = ((20, 1), (21, 1), (200, 1))
+
+
+def test_what_acts_on_two_occasions_is_taken_where_it_alone_explains_the_error():
+    assert seldom(TWICE) == 2
 
 
 @pytest.mark.parametrize(
-    ("times", "lost", "turned", "left", "expected"),
+    "case",
     [
-        (50.0, (20, 21, 200), (), (0.99, 0.01), 2),  # on two occasions, and that is all the error there is
-        (50.0, (20, 200), (300,), (0.99, 0.01), 0),  # elsewhere it is the other way round
-        (50.0, (20, 21, 22), (), (0.99, 0.01), 0),  # one occasion may be a blow that nobody recorded
-        (50.0, (20, 200), (), (0.99, 0.30), 0),  # it does not explain the error
-        (50.0, (20, 200), (), (0.40, 0.01), 0),  # the preferred one does not leave it
-        (2.0, (20, 200), (), (0.99, 0.01), 0),  # what was left was hardly more than the floor
+        {"lost": TWICE, "turned": ((300, 0),)},  # elsewhere it is the other way round
+        {"lost": ((20, 1), (21, 1), (23, 1))},  # one occasion may be a blow that nobody recorded
+        {"lost": ((20, 1), (200, 2))},  # two joints, one occasion each
+        {"lost": TWICE, "left": (0.99, 0.15)},  # it does not explain the error
+        {"lost": TWICE, "left": (0.40, 0.01)},  # the others do not leave it
+        {"lost": TWICE, "times": 2.0},  # what they leave is hardly more than the floor
+        {"lost": TWICE, "size": 0.01},  # it is below all floors
+        {"lost": TWICE, "times": 5.0, "size": 20.0},  # the stop does not follow either
     ],
 )
-def test_what_acts_seldom_is_taken_where_it_alone_explains_the_error(times, lost, turned, left, expected):
-    noise = np.exp(0.2 * np.random.default_rng(0).normal(size=(400, 3)))  # what a start state adds is in all of them
-    plain, stop = noise.copy(), noise.copy()
-    plain[list(lost), 1] *= times
-    stop[list(turned), 1] *= times
-    options = [Evidence(None, None), Evidence(None, None, 3.0), Evidence(None, None, BEHIND)]
-    spring = plain * np.exp(-0.01)  # follows elsewhere, and does no better where it counts
-    scores = [leaving(left[0], joints=3), leaving(left[0], joints=3), leaving(left[1], joints=3)]
-    assert _decide(options, [plain, spring, stop], scores)[0] == expected
+def test_what_acts_seldom_refutes_nothing_that_it_does_not_clearly_beat(case):
+    assert seldom(**case) != 2
+
+
+def test_a_richer_law_that_is_not_taken_refutes_nothing():
+    plain = np.ones((400, 1))
+    plain[[20, 200]] = 50.0
+    options = [Evidence(None, None), Evidence(None, None, 0.0, True)]
+    scores = [leaving(0.99), leaving(0.01)]
+    chosen, against = _decide(options, [plain, np.ones((400, 1))], scores, 0.5 * np.arange(400))
+    assert (chosen, against[0]) == (0, 0)
 
 
 @pytest.mark.parametrize(

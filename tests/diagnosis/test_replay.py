@@ -396,17 +396,47 @@ def test_two_joints_stay_in_the_recordings_order():
     assert np.abs(one - r.position).max() < 0.01
 
 
-def test_a_simulation_that_diverges_stays_finite(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)  # MuJoCo logs there
+def explosion():
     r = record(slider(), smooth_torque(1.0), kp=np.array([10.0]), kd=np.array([1.0]))
     w = windows_of(take(slider(), r), 0.5)
 
     def explosive(plant, values):
         plant.kp_scale[:] = -1e6
 
-    found = simulate(w, explosive, NOTHING)
+    return simulate(w, explosive, NOTHING)
+
+
+def test_a_simulation_that_diverges_stays_finite_and_says_nothing(monkeypatch, tmp_path, capfd):
+    monkeypatch.chdir(tmp_path)  # where MuJoCo would write its log
+    found = explosion()
     assert np.isfinite(found).all()
     assert np.abs(found).max() > 100  # it did diverge
+    assert not any(capfd.readouterr())
+    assert not list(tmp_path.iterdir())
+    assert mujoco.get_mju_user_warning() is None
+
+
+def test_who_listens_to_the_warnings_of_mujoco_hears_of_what_diverges():
+    heard = []
+    mujoco.set_mju_user_warning(heard.append)
+    try:
+        explosion()
+    finally:
+        mujoco.set_mju_user_warning(None)
+    assert heard
+    assert all("Nan, Inf or huge value" in text for text in heard)
+
+
+def test_other_warnings_of_mujoco_are_passed_on_each_once(monkeypatch):
+    def warned(*args):
+        for text in ("Nan, Inf or huge value in QACC at DOF 0.", "Too many contacts.", "Too many contacts."):
+            mujoco.get_mju_user_warning()(text)
+        return np.zeros((1, 1, 1, 1))
+
+    monkeypatch.setattr(replay, "_simulate", warned)
+    with pytest.warns(RuntimeWarning) as told:
+        explosion()
+    assert [str(w.message) for w in told] == ["Too many contacts."]
 
 
 def test_samples_between_the_physics_steps_are_met_by_a_whole_number_of_them():

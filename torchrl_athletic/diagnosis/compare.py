@@ -17,7 +17,9 @@ from torchrl_athletic.effects.signals import kernel_for
 Array = NDArray[np.float64]
 
 MOST_WINDOWS = 400
-"""Windows that a score is stated over; more are thinned at random."""
+"""Windows that a score is stated over, as many as 200 s have; more are thinned at random."""
+BETWEEN = 60.0
+"""Time that is put between recordings, and between the pieces of one that drop-outs have cut [s]."""
 
 
 def score(
@@ -27,14 +29,15 @@ def score(
     position_noise: Array,
     rng: np.random.Generator,
     repeatability: Array | None = None,
-) -> tuple[Score, Array, Array]:
+) -> tuple[Score, Array, Array, Array]:
     """Error of the given and of the corrected model over windows started from the measured state.
 
     The floor is what the corrected simulation scores against itself, started from states with the measured noise and
     read with the measured noise; where repeats of a take scatter more than that, their scatter is the floor.
 
     Returns:
-        The score; and the error of each window before and after [rad, m], shapes (W, J).
+        The score; the error of each window before and after [rad, m], shapes (W, J); and when each starts (see
+        :func:`started`), shape (W,).
     """
     windows = [well_started(w) for w in draw_windows(takes, WINDOW, MOST_WINDOWS, rng)]
     sets = np.stack([hypothesis.nominal, values]) if len(values) else np.zeros((2, 0))
@@ -52,7 +55,18 @@ def score(
     was, left, least = (float(np.sqrt(np.mean(x**2))) for x in (before, after, floor))
     gap = was - least
     closed = float(np.clip((was - left) / gap, -1.0, 1.0)) if gap > 0 else 0.0
-    return Score(was, left, least, closed, per_joint), each_before, each_after
+    return Score(was, left, least, closed, per_joint), each_before, each_after, started(windows)
+
+
+def started(windows: Sequence[Windows]) -> Array:
+    """When each window starts, what was recorded without a gap placed one after the other [s]. Shape (W,)."""
+    times, end = [], 0.0
+    for w in windows:
+        parts = np.searchsorted(w.take.begins, w.start, side="right") - 1
+        for part, first in enumerate(w.take.begins):
+            times.append(end + w.take.time[w.start[parts == part]] - w.take.time[first])
+            end += BETWEEN + w.take.parts[part].recording.duration
+    return np.concatenate(times)
 
 
 def well_started(windows: Windows) -> Windows:

@@ -63,6 +63,8 @@ BEHIND = 9.0
 """Evidence against them: only a simulation that is decisively better speaks for one."""
 CLEAR = 0.1
 """Share of the error energy that one may leave to refute those that leave :data:`LOST`, few as its windows may be."""
+APART = 2.0
+"""Between windows that see two occasions: one blow may be felt that long [s]."""
 DRIVE_EFFECTS = ("actuation_delay", "actuation_lag", "torque_scale", "torque_offset")
 """What can happen between a command and a measured torque."""
 BEFORE_THE_MOTOR = frozenset({"actuation_delay", "actuation_lag", "torque_saturation", "speed_torque_limit"})
@@ -298,6 +300,8 @@ class _Work:
     """Trims that may move in all fits alike."""
     errors: list[Array] = field(default_factory=list)
     """Of every window of the fitted recordings, of each fit. Shapes (W, J)."""
+    began: Array = field(default_factory=lambda: np.zeros(0))
+    """When these windows start [s]. Shape (W,)."""
     chosen: int = 0
 
     def run(self) -> None:
@@ -396,17 +400,19 @@ class _Work:
             scores: dict[str, Score] = {}
             for split, prepared in (("train", self.train), ("heldout", self.held)):
                 if prepared is not None:
-                    scores[split], _, after = score(
+                    scores[split], _, after, began = score(
                         prepared.takes, fitted.hypothesis, fitted.values, prepared.position_noise, self._rng(split),
                         prepared.repeatability,
                     )  # fmt: skip
                     if split == "train":  # what was kept aside scores the answer, it does not choose it
                         self.errors.append(after)
+                        self.began = began
             self.scores.append(scores)
             self.progress.update((k + 1) / len(self.fits))
         if not self.errors:
             return
-        self.chosen, against = _decide(self.options, self.errors, [s["train"] for s in self.scores])
+        scored = [s["train"] for s in self.scores]
+        self.chosen, against = _decide(self.options, self.errors, scored, self.began)
         simulated = {keys(o.best.fit.terms): float(a) for o, a in zip(self.options, against, strict=False)}
         self.options = tuple(replace(o, simulated=simulated) for o in self.options)
 
@@ -619,13 +625,16 @@ def _trimmed(corrected: Simulation) -> tuple[str, ...]:
     return (f"Beside the findings the corrected model was adjusted within its tolerances: {', '.join(changes)}.",)
 
 
-def _decide(options: Sequence[Evidence], errors: Sequence[Array], scores: Sequence[Score]) -> tuple[int, Array]:
+def _decide(
+    options: Sequence[Evidence], errors: Sequence[Array], scores: Sequence[Score], began: Array
+) -> tuple[int, Array]:
     """Which option torques and simulation speak for, and what the simulation says against each.
 
     Args:
         options: What was fitted, the preferred one first.
         errors: Error of each window, of each option. Shapes (W, J).
         scores: Of the same windows.
+        began: When they start [s]. Shape (W,).
     """
     floors = [np.maximum([joint["floor"] for joint in s.per_joint.values()], 1e-12) for s in scores]
     logs = [np.log(np.maximum(e, floor)).sum(1) for e, floor in zip(errors, floors, strict=True)]
@@ -634,28 +643,31 @@ def _decide(options: Sequence[Evidence], errors: Sequence[Array], scores: Sequen
         not option.richer or (_against(logs[0] - e) >= CLOSE and share <= (1 - RICHER) * left[0])
         for option, e, share in zip(options, logs, left, strict=False)
     ]
+    least = min((k for k, t in enumerate(taken) if t), key=lambda k: left[k])
+    if left[least] <= CLEAR:  # a stop that is reached twice says nothing in the mean of all windows
+        for k, error in enumerate(errors):
+            floor = np.maximum(floors[k], floors[least])
+            if left[k] >= LOST and _misses(error, errors[least], floor, began):
+                taken[k] = False
     best = min((e for e, t in zip(logs, taken, strict=True) if t), key=lambda e: float(e.mean()))
     against = np.array([_against(e - best) if t else CLOSE for e, t in zip(logs, taken, strict=True)])
-    least = min((k for k, t in enumerate(taken) if t), key=lambda k: left[k])
-    for k, error in enumerate(errors):
-        floor = np.maximum(floors[k], floors[least])
-        if left[k] >= LOST and left[least] <= CLEAR and _misses(error, errors[least], floor):
-            against[k] = CLOSE  # a stop that is reached twice says nothing in the mean of all windows
     behind = np.array([o.behind if t else np.inf for o, t in zip(options, taken, strict=False)])
     return int(np.argmin(against + behind)), against
 
 
-def _misses(worse: Array, better: Array, floor: Array) -> bool:
+def _misses(worse: Array, better: Array, floor: Array, began: Array) -> bool:
     """Whether the one misses some joint on two occasions or more, the other follows there, and nowhere the reverse.
 
     Args:
         worse: Error of each window. Shape (W, J).
         better: The same of the other option.
         floor: Of the error, shape (J,).
+        began: When each window starts [s]. Shape (W,).
     """
-    lost, turned = worse > FOLLOWS * np.maximum(better, floor), better > FOLLOWS * np.maximum(worse, floor)
-    began = np.diff(lost, axis=0, prepend=False) & lost  # neighbouring windows may see one occasion
-    return bool((began.sum(0) >= 2).any() and not turned.any())
+    if (better > FOLLOWS * np.maximum(worse, floor)).any():
+        return False
+    lost = (worse > FOLLOWS * np.maximum(better, floor)) & (better <= FOLLOWS * floor)
+    return any((np.diff(began[joint]) > APART).any() for joint in lost.T)
 
 
 def _against(worse: Array) -> float:

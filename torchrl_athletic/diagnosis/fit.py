@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mujoco import minimize
@@ -28,7 +28,9 @@ LEAVES = 0.3
 TELLING = 4
 """Windows of a fit in which a term acts most, beside those drawn at random."""
 MOST_LOOKED_AT = 1000
-"""Windows among which those are looked for in which a term acts."""
+"""Windows among which those are looked for in which a term acts, as many as 500 s have."""
+AT_ONCE = 200
+"""Of these, simulated at a time: bounds the memory."""
 SHOOTING = (0.2, WINDOW)
 """Window lengths of the successive fits [s]: short ones are nearly linear and forgive a poor start."""
 
@@ -232,12 +234,18 @@ def _actions(h: Hypothesis, windows: Sequence[Windows], values: Array) -> tuple[
         sets.append(values.copy())
         h.values_of(term, sets[-1])[:] = [p.nominal for p in term.parameters]
     moved, error = [], []
-    for w in windows:
+    for w in _in_blocks(windows):
         predicted = simulate(w, h.build, np.stack(sets))
         moved.append(((predicted[1:] - predicted[:1]) ** 2).mean(2))
         error.append(((predicted - w.measured) ** 2).mean(2))
     errors = np.concatenate(error, axis=1)
     return np.concatenate(moved, axis=1), errors[0], errors[1:]
+
+
+def _in_blocks(windows: Sequence[Windows]) -> Iterator[Windows]:
+    for w in windows:
+        for first in range(0, len(w.start), AT_ONCE):
+            yield replace(w, start=w.start[first : first + AT_ONCE])
 
 
 def without(fitted: Fitted, dropped: Sequence[Candidate]) -> Fitted:

@@ -6,7 +6,9 @@ drifting through the rest of the take.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -278,8 +280,29 @@ def simulate(windows: Windows, build: Build, values: Array, start: tuple[Array, 
     take, sets = windows.take, len(values)
     cost = max(1, len(windows.start) * windows.length * take.substeps * len(take.address.dof))
     per_chunk = max(1, CHUNK // cost)
-    parts = [_simulate(windows, build, values[k : k + per_chunk], start) for k in range(0, sets, per_chunk)]
+    with _silent_divergence():
+        parts = [_simulate(windows, build, values[k : k + per_chunk], start) for k in range(0, sets, per_chunk)]
     return np.concatenate(parts) if parts else np.zeros((0, *windows.index.shape, len(take.address.dof)))
+
+
+@contextmanager
+def _silent_divergence() -> Iterator[None]:
+    """Drop what MuJoCo prints, and logs where the user stands, of rows that diverge, unless somebody listens to it.
+
+    An optimiser tries what no robot could be. Other warnings are passed on, each once.
+    """
+    if mujoco.get_mju_user_warning() is not None:
+        yield
+        return
+    told: list[str] = []
+    mujoco.set_mju_user_warning(told.append)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)
+        for text in dict.fromkeys(told):
+            if "Nan, Inf or huge value" not in text:
+                warnings.warn(text, RuntimeWarning, stacklevel=3)
 
 
 def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array, Array] | None) -> Array:

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from torchrl_athletic.effects.effect import (
     Array,
@@ -295,8 +295,10 @@ def _edges(total: Array, first: int, last: int) -> tuple[float, int, int]:
 
 
 def _local_median(left: Array, good: NDArray[np.bool_], size: int) -> Array:
-    """Median over 10 s, of medians over half a second. Shape (N,)."""
+    """Median over 10 s, of medians over half a second; at the ends over the first and the last 10 s. Shape (N,)."""
     blocks = np.arange(len(left)) // size
     parts = (slice(size * k, size * (k + 1)) for k in range(int(blocks[-1]) + 1))
     medians = np.array([np.median(left[at][good[at]]) if good[at].any() else 0.0 for at in parts])
-    return np.asarray(median_filter(medians, min(21, len(medians)), mode="reflect")[blocks], dtype=np.float64)
+    width = min(21, len(medians))
+    around = np.median(sliding_window_view(medians, width), axis=1)
+    return np.asarray(around[np.clip(blocks - width // 2, 0, len(around) - 1)], dtype=np.float64)

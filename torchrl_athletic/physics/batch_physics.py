@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
@@ -180,8 +179,7 @@ class BatchPhysics(Physics):
         wrench[:, 3:] = expand_to(wrench[:, 3:], torque, "torque")
 
     def step(self, nstep: int = 1, refresh: bool = False, envs: Envs = None) -> None:
-        with _counted():
-            self.batch.step(self._ids(envs), nstep, _VEL if refresh else _NONE)
+        self.batch.step(self._ids(envs), nstep, _VEL if refresh else _NONE)
 
     def forward(self, envs: Envs = None) -> None:
         self.batch.forward(self._ids(envs))
@@ -194,8 +192,7 @@ class BatchPhysics(Physics):
         for name in record:
             check_computed(name)
         rows = None if control is None else self._control(nstep, control, into).numpy()
-        with _counted():
-            recorded = self.batch.rollout(nstep, rows, _INPUTS[into].value, record)
+        recorded = self.batch.rollout(nstep, rows, _INPUTS[into].value, record)
         return {str(name): torch.from_numpy(array) for name, array in recorded.items()}
 
     def check(self) -> None:
@@ -224,23 +221,6 @@ class BatchPhysics(Physics):
     def _ids(self, envs: Envs) -> NDArray[np.int64] | None:
         """Sorted, as the batch takes them; None for all."""
         return None if envs is None else env_ids(envs, self.num_envs)
-
-
-@contextmanager
-def _counted() -> Iterator[None]:
-    """Keep MuJoCo's warnings to the counters of the batch, unless somebody listens to them.
-
-    What :attr:`BatchPhysics.diverged` and :meth:`BatchPhysics.check` tell of each env, MuJoCo would print and append to
-    a ``MUJOCO_LOG.TXT`` as well: hundreds of lines where an optimiser tries what no robot could be.
-    """
-    if mujoco.get_mju_user_warning() is not None:
-        yield
-        return
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(None)
 
 
 def _rows(ids: NDArray[np.int64] | None) -> slice | Tensor:
