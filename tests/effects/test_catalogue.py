@@ -89,7 +89,9 @@ def law_outputs(plant: Plant) -> list[np.ndarray]:
     """What laws add, and what motors change, after a start from a motion."""
     time = np.linspace(0.0, 1.0, 50)
     motion = np.stack([np.sin(3 * time), np.cos(3 * time)], -1)
-    start = Start(time, motion, 3 * motion[:, ::-1], motion, np.full(plant.rows, 10))
+    start = Start(
+        time, motion, 3 * motion[:, ::-1], motion, np.full(plant.rows, 10), began=np.zeros(1), mean_reading=np.zeros(1)
+    )
     out = []
     for law in (*plant.laws, *plant.motor):
         if isinstance(law, Law):

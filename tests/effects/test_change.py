@@ -6,6 +6,7 @@ from effects.arm import JOINTS, address, arm, record
 from effects.explained import explained, projected
 from effects.slider import MASS, STEP, push, speed
 
+from torchrl_athletic.diagnosis.prepare import _pieces
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.effects import project_recording
 from torchrl_athletic.effects.change import Disturbance, ThermalDrift
@@ -144,6 +145,43 @@ def test_a_push_that_throws_the_joint_does_not_bend_what_it_is_seen_against():
     first = Disturbance().grid(pushed(4.0, 1.5, 4.0, noise=1e-4), 1)[0]  # sixteen times the commanded torque
     assert first["start"] == pytest.approx(4.0, abs=0.04)
     assert first["duration"] == pytest.approx(1.5, abs=0.06)
+
+
+def cut(s, *gaps):
+    """Signals of the pieces that drop-outs leave of a take, as the diagnosis cuts it."""
+    rows = s.recording.time - s.recording.time[0]
+    kept = np.all([(rows < a) | (rows > b) for a, b in gaps], axis=0)
+    pieces = _pieces(s.recording.where(kept))
+    assert len(pieces) == len(gaps) + 1
+    return [project_recording(piece, arm(), np.full(2, 1e-4), kernel=0.015) for piece in pieces]
+
+
+def test_a_push_is_one_push_although_drop_outs_cut_the_take_while_it_lasts():
+    start, duration, torque = 4.0, 1.2, 0.4
+    whole = pushed(start, duration, torque, noise=1e-4)
+    pieces = cut(whole, (3.4, 3.5), (4.3, 4.4), (4.9, 5.0))  # one of them is nothing but push
+    first = Disturbance().grid_of(pieces, 1)[0]
+    assert first["start"] == pytest.approx(start, abs=0.04)
+    assert first["duration"] == pytest.approx(duration, abs=0.06)
+    columns = [Disturbance().fingerprint(s, 1, first).columns[:, 1, 0] for s in pieces]
+    assert [c.any() for c in columns] == [False, True, True, True]
+    assert (columns[2] < -0.9).all() or (columns[2] > 0.9).all()
+
+
+def test_the_pieces_of_a_take_simulate_the_push_of_the_whole():
+    pieces = [s.recording for s in cut(pushed(4.0, 1.2, 0.4), (3.4, 3.5), (4.3, 4.4), (4.9, 5.0), (6.0, 6.1))]
+    (here,) = {piece.mean_reading for piece in pieces}
+
+    def build(plant, rows):
+        Disturbance().apply(plant, 1, rows)
+
+    values = np.array([[4.0, 1.2, 0.0, here], [4.0, 1.2, 0.4, here], [4.0, 1.2, 0.4, here + 1.0]])
+    felt = []
+    for piece in pieces:
+        none, push, other = simulate(windows_of(take_of(piece, arm(), np.zeros(2)), None), build, values)
+        np.testing.assert_array_equal(other, none)
+        felt.append(np.abs(push - none).max() > 0.01)
+    assert felt == [False, True, True, True, False]
 
 
 def test_the_fingerprint_of_a_push_is_what_the_simulation_misses_in_its_take_alone():

@@ -183,4 +183,4 @@ def test_periods_are_a_revolution_or_a_metre():
 def test_what_friction_and_inertia_explain_is_not_left_over():
     s = projected(CoulombFriction(), 0, (0.3, 0.0))
     moving = np.abs(s.velocity[:, 0]) > 0.5
-    assert np.std(leftover(s, 0)[moving]) < 0.1 * np.std(s.missing[moving, 0])
+    assert np.std(leftover([s], 0)[moving]) < 0.1 * np.std(s.missing[moving, 0])

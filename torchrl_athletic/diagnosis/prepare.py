@@ -28,7 +28,7 @@ from torchrl_athletic.recordings import (
 )
 from torchrl_athletic.recordings.base import base_moves
 from torchrl_athletic.recordings.quality import with_known_base
-from torchrl_athletic.recordings.recording import BEGAN
+from torchrl_athletic.recordings.recording import BEGAN, MEAN_READING
 
 Array = NDArray[np.float64]
 Drive = Literal["command", "measured"]
@@ -240,8 +240,8 @@ def _pieces(recording: Recording) -> list[Recording]:
     pieces = split_at_gaps(recording)
     if len(pieces) == 1:
         return [recording]
-    began = {**recording.metadata, BEGAN: recording.began}
-    return [replace(p, source=recording.source, metadata=began) for p in pieces]
+    whole = {**recording.metadata, BEGAN: recording.began, MEAN_READING: recording.mean_reading}
+    return [replace(p, source=recording.source, metadata=whole) for p in pieces]
 
 
 def _periods(recordings: Sequence[Recording]) -> list[float]:

@@ -314,8 +314,8 @@ def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array,
     position = (np.tile(measured[0], (sets, 1)) - plant.encoder_offset) / plant.encoder_scale
     velocity = np.tile(measured[1], (sets, 1)) / plant.encoder_scale
     sample = np.tile(windows.start, sets)
-    began = np.array([part.recording.began for part in take.parts])
-    before = Start(take.time, take.position, take.velocity, take.torque, sample, take.link, take.begins, began)
+    began, reads = (np.array([getattr(p.recording, n) for p in take.parts]) for n in ("began", "mean_reading"))
+    before = Start(take.time, take.position, take.velocity, take.torque, sample, take.link, take.begins, began, reads)
     for gear in plant.gears:  # the encoder sits on the motor, MuJoCo simulates the link
         lag_of_link, its_rate = gear.begin(before, plant, velocity[:, gear.joint])
         position[:, gear.joint] -= lag_of_link

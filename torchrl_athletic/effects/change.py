@@ -161,7 +161,8 @@ class Disturbance(Effect):
 
     Parameters: ``start`` [s] after the take's first stamp, ``duration`` [s], ``torque`` [N·m, N for slides], and
     ``take`` [1], which tells the take from the others: the time average of all its joints' readings, the k-th of them
-    counted k times. It is no property of the robot: recordings kept aside do not have it.
+    counted k times. A take that drop-outs have cut is one. It is no property of the robot: recordings kept aside do not
+    have it.
 
     Fingerprint: 1 within the interval, in that take only. Intervals are proposed by a matched filter on what dry and
     viscous friction, inertia, scale, offset and gravity together leave of the missing torque.
@@ -195,16 +196,20 @@ class Disturbance(Effect):
 
     def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
         """The intervals of all takes that stand out most."""
-        found = []
+        pieces: dict[tuple[float, float], list[Signals]] = {}  # which drop-outs have cut a take into
         for s in takes:
-            take = _signature(s.recording.time, s.recording.position)
-            found += [(score, {"start": a, "duration": b - a, "take": take}) for score, a, b in _intervals(s, joint)]
+            pieces.setdefault((s.recording.mean_reading, s.recording.began), []).append(s)
+        found = []
+        for (take, _), of_it in pieces.items():
+            found += [
+                (score, {"start": a, "duration": b - a, "take": take}) for score, a, b in _intervals(of_it, joint)
+            ]
         return [interval for _, interval in sorted(found, key=lambda x: -x[0])[:_IN_ALL]]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
-        if not _is(fixed["take"], s.recording.time, s.recording.position):
+        if not _is(fixed["take"], s.recording.mean_reading, s.recording.position):
             return Fingerprint(np.zeros((len(s.keep), s.num_joints, 1)), fixed)
-        half, passed = fixed["duration"] / 2, s.fine_time - s.recording.time[0]
+        half, passed = fixed["duration"] / 2, s.fine_time - s.recording.began
         inside = half - np.abs(passed - fixed["start"] - half)
         box = np.clip(inside / s.fine_step + 0.5, 0.0, 1.0)  # edges fall between instants
         return Fingerprint(local(s.project_command(box), s, joint), fixed)
@@ -228,12 +233,12 @@ class _Once(Law):
         self.first = np.zeros(len(take))
 
     def begin(self, start: Start) -> None:
-        def is_here(piece: slice, take: float) -> Array:
-            here = _is(take, start.time[piece], start.position[piece])
-            return np.full(piece.stop - piece.start, float(here))
-
-        self.torque = self.torque * start.of(is_here, self.take)
-        self.first = start.time[start.first]
+        assert start.mean_reading is not None
+        assert start.began is not None
+        parts = list(zip(start.mean_reading, start.pieces, strict=True))
+        here = np.array([[_is(take, reads, start.position[at]) for reads, at in parts] for take in self.take])
+        self.torque = self.torque * here[np.arange(len(self.take)), start.piece]
+        self.first = start.began[start.piece]
 
     def __call__(self, now: Now) -> Array:
         torque, passed = np.zeros_like(now.velocity), now.time - self.first
@@ -248,23 +253,17 @@ def _warmth(passed: Array, time_constant: float | Array) -> Array:
     return np.asarray(-np.expm1(-np.maximum(passed, 0.0) / time_constant), dtype=np.float64)
 
 
-def _signature(time: Array, position: Array) -> float:
-    """Tells a take from others: of its samples as recorded, and of the same on a regular grid."""
-    mean = np.trapezoid(position, time, axis=0) / (time[-1] - time[0])
-    return float(mean @ (1.0 + np.arange(position.shape[1])))
+def _is(take: float, mean_reading: float, position: Array) -> bool:
+    return abs(take - mean_reading) < 1e-3 * float(np.ptp(position, axis=0).max()) + 1e-9
 
 
-def _is(signature: float, time: Array, position: Array) -> bool:
-    close = 1e-3 * float(np.ptp(position, axis=0).max()) + 1e-9
-    return abs(signature - _signature(time, position)) < close
-
-
-def _intervals(s: Signals, joint: int) -> list[tuple[float, float, float]]:
-    """Stretches over which the leftover stays on one side: score, and when in the take [s]; best first."""
-    step = float(np.diff(s.time[:2])[0])
-    left = leftover(s, joint)
-    left = left - _local_median(left, s.valid[:, joint], max(1, round(0.5 / step)))
-    left = np.where(s.valid[:, joint], left, 0.0)
+def _intervals(pieces: Sequence[Signals], joint: int) -> list[tuple[float, float, float]]:
+    """Stretches of a take over which the leftover stays on one side: score, and when in the take [s]; best first."""
+    step = float(np.diff(pieces[0].time[:2])[0])
+    valid = np.concatenate([s.valid[:, joint] for s in pieces])
+    left = leftover(pieces, joint)
+    left = left - _local_median(left, valid, max(1, round(0.5 / step)))
+    left = np.where(valid, left, 0.0)
     total = np.concatenate([[0.0], np.cumsum(left)])
     found: list[tuple[float, int, int]] = []
     for size in sorted({max(2, round(duration / step)) for duration in _DURATIONS}):
@@ -279,7 +278,7 @@ def _intervals(s: Signals, joint: int) -> list[tuple[float, float, float]]:
     for score_, a, b in sorted(found, reverse=True):
         if all(min(b, d) - max(a, c) < 0.5 * max(b - a, d - c) for _, c, d in best):
             best.append((score_, a, b))
-    passed = s.time - s.recording.time[0]
+    passed = np.concatenate([s.time for s in pieces]) - pieces[0].recording.began
     return [(score_, float(passed[a]), float(passed[b - 1]) + step) for score_, a, b in best[:_PER_TAKE]]
 
 

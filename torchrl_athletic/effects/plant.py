@@ -46,6 +46,8 @@ class Start:
     """Sample at which each piece begins, the first of which is 0: between them the motion jumps. Shape (pieces,)."""
     began: Array | None = None
     """Stamp at which the take of each piece began [s], if not with the piece. Shape (pieces,)."""
+    mean_reading: Array | None = None
+    """Of the take of each piece (see :attr:`Recording.mean_reading`). Shape (pieces,)."""
 
     @cached_property
     def piece(self) -> NDArray[np.intp]:

@@ -373,22 +373,20 @@ def fine_torque(s: Signals, joint: int) -> Array:
     return np.asarray(np.clip(torque, low[joint], high[joint]), dtype=np.float64)
 
 
-def leftover(s: Signals, joint: int) -> Array:
+def leftover(pieces: Sequence[Signals], joint: int) -> Array:
     """Missing torque beyond dry and viscous friction, inertia, scale, offset and gravity; zero where invalid.
 
     What is confined in time or in position stands out of it before anything else is known, as those are fitted with
-    Cauchy weights (Holland, Welsch 1977): a push that is a hundred times what else is missing must not bend them.
-    Shape (N,).
+    Cauchy weights (Holland, Welsch 1977): a push that is a hundred times what else is missing must not bend them. The
+    pieces of a take are fitted together, since a push may fill one of them.
+    Shape (N of all pieces,).
     """
-    q, v, a = s.position[:, joint], s.velocity[:, joint], s.acceleration[:, joint]
-    basis = np.stack(
-        [np.ones_like(q), sliding_direction(s, joint), v, a, q, np.sin(q), np.cos(q), s.required[:, joint]], -1
-    )
-    good = s.valid[:, joint]
+    basis = np.concatenate([_usual_causes(s, joint) for s in pieces])
+    good = np.concatenate([s.valid[:, joint] for s in pieces])
     if good.sum() < 2 * basis.shape[1]:
-        return np.zeros_like(q)
+        return np.zeros(len(basis))
     basis = basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
-    missing = left = s.missing[:, joint]
+    missing = left = np.concatenate([s.missing[:, joint] for s in pieces])
     for _ in range(_ROBUST_ROUNDS):
         usual = 1.4826 * float(np.median(np.abs(left[good])))
         weight = 1.0 / np.hypot(1.0, left / max(2.385 * usual, 1e-300))
@@ -397,13 +395,21 @@ def leftover(s: Signals, joint: int) -> Array:
     return np.where(good, left, 0.0)
 
 
+def _usual_causes(s: Signals, joint: int) -> Array:
+    """Torques of dry and viscous friction, inertia, scale, offset and gravity, for numbers of 1. Shape (N, 8)."""
+    q, v, a = s.position[:, joint], s.velocity[:, joint], s.acceleration[:, joint]
+    return np.stack(
+        [np.ones_like(q), sliding_direction(s, joint), v, a, q, np.sin(q), np.cos(q), s.required[:, joint]], -1
+    )
+
+
 def _spectral_peaks(takes: Sequence[Signals], joint: int, travel: float, count: int = 6) -> list[float]:
     """Wave numbers at which the leftover, summed over places, is strongest [rad/rad, rad/m]."""
     start = min(float(s.position[:, joint].min()) for s in takes)
     total = np.zeros(_BINS)
     for s in takes:
         place = ((s.position[:, joint] - start) / travel * (_BINS - 1)).astype(np.intp).clip(0, _BINS - 1)
-        total += np.bincount(place, leftover(s, joint), _BINS)
+        total += np.bincount(place, leftover([s], joint), _BINS)
     power = np.abs(np.fft.rfft(total, 4 * _BINS))
     wave = 2 * np.pi / travel * np.arange(len(power)) / 4
     peak = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:])) + 1

@@ -24,7 +24,9 @@ class RecordingError(ValueError):
 
 
 BEGAN = "piece_of_take_begun_at"
-"""Key of a piece's metadata: stamp at which its whole take began [s], by which slow drifts count."""
+"""Key of a piece's metadata: stamp at which its whole take began [s], by which slow drifts and pushes count."""
+MEAN_READING = "piece_of_take_that_reads"
+"""Another: what tells its whole take from others, :attr:`Recording.mean_reading`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +105,18 @@ class Recording:
         """Stamp at which the take began that this is a piece of [s], by ``metadata[BEGAN]``; else its own first one."""
         noted = self.metadata.get(BEGAN)
         return float(noted) if isinstance(noted, int | float) and noted <= self.time[0] else float(self.time[0])
+
+    @property
+    def mean_reading(self) -> float:
+        """What tells a take from others: the time average of all joints' readings, the k-th of them counted k times.
+
+        Of a piece that of its take, by ``metadata[MEAN_READING]``.
+        """
+        noted = self.metadata.get(MEAN_READING)
+        if isinstance(noted, int | float):
+            return float(noted)
+        mean = np.trapezoid(self.position, self.time, axis=0) / self.duration
+        return float(mean @ (1.0 + np.arange(self.num_joints)))
 
     @property
     def rate(self) -> float:
