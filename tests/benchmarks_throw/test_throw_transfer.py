@@ -143,6 +143,7 @@ def test_thrown_in_their_own_simulators_alone_policies_throw_as_they_do_everywhe
     assert alone[0].throws["default"] != alone[1].throws["cem_seed0"]
 
 
+@pytest.mark.slow
 def test_policies_are_compared_after_as_many_samples(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(throw_transfer, "ConcealedArm", OpenArm)
     other = tmp_path / "uan_seed0-0"

@@ -209,6 +209,7 @@ def test_one_name_needs_no_experiment(tilted):
         propose(judge, [best])
 
 
+@pytest.mark.slow
 def test_a_delay_and_a_lag_of_torques_are_told_apart_by_a_quick_motion():
     robot, secret = pendulum(), HiddenEffect("actuation_delay", "pendulum", {"delay": 0.015})
     catalogue = (ActuationDelay(), ActuationLag())
@@ -239,6 +240,11 @@ def test_milliseconds_are_told_apart_in_a_band_that_the_recordings_do_not_have()
     assert blurred.get(("actuation_delay", "pendulum"), 0.0) < 0.9
 
 
+@pytest.mark.parametrize(
+    "case",
+    ["mass", pytest.param("rotor", marks=pytest.mark.slow), pytest.param("offset", marks=pytest.mark.slow)],
+    indirect=True,
+)
 def test_a_motion_that_asks_too_much_torque_is_made_smaller(case):
     _, _, _, _, _, judge, best, experiment = case
     rivals = rivals_of(judge, best)
@@ -300,6 +306,7 @@ def test_a_plan_is_repeated_only_while_that_tells_more(monkeypatch):
     assert told(10.0) == 1
 
 
+@pytest.mark.slow
 def test_where_one_question_cannot_be_settled_the_next_one_is_asked(tilted):
     *_, judge, best, experiment = solved("offset")
 
@@ -346,6 +353,7 @@ def loaded(robot: Robot, weight: float) -> Robot:
     return replace(robot, links=(replace(link, mass=mass, com=com, inertia=inertia),))
 
 
+@pytest.mark.slow
 def test_a_weight_is_asked_for_where_no_motion_tells_a_weak_motor_from_a_heavy_link():
     (link,) = pendulum().links  # neither rotor nor friction, which a scale makes smaller, too
     robot = replace(pendulum(), links=(replace(link, armature=0.0, damping=0.0, frictionloss=0.0),))

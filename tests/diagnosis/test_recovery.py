@@ -47,7 +47,7 @@ def assert_named(answer: Answer, secret: HiddenEffect) -> None:
         "actuation_lag",
         "torque_scale",
         "torque_offset",
-        "encoder_offset",
+        pytest.param("encoder_offset", marks=pytest.mark.slow),
         "link_mass",
     ],
 )
@@ -64,7 +64,12 @@ def test_dry_friction_is_named_alone_with_its_level(robot):
 
 
 @pytest.mark.parametrize(
-    ("effect", "joint"), [("link_mass", "elbow"), ("torque_scale", "shoulder"), ("encoder_offset", "elbow")]
+    ("effect", "joint"),
+    [
+        pytest.param("link_mass", "elbow", marks=pytest.mark.slow),
+        ("torque_scale", "shoulder"),
+        ("encoder_offset", "elbow"),
+    ],
 )
 def test_on_an_arm_the_joint_is_right_too(effect, joint):
     robot = two_link_arm()

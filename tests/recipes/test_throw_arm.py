@@ -46,6 +46,7 @@ def test_it_learns_measures_and_leaves_a_policy(trained, capsys):
     assert sum(p.numel() for p in policy.parameters()) == 340 * 16 + 16 + 16 * 6 + 6 + 6
 
 
+@pytest.mark.slow
 def test_the_policy_that_threw_farthest_is_kept(tmp_path, monkeypatch):
     distances = iter((1.0, 3.0, 2.0))
     summary = lambda step: {"distance_m": next(distances), "spread_m": 0.0, "failed": 0.0}  # noqa: E731
