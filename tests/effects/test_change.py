@@ -168,6 +168,19 @@ def test_a_push_is_one_push_although_drop_outs_cut_the_take_while_it_lasts():
     assert (columns[2] < -0.9).all() or (columns[2] > 0.9).all()
 
 
+def test_takes_that_read_alike_and_what_lies_beyond_a_long_gap_are_looked_at_apart():
+    whole = pushed(4.0, 1.2, 0.4, noise=1e-4)
+    before, after = cut(whole, (4.2, 6.5))
+    for takes in ([whole, whole], [before, after]):
+        for interval in Disturbance().grid_of(takes, 1):
+            inside = [s.time[0] - s.recording.began - 0.1 <= interval["start"] for s in takes]
+            ends = interval["start"] + interval["duration"]
+            assert any(
+                began and ends <= s.time[-1] - s.recording.began + 0.1 for began, s in zip(inside, takes, strict=True)
+            )
+            assert interval["duration"] > 0
+
+
 def test_the_pieces_of_a_take_simulate_the_push_of_the_whole():
     pieces = [s.recording for s in cut(pushed(4.0, 1.2, 0.4), (3.4, 3.5), (4.3, 4.4), (4.9, 5.0), (6.0, 6.1))]
     (here,) = {piece.mean_reading for piece in pieces}

@@ -37,6 +37,8 @@ _QUICKEST = 3.0
 """Nothing that a motor turns warms up faster [s]; what changes sooner is another law of friction."""
 _DURATIONS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
 """Of a disturbance, to start the search from [s]."""
+_DROP_OUT = 2.0
+"""What is recorded before and after so long a gap is looked at apart [s]."""
 _PER_TAKE, _IN_ALL = 3, 8
 """Intervals to propose."""
 
@@ -196,18 +198,16 @@ class Disturbance(Effect):
 
     def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
         """The intervals of all takes that stand out most."""
-        pieces: dict[tuple[float, float], list[Signals]] = {}  # which drop-outs have cut a take into
-        for s in takes:
-            pieces.setdefault((s.recording.mean_reading, s.recording.began), []).append(s)
         found = []
-        for (take, _), of_it in pieces.items():
+        for pieces in _uncut(takes):
+            take = pieces[0].recording.mean_reading
             found += [
-                (score, {"start": a, "duration": b - a, "take": take}) for score, a, b in _intervals(of_it, joint)
+                (score, {"start": a, "duration": b - a, "take": take}) for score, a, b in _intervals(pieces, joint)
             ]
         return [interval for _, interval in sorted(found, key=lambda x: -x[0])[:_IN_ALL]]
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
-        if not _is(fixed["take"], s.recording.mean_reading, s.recording.position):
+        if abs(fixed["take"] - s.recording.mean_reading) >= _close(s.recording.position):
             return Fingerprint(np.zeros((len(s.keep), s.num_joints, 1)), fixed)
         half, passed = fixed["duration"] / 2, s.fine_time - s.recording.began
         inside = half - np.abs(passed - fixed["start"] - half)
@@ -235,8 +235,8 @@ class _Once(Law):
     def begin(self, start: Start) -> None:
         assert start.mean_reading is not None
         assert start.began is not None
-        parts = list(zip(start.mean_reading, start.pieces, strict=True))
-        here = np.array([[_is(take, reads, start.position[at]) for reads, at in parts] for take in self.take])
+        near = np.array([_close(start.position[piece]) for piece in start.pieces])
+        here = np.abs(self.take[:, None] - start.mean_reading) < near
         self.torque = self.torque * here[np.arange(len(self.take)), start.piece]
         self.first = start.began[start.piece]
 
@@ -253,13 +253,27 @@ def _warmth(passed: Array, time_constant: float | Array) -> Array:
     return np.asarray(-np.expm1(-np.maximum(passed, 0.0) / time_constant), dtype=np.float64)
 
 
-def _is(take: float, mean_reading: float, position: Array) -> bool:
-    return abs(take - mean_reading) < 1e-3 * float(np.ptp(position, axis=0).max()) + 1e-9
+def _close(position: Array) -> float:
+    """Difference of mean readings up to which a take is the same."""
+    return 1e-3 * float(np.ptp(position, axis=0).max()) + 1e-9
+
+
+def _uncut(takes: Sequence[Signals]) -> list[list[Signals]]:
+    """The pieces of each take, one after the other, apart where more than a drop-out lies between."""
+    out: list[list[Signals]] = []
+    for s in takes:
+        last = out[-1][-1] if out else s
+        same = (s.recording.mean_reading, s.recording.began) == (last.recording.mean_reading, last.recording.began)
+        if same and 0.0 < s.time[0] - last.time[-1] < _DROP_OUT:
+            out[-1].append(s)
+        else:
+            out.append([s])
+    return out
 
 
 def _intervals(pieces: Sequence[Signals], joint: int) -> list[tuple[float, float, float]]:
     """Stretches of a take over which the leftover stays on one side: score, and when in the take [s]; best first."""
-    step = float(np.diff(pieces[0].time[:2])[0])
+    step = float(np.median(np.concatenate([np.diff(s.time) for s in pieces])))
     valid = np.concatenate([s.valid[:, joint] for s in pieces])
     left = leftover(pieces, joint)
     left = left - _local_median(left, valid, max(1, round(0.5 / step)))
