@@ -9,7 +9,7 @@ from effects.slider import MASS, STEP, push, speed
 from torchrl_athletic.diagnosis.prepare import _pieces
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.effects import project_recording
-from torchrl_athletic.effects.change import Disturbance, ThermalDrift
+from torchrl_athletic.effects.change import Disturbance, ThermalDrift, _uncut
 
 
 def acceleration(force, *effects):
@@ -169,16 +169,10 @@ def test_a_push_is_one_push_although_drop_outs_cut_the_take_while_it_lasts():
 
 
 def test_takes_that_read_alike_and_what_lies_beyond_a_long_gap_are_looked_at_apart():
-    whole = pushed(4.0, 1.2, 0.4, noise=1e-4)
-    before, after = cut(whole, (4.2, 6.5))
-    for takes in ([whole, whole], [before, after]):
-        for interval in Disturbance().grid_of(takes, 1):
-            inside = [s.time[0] - s.recording.began - 0.1 <= interval["start"] for s in takes]
-            ends = interval["start"] + interval["duration"]
-            assert any(
-                began and ends <= s.time[-1] - s.recording.began + 0.1 for began, s in zip(inside, takes, strict=True)
-            )
-            assert interval["duration"] > 0
+    whole = pushed(4.0, 1.2, 0.4)
+    assert [len(group) for group in _uncut([whole, whole])] == [1, 1]
+    pieces = cut(whole, (2.0, 2.1), (4.0, 7.0))
+    assert [len(group) for group in _uncut([*pieces, *pieces])] == [2, 1, 2, 1]
 
 
 def test_the_pieces_of_a_take_simulate_the_push_of_the_whole():
