@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 BLUE, GREY, ORANGE = "#1D3557", "#8D99AE", "#E76F51"
 
@@ -51,9 +51,8 @@ def interval(rate: float, n: int) -> tuple[float, float]:
         >>> interval(0.0, 160)[1] < 0.03
         True
     """
-    k = round(rate * n)
-    low = float(beta.ppf(0.025, k, n - k + 1)) if k else 0.0
-    return low, float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
+    ends = binomtest(round(rate * n), n).proportion_ci()
+    return float(ends.low), float(ends.high)
 
 
 def reliability(ax: Axes, calibration: Mapping[str, Any]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -106,7 +107,7 @@ class Recording:
         noted = self.metadata.get(BEGAN)
         return float(noted) if isinstance(noted, int | float) and noted <= self.time[0] else float(self.time[0])
 
-    @property
+    @cached_property
     def mean_reading(self) -> float:
         """What tells a take from others: the time average of all joints' readings, the k-th of them counted k times.
 
