@@ -339,19 +339,21 @@ def test_the_larger_effect_is_named_when_its_second_number_matters():
 
 
 @pytest.mark.parametrize(
-    ("strength", "second", "expected"),
+    ("strength", "second", "bent", "expected"),
     [
-        (6.0, 0.3, {"dry", "viscous"}),
-        (6.0, 6.0, {"warming"}),
-        (100.0, 0.3, {"dry", "viscous"}),  # above the noise, and less than what a bearing differs from its formula
+        (6.0, 0.3, 0.0, {"dry", "viscous"}),
+        (6.0, 6.0, 0.0, {"warming"}),
+        (100.0, 0.3, 0.0, {"dry", "viscous"}),  # above the noise, and less than any right law is exact to
+        (100.0, 0.6, 0.06, {"dry", "viscous"}),  # as much as this bearing differs from its formula
+        (100.0, 0.6, 0.0, {"warming"}),  # as little, but it is all that is left
     ],
 )
-def test_friction_that_changes_little_is_dry_and_viscous(strength, second, expected):
+def test_friction_that_changes_little_is_dry_and_viscous(strength, second, bent, expected):
     """The columns of a drift are those of dry and viscous friction, but for the first seconds of a take."""
     rng = np.random.default_rng(0)
-    dry, viscous, later = smooth(rng, (3, N))
+    dry, viscous, later, bearing = smooth(rng, (4, N))
     both = np.stack([dry + 0.1 * second * later, viscous], -1)
-    take = on_shoulder(strength * (both[:, 0] + 0.8 * viscous), 2 * rng.normal(size=(N, 2)))
+    take = on_shoulder(strength * (both[:, 0] + 0.8 * viscous + bent * bearing), 2 * rng.normal(size=(N, 2)))
     wide = {"lower": -1e3, "upper": 1e3}
     drift = Given("warming", both, excludes=("dry", "viscous"), **wide)
     drift.special_cases = frozenset({"dry", "viscous"})  # type: ignore[misc]
@@ -359,6 +361,25 @@ def test_friction_that_changes_little_is_dry_and_viscous(strength, second, expec
     weigh = judge(take, candidate(drift), *map(candidate, parts))
     found = _simplify(weigh, weigh.score(weigh.bank.atoms[:1]))
     assert names(found) == {(name, "shoulder") for name in expected}
+
+
+@pytest.mark.parametrize("third", [0.0, 0.5])
+def test_a_law_of_which_two_terms_are_special_cases_is_a_rival_of_both(third):
+    """Friction by direction, whose difference an offset of the encoder takes, is dry and viscous as well."""
+    rng = np.random.default_rng(0)
+    a, b, c, d = smooth(rng, (4, N))
+    take = on_shoulder(6 * a + 5 * b + 4 * d + third * c, 2 * rng.normal(size=(N, 2)))
+    whole = Given("direction", np.stack([a, b, c], -1), excludes=("dry", "viscous"))
+    whole.special_cases = frozenset({"dry", "viscous"})  # type: ignore[misc]
+    parts = (Given(name, column) for name, column in (("dry", a), ("viscous", b), ("spring", d)))
+    weigh = judge(take, *map(candidate, parts), candidate(whole))
+    best = weigh.score(weigh.bank.atoms[:3])
+    dry, viscous, spring = best.fit.terms
+    for term in (dry, viscous):
+        found = {frozenset(names(s)): s.evidence for s in alternatives(weigh, best, term)}
+        joint = frozenset({("direction", "shoulder"), ("spring", "shoulder")})
+        assert (found[joint] < found[frozenset(names(best))]) == (third > 0)
+    assert all(("direction", "shoulder") not in names(s) for s in alternatives(weigh, best, spring))
 
 
 def test_a_stand_in_for_two_effects_is_given_up_for_the_two():

@@ -99,6 +99,12 @@ def test_the_stiffest_stop_is_one_that_the_time_step_follows(joint):
     assert arm().opt.timestep * np.sqrt(stiffest / inertia) < 0.5
 
 
+@pytest.mark.parametrize(("stiffness", "stops"), [(2.0, False), (79.0, False), (81.0, True), (5000.0, True)])
+def test_what_the_motor_pushes_in_by_half_a_radian_is_no_stop(stiffness, stops):
+    parameters = JointStop().parameters(arm(), address(), 0)  # its motor has 40 N·m
+    assert JointStop().is_physical(parameters, np.array([0.3, 1.0, stiffness])) == stops
+
+
 def test_the_sentences_say_where():
     spring = JointSpring().parameters(arm(), address(), 1)
     assert "towards -0.5 rad" in JointSpring().sentence("elbow", {"stiffness": 0.8, "preload": -0.4}, spring)

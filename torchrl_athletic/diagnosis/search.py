@@ -42,6 +42,8 @@ ACCURACY = 0.01
 """Error of a right law, of the torque that is missing without it: below, evidence speaks of tangents and time steps."""
 RICHER = 0.25
 """Share of what is open that an effect must close beyond a simpler one that it contains."""
+ALL = 0.9
+"""The same from which on it explains all: a bearing that differs from a formula is no other formula to the noise."""
 SEEN = 0.05
 """The same, or of the evidence, from which on the simulation is asked whether the richer law is the true one."""
 INVARIANT = 0.4
@@ -383,7 +385,23 @@ def _alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
                 scored = replace(scored, evidence=max(scored.evidence, own.evidence))
         if key != term.candidate.key and (key not in out or scored.evidence < out[key].evidence):
             out[key] = scored
+    for whole in _wholes(judge, best, term):
+        scored = judge.score(whole.fit.terms, independent, RIVAL_PRICE)
+        more = (whole.fit.freedom - best.fit.freedom) * (judge.price(independent) - RIVAL_PRICE)
+        out.setdefault(whole.fit.terms[-1].candidate.key, replace(scored, evidence=scored.evidence + more))
     return sorted(out.values(), key=lambda s: s.evidence)
+
+
+def _wholes(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
+    """The combination with one law for a term and for others beside it that are all special cases of it."""
+    joint, terms, out = term.candidate.joint_name, best.fit.terms, []
+    for candidate in {a.candidate: None for a in judge.bank.atoms if a.candidate.joint_name == joint}:
+        parts = tuple(t for t in terms if not candidate.allows(t.candidate) and t.candidate.joint_name == joint)
+        cases = [t for t in parts if t.candidate.effect.name in candidate.effect.special_cases]
+        if len(cases) > 1 and term in cases:
+            merged = _merged(judge, terms, parts, candidate)
+            out += [merged] if merged.fit.terms[-1].candidate is candidate else []
+    return out
 
 
 def _extensions(judge: Judge, parent: Scored) -> list[Scored]:
@@ -590,11 +608,21 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
                 continue
         if term.candidate.effect.special_cases:
             parts = _split(judge, kept, term, term.candidate.effect.special_cases)
-            seen = judge.is_open(parts.fit)[term.candidate.joint]  # else both are good to the noise
             little = judge.closes(parts.fit, scored.fit) < RICHER and not _relieves(parts.fit, scored.fit)
-            if little or (seen and judge.within_misfit(parts.fit, scored.fit)):
+            if little or _is_bent(judge, parts, scored, term.candidate.joint):
                 scored = parts
     return scored
+
+
+def _is_bent(judge: Judge, plain: Scored, rich: Scored, joint: int) -> bool:
+    """Whether a richer law may owe what it explains more to a bearing that is no formula.
+
+    Not if it explains all of it; nor, where both are good to the noise, if much of the evidence speaks for it.
+    """
+    if judge.closes(plain.fit, rich.fit) >= ALL or not judge.within_misfit(plain.fit, rich.fit):
+        return False
+    found, gained = judge.score(()).evidence - rich.evidence, plain.evidence - rich.evidence
+    return bool(judge.is_open(plain.fit)[joint]) or gained < SEEN * found
 
 
 def scatter(bank: Bank, fit: Fit, term: Atom) -> float:

@@ -254,8 +254,8 @@ def _warmth(passed: Array, time_constant: float | Array) -> Array:
 
 
 def _close(position: Array) -> float:
-    """Difference of mean readings up to which a take is the same."""
-    return 1e-3 * float(np.ptp(position, axis=0).max()) + 1e-9
+    """Difference of mean readings up to which a take is the same; repeated under control it differs by more."""
+    return 1e-6 * float(np.ptp(position, axis=0).max()) + 1e-9
 
 
 def _uncut(takes: Sequence[Signals]) -> list[list[Signals]]:

@@ -100,7 +100,8 @@ class JointStop(Effect):
     Fingerprint: -max(q - p, 0) or max(p - q, 0), at positions p in the outer fifth of the travel. Near the model's own
     limits nothing is judged.
 
-    Simulation: a one-sided spring beside the motor.
+    Simulation: a one-sided spring beside the motor. One that the motor pushes in by half a radian, or 5 cm, stops
+    nothing: it stands in for what a spring or a ripple leaves.
     """
 
     name = "joint_stop"
@@ -119,12 +120,17 @@ class JointStop(Effect):
         inertia = 1.0 / max(float(model.dof_invweight0[address.dof[joint]]), 1e-12)
         stable = 0.2 * inertia / float(model.opt.timestep) ** 2
         steepest = min((1e4 if slide else 1e3) * bound, stable)
+        softest = min(torque_scale(model, address, joint) / (0.05 if slide else 0.5), 0.2 * steepest)
         reach = 10.0 if slide else 4 * np.pi
         return (
             Parameter("position", "m" if slide else "rad", 0.0, -reach, reach, 0.005),
             Parameter("side", "1", 1.0, -1.0, 1.0, 0.4),
-            Parameter("stiffness", "N/m" if slide else "N·m/rad", 0.0, 0.0, steepest, 0.02 * steepest),
+            Parameter("stiffness", "N/m" if slide else "N·m/rad", 0.0, 0.0, steepest, softest),
         )
+
+    def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
+        """What gives way to the motor stops nothing."""
+        return bool(values[2] >= parameters[2].scale)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         return self.grid_of([s], joint)
