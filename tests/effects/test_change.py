@@ -225,6 +225,12 @@ def test_the_sentences_say_when_and_how_much():
     assert "+1.5 N·m acted on shoulder once, 12.25 s after its start, for 300 ms" in text
 
 
+@pytest.mark.parametrize(("constant", "warms"), [(3.0, False), (3.02, False), (3.1, True), (40.0, True)])
+def test_a_drift_at_the_quickest_that_can_be_is_none(constant, warms):
+    parameters = ThermalDrift().parameters(arm(), address(), 0)
+    assert ThermalDrift().is_physical(parameters, np.array([0.2, 0.1, 0.0, constant])) == warms
+
+
 def test_a_drift_is_no_slower_than_the_longest_take_can_show():
     s = project_recording(record(seconds=12.0), arm(), np.zeros(2))
     *_, slow = ThermalDrift().parameters_of([s], 0)

@@ -42,7 +42,7 @@ ACCURACY = 0.01
 """Error of a right law, of the torque that is missing without it: below, evidence speaks of tangents and time steps."""
 RICHER = 0.25
 """Share of what is open that an effect must close beyond a simpler one that it contains."""
-ALL = 0.9
+ALL = 0.95
 """The same from which on it explains all: a bearing that differs from a formula is no other formula to the noise."""
 SEEN = 0.05
 """The same, or of the evidence, from which on the simulation is asked whether the richer law is the true one."""
@@ -386,9 +386,9 @@ def _alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
         if key != term.candidate.key and (key not in out or scored.evidence < out[key].evidence):
             out[key] = scored
     for whole in _wholes(judge, best, term):
-        scored = judge.score(whole.fit.terms, independent, RIVAL_PRICE)
-        more = (whole.fit.freedom - best.fit.freedom) * (judge.price(independent) - RIVAL_PRICE)
-        out.setdefault(whole.fit.terms[-1].candidate.key, replace(scored, evidence=scored.evidence + more))
+        scored, more = judge.score(whole.fit.terms, independent, RIVAL_PRICE), whole.fit.freedom - best.fit.freedom
+        priced = replace(scored, evidence=scored.evidence + more * (judge.price(independent) - RIVAL_PRICE))
+        out.setdefault(whole.fit.terms[-1].candidate.key, priced)
     return sorted(out.values(), key=lambda s: s.evidence)
 
 

@@ -83,6 +83,10 @@ class ThermalDrift(Effect):
             Parameter("time_constant", "s", _QUICKEST, _QUICKEST, 1e4, 2.0),
         )
 
+    def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
+        """What would rather be quicker still is no warming."""
+        return bool(values[3] > 1.01 * parameters[3].lower)
+
     def parameters_of(self, takes: Sequence[Signals], joint: int) -> tuple[Parameter, ...]:
         """Of a drift much slower than the longest take only the beginning shows, a straight line without an end."""
         *others, slow = super().parameters_of(takes, joint)
