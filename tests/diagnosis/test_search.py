@@ -8,12 +8,15 @@ from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis.screen import Bank
 from torchrl_athletic.diagnosis.search import (
+    ALL,
     BEAM,
     PREDICTABLE,
+    RICHER,
     RIVAL_PRICE,
     TERM,
     Judge,
     _invariant,
+    _is_bent,
     _merge,
     _simplest,
     _simplify,
@@ -363,23 +366,20 @@ def test_friction_that_changes_little_is_dry_and_viscous(strength, second, bent,
     assert names(found) == {(name, "shoulder") for name in expected}
 
 
-@pytest.mark.parametrize("third", [0.0, 0.5])
-def test_a_law_of_which_two_terms_are_special_cases_is_a_rival_of_both(third):
-    """Friction by direction, whose difference an offset of the encoder takes, is dry and viscous as well."""
+@pytest.mark.parametrize(("strength", "bent"), [(6.0, True), (3.0, False)])
+def test_where_both_are_good_to_the_noise_a_twentieth_of_the_evidence_keeps_the_richer_law(strength, bent):
     rng = np.random.default_rng(0)
-    a, b, c, d = smooth(rng, (4, N))
-    take = on_shoulder(6 * a + 5 * b + 4 * d + third * c, 2 * rng.normal(size=(N, 2)))
-    whole = Given("direction", np.stack([a, b, c], -1), excludes=("dry", "viscous"))
-    whole.special_cases = frozenset({"dry", "viscous"})  # type: ignore[misc]
-    parts = (Given(name, column) for name, column in (("dry", a), ("viscous", b), ("spring", d)))
-    weigh = judge(take, *map(candidate, parts), candidate(whole))
-    best = weigh.score(weigh.bank.atoms[:3])
-    dry, viscous, spring = best.fit.terms
-    for term in (dry, viscous):
-        found = {frozenset(names(s)): s.evidence for s in alternatives(weigh, best, term)}
-        joint = frozenset({("direction", "shoulder"), ("spring", "shoulder")})
-        assert (found[joint] < found[frozenset(names(best))]) == (third > 0)
-    assert all(("direction", "shoulder") not in names(s) for s in alternatives(weigh, best, spring))
+    a, b, bearing = smooth(rng, (3, N))
+    noise = rng.normal(size=(N, 2))
+    take = on_shoulder(strength * a + 0.4 * b + 0.2 * bearing, noise / noise.std(0))
+    plain, rich = Given("dry", a), Given("warming", np.stack([a, b], -1), excludes=("dry",))
+    plain.family = "friction"  # type: ignore[misc]
+    weigh = judge(take, candidate(plain), candidate(rich))
+    simple, more = (weigh.score([atom]) for atom in weigh.bank.atoms)
+    assert not weigh.is_open(simple.fit).any()
+    assert weigh.within_misfit(simple.fit, more.fit)
+    assert RICHER < weigh.closes(simple.fit, more.fit) < ALL
+    assert _is_bent(weigh, simple, more, 0) == bent
 
 
 def test_a_stand_in_for_two_effects_is_given_up_for_the_two():

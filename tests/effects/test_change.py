@@ -112,8 +112,11 @@ def test_a_push_belongs_to_one_take():
     def build(plant, rows):
         Disturbance().apply(plant, 1, rows)
 
-    none, same, other = simulate(whole, build, np.array([[1, 0.2, 0, here], [1, 0.2, 0.5, here], [1, 0.2, 0.5, 9.0]]))
-    np.testing.assert_allclose(other, none, atol=1e-12)
+    again = here + 1e-4 * float(np.ptp(recording.position))  # as under control, repeated
+    takes = np.array([[1, 0.2, 0, here], [1, 0.2, 0.5, here], [1, 0.2, 0.5, 9.0], [1, 0.2, 0.5, again]])
+    none, same, *others = simulate(whole, build, takes)
+    for other in others:
+        np.testing.assert_allclose(other, none, atol=1e-12)
     assert np.abs(same - none).max() > 0.01
 
 

@@ -105,6 +105,14 @@ def test_what_the_motor_pushes_in_by_half_a_radian_is_no_stop(stiffness, stops):
     assert JointStop().is_physical(parameters, np.array([0.3, 1.0, stiffness])) == stops
 
 
+def test_on_a_slide_it_is_five_centimetres_and_without_a_motors_limit_gravity_pushes():
+    (_, _, limited), (_, _, free) = (
+        JointStop().parameters(slider(limit), JointAddress.of(slider(), ("rail",)), 0) for limit in (6.0, None)
+    )
+    assert limited.scale == pytest.approx(6.0 / 0.05)
+    assert free.scale == pytest.approx(MASS / 0.05)  # a level slide feels none: 1 m/s² does
+
+
 def test_the_sentences_say_where():
     spring = JointSpring().parameters(arm(), address(), 1)
     assert "towards -0.5 rad" in JointSpring().sentence("elbow", {"stiffness": 0.8, "preload": -0.4}, spring)

@@ -385,23 +385,7 @@ def _alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
                 scored = replace(scored, evidence=max(scored.evidence, own.evidence))
         if key != term.candidate.key and (key not in out or scored.evidence < out[key].evidence):
             out[key] = scored
-    for whole in _wholes(judge, best, term):
-        scored, more = judge.score(whole.fit.terms, independent, RIVAL_PRICE), whole.fit.freedom - best.fit.freedom
-        priced = replace(scored, evidence=scored.evidence + more * (judge.price(independent) - RIVAL_PRICE))
-        out.setdefault(whole.fit.terms[-1].candidate.key, priced)
     return sorted(out.values(), key=lambda s: s.evidence)
-
-
-def _wholes(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
-    """The combination with one law for a term and for others beside it that are all special cases of it."""
-    joint, terms, out = term.candidate.joint_name, best.fit.terms, []
-    for candidate in {a.candidate: None for a in judge.bank.atoms if a.candidate.joint_name == joint}:
-        parts = tuple(t for t in terms if not candidate.allows(t.candidate) and t.candidate.joint_name == joint)
-        cases = [t for t in parts if t.candidate.effect.name in candidate.effect.special_cases]
-        if len(cases) > 1 and term in cases:
-            merged = _merged(judge, terms, parts, candidate)
-            out += [merged] if merged.fit.terms[-1].candidate is candidate else []
-    return out
 
 
 def _extensions(judge: Judge, parent: Scored) -> list[Scored]:
@@ -617,11 +601,12 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
 def _is_bent(judge: Judge, plain: Scored, rich: Scored, joint: int) -> bool:
     """Whether a richer law may owe what it explains more to a bearing that is no formula.
 
-    Not if it explains all of it; nor, where both are good to the noise, if much of the evidence speaks for it.
+    Not if it explains all of it; nor, where both are good to the noise, if much of the joint's evidence speaks for it.
     """
     if judge.closes(plain.fit, rich.fit) >= ALL or not judge.within_misfit(plain.fit, rich.fit):
         return False
-    found, gained = judge.score(()).evidence - rich.evidence, plain.evidence - rich.evidence
+    bare, without, level = (judge.level(fit)[joint] for fit in (judge.bare, plain.fit, rich.fit))
+    found, gained = (float(judge.independent[joint] @ np.log(before / level)) for before in (bare, without))
     return bool(judge.is_open(plain.fit)[joint]) or gained < SEEN * found
 
 

@@ -35,6 +35,8 @@ _LONG_ENOUGH = 10.0
 """A take in which something may warm up [s]."""
 _QUICKEST = 3.0
 """Nothing that a motor turns warms up faster [s]; what changes sooner is another law of friction."""
+_LEAST = 1.01
+"""A drift is slower than that by more than this factor: at its bound it stands in for another law."""
 _DURATIONS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
 """Of a disturbance, to start the search from [s]."""
 _DROP_OUT = 2.0
@@ -52,7 +54,7 @@ class ThermalDrift(Effect):
     before it.
 
     Fingerprint: -z, -z w and -q̇ w with w = 1 - exp(-t/T) and the direction of sliding z of Coulomb friction, at time
-    constants T of 3 s or more, from 8 to 150 % of the longest take.
+    constants T above 3 s, from 8 to 150 % of the longest take. One that ends at 3 s stands in for another friction.
 
     Simulation: MuJoCo's ``frictionloss`` of the lower of both levels; for the rest, bristles and a damper beside the
     motor, as strong as the time in the take says.
@@ -85,7 +87,7 @@ class ThermalDrift(Effect):
 
     def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
         """What would rather be quicker still is no warming."""
-        return bool(values[3] > 1.01 * parameters[3].lower)
+        return bool(values[3] > _LEAST * parameters[3].lower)
 
     def parameters_of(self, takes: Sequence[Signals], joint: int) -> tuple[Parameter, ...]:
         """Of a drift much slower than the longest take only the beginning shows, a straight line without an end."""
@@ -104,7 +106,7 @@ class ThermalDrift(Effect):
         return [
             {"time_constant": share * longest, **form}
             for share in _OF_TAKE
-            if share * longest >= _QUICKEST
+            if share * longest > _LEAST * _QUICKEST
             for form in forms(takes[0], joint)
         ]
 
@@ -167,8 +169,8 @@ class Disturbance(Effect):
 
     Parameters: ``start`` [s] after the take's first stamp, ``duration`` [s], ``torque`` [N·m, N for slides], and
     ``take`` [1], which tells the take from the others: the time average of all its joints' readings, the k-th of them
-    counted k times. A take that drop-outs have cut is one. It is no property of the robot: recordings kept aside do not
-    have it.
+    counted k times. A take that drop-outs have cut is one, a take that was cropped or sampled anew is another. It is no
+    property of the robot: recordings kept aside do not have it.
 
     Fingerprint: 1 within the interval, in that take only. Intervals are proposed by a matched filter on what dry and
     viscous friction, inertia, scale, offset and gravity together leave of the missing torque.
@@ -223,7 +225,7 @@ class Disturbance(Effect):
 
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
         return (
-            f"In one take (mean reading {values['take']:.4g}), {values['torque']:+.3g} {parameters[2].unit} acted on "
+            f"In one take (mean reading {values['take']:.8g}), {values['torque']:+.3g} {parameters[2].unit} acted on "
             f"{joint} once, {values['start']:.5g} s after its start, for {1e3 * values['duration']:.3g} ms; the model "
             "has none."
         )

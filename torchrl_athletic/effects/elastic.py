@@ -24,6 +24,8 @@ from torchrl_athletic.effects.signals import JointAddress, Signals
 
 _INTO_TRAVEL = (0.2, 0.14, 0.1, 0.07, 0.045, 0.03, 0.018, 0.01, 0.005)
 """Where a stop may begin, from the end of the travel, as a share of it."""
+_GIVES = (0.5, 0.05)
+"""How far a stop gives way to the motor, at most: a hinge's [rad], a slide's [m]."""
 
 
 class JointSpring(Effect):
@@ -101,7 +103,8 @@ class JointStop(Effect):
     limits nothing is judged.
 
     Simulation: a one-sided spring beside the motor. One that the motor pushes in by half a radian, or 5 cm, stops
-    nothing: it stands in for what a spring or a ripple leaves.
+    nothing: it stands in for what a spring or a ripple leaves. Without a limit of the motor it is gravity that pushes,
+    and a fifth of the stiffest that the time step follows is always enough.
     """
 
     name = "joint_stop"
@@ -120,7 +123,7 @@ class JointStop(Effect):
         inertia = 1.0 / max(float(model.dof_invweight0[address.dof[joint]]), 1e-12)
         stable = 0.2 * inertia / float(model.opt.timestep) ** 2
         steepest = min((1e4 if slide else 1e3) * bound, stable)
-        softest = min(torque_scale(model, address, joint) / (0.05 if slide else 0.5), 0.2 * steepest)
+        softest = min(torque_scale(model, address, joint) / _GIVES[slide], 0.2 * steepest)
         reach = 10.0 if slide else 4 * np.pi
         return (
             Parameter("position", "m" if slide else "rad", 0.0, -reach, reach, 0.005),
@@ -129,7 +132,7 @@ class JointStop(Effect):
         )
 
     def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
-        """What gives way to the motor stops nothing."""
+        """What gives way to the motor stops nothing; the unit of the stiffness is the least that does."""
         return bool(values[2] >= parameters[2].scale)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
