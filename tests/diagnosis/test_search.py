@@ -366,20 +366,25 @@ def test_friction_that_changes_little_is_dry_and_viscous(strength, second, bent,
     assert names(found) == {(name, "shoulder") for name in expected}
 
 
-@pytest.mark.parametrize(("strength", "bent"), [(6.0, True), (3.0, False)])
-def test_where_both_are_good_to_the_noise_a_twentieth_of_the_evidence_keeps_the_richer_law(strength, bent):
+@pytest.mark.parametrize(("strength", "bent"), [(6.0, True), (3.3, False)])
+def test_where_both_are_good_to_the_noise_a_twentieth_of_the_joints_evidence_keeps_the_richer_law(strength, bent):
     rng = np.random.default_rng(0)
-    a, b, bearing = smooth(rng, (3, N))
+    a, b, bearing, elsewhere = smooth(rng, (4, N))
     noise = rng.normal(size=(N, 2))
-    take = on_shoulder(strength * a + 0.4 * b + 0.2 * bearing, noise / noise.std(0))
+    shoulder = strength * a + 0.4 * b + 0.2 * bearing
+    take = signals(noise / noise.std(0) + np.stack([shoulder, 9 * elsewhere], -1))  # the elbow's evidence is the most
     plain, rich = Given("dry", a), Given("warming", np.stack([a, b], -1), excludes=("dry",))
     plain.family = "friction"  # type: ignore[misc]
-    weigh = judge(take, candidate(plain), candidate(rich))
-    simple, more = (weigh.score([atom]) for atom in weigh.bank.atoms)
+    rich.special_cases = frozenset({"dry"})  # type: ignore[misc]
+    weigh = judge(take, candidate(plain), candidate(rich), candidate(Given("elsewhere", elsewhere), 1))
+    dry, warming, elbow = weigh.bank.atoms
+    simple, more = weigh.score([dry, elbow]), weigh.score([warming, elbow])
     assert not weigh.is_open(simple.fit).any()
     assert weigh.within_misfit(simple.fit, more.fit)
     assert RICHER < weigh.closes(simple.fit, more.fit) < ALL
     assert _is_bent(weigh, simple, more, 0) == bent
+    offered = {key[0] for s in alternatives(weigh, simple, dry) for key in names(s)}
+    assert ("warming" not in offered) == bent  # what was given up is no rival
 
 
 def test_a_stand_in_for_two_effects_is_given_up_for_the_two():

@@ -111,6 +111,10 @@ def test_on_a_slide_it_is_five_centimetres_and_without_a_motors_limit_gravity_pu
     )
     assert limited.scale == pytest.approx(6.0 / 0.05)
     assert free.scale == pytest.approx(MASS / 0.05)  # a level slide feels none: 1 m/s² does
+    coarse = slider(6.0)
+    coarse.opt.timestep = 0.1  # follows none stiffer than 40 N/m
+    stiffness = JointStop().parameters(coarse, JointAddress.of(coarse, ("rail",)), 0)[2]
+    assert stiffness.scale == pytest.approx(0.2 * stiffness.upper)
 
 
 def test_the_sentences_say_where():

@@ -376,6 +376,7 @@ def _alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
         if _is_special(term, atom):  # the gain of its further numbers is chance, however much is recorded
             seen = judge.is_open(best.fit)[term.candidate.joint]
             little |= seen and judge.within_misfit(best.fit, scored.fit)
+            little |= _is_bent(judge, best, scored, term.candidate.joint)
             more = scored.fit.freedom - best.fit.freedom
             scored = replace(scored, evidence=scored.evidence + more * (judge.price(independent) - RIVAL_PRICE))
         if little:
