@@ -110,11 +110,9 @@ class Row:
         return [f["effect"] for f in self.findings if f["probability"] > 0.5 and self.grade(f) == "wrong"]
 
     def with_rivals(self) -> list[Mapping[str, Any]]:
-        """The answer set: findings, their rivals, and single names that state the same physics."""
-        out = list(self.findings)
-        for f in self.findings:
-            out += [*f.get("rivals", ()), *({"effect": effect, "joint": joint} for effect, joint in _same(f))]
-        return out
+        """The answer set: findings, their rivals, and single names that state the same physics as one of them."""
+        out = [*self.findings, *(rival for f in self.findings for rival in f.get("rivals", ()))]
+        return out + [{"effect": effect, "joint": joint} for f in out for effect, joint in _same(f)]
 
 
 def _is_same(truth: Truth, name: str) -> bool:

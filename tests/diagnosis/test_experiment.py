@@ -19,7 +19,7 @@ from torchrl_athletic.diagnosis.experiment import (
     write,
 )
 from torchrl_athletic.diagnosis.gates import Evidence
-from torchrl_athletic.diagnosis.motions import RATE, Limits
+from torchrl_athletic.diagnosis.motions import RATE, Limits, Motion
 from torchrl_athletic.diagnosis.prepare import PAYLOAD, prepare
 from torchrl_athletic.diagnosis.result import Finding, Rival
 from torchrl_athletic.diagnosis.screen import TRIMS, Bank, candidates_for, trims_for
@@ -289,20 +289,22 @@ def test_rivals_are_replayed_with_what_else_the_recordings_allow():
     assert not any(planning._keeps(plan, paths, limits) for limits in (nowhere, slow, weak))
 
 
-def test_a_plan_is_repeated_only_while_that_tells_more(monkeypatch):
+def test_a_plan_is_repeated_only_while_that_tells_more_and_a_minute_at_most(monkeypatch):
     def told(*promises: float) -> int:
         left, still, nothing = iter(promises[1:]), np.zeros((1000, 1)), Products({}, *np.zeros((4, 0)))
         one = np.ones(1)
         recording = Recording(np.arange(1000) / RATE, ("pendulum",), still, position_target=still, kp=one, kd=one)
         model = mujoco.MjModel.from_xml_string(pendulum().model_xml)
-        first = planning._Plan((), 0.0, model, recording, still, (0.5, 0.5), separations=np.array(promises[:1]))
+        motion = Motion("pendulum", "sine", 0.1, 1.0, still[0], still)
+        first = planning._Plan((motion,), 0.0, model, recording, still, (0.5, 0.5), separations=np.array(promises[:1]))
         scene = SimpleNamespace(takes=(None,), weight=one, separations=lambda *given: np.array([next(left)]))
         return planning._repeated(scene, nothing, first, np.ones(1, dtype=bool)).repeats
 
     monkeypatch.setattr(planning, "row_noise", lambda takes: np.ones((1, 1)))
 
     assert told(2.0, 3.0, 10.0) == 4
-    assert told(4.0, 1.0, 1.0, 1.0) == 1
+    assert told(4.0, 1.0, 1.0, 1.0, 1.0) == 1
+    assert told(2.0, 2.1, 2.2, 2.3, 6.0) == 12  # as often as a minute holds: twelve times five seconds
     assert told(10.0) == 1
 
 
@@ -331,6 +333,30 @@ def test_narrow_limits_are_kept_or_nothing_is_proposed():
     assert e is None or (np.abs(e.reference) <= 0.2 * np.abs(wide.position).max() + 1e-3).all()
     still = replace(wide, torque=1e-3 * wide.torque)
     assert propose(judge, rivals_of(judge, best), limits=still) is None
+
+
+def test_nothing_quicker_is_considered_than_the_limits_and_the_rivals_laws_allow(monkeypatch):
+    *_, judge, best, free = solved("mass")
+    considered, planned, rivals = [], planning._planned, rivals_of(judge, best)
+
+    def watched(motion: Motion, *rest):
+        considered.append(motion.frequency)
+        return planned(motion, *rest)
+
+    def quickest(limits: Limits | None = None) -> float:
+        considered.clear()
+        e = propose(judge, rivals, limits=limits)
+        assert e is None or max(m.frequency for m in e.motions) <= max(considered)
+        return max(considered)
+
+    monkeypatch.setattr(planning, "_planned", watched)
+    slow = replace(Limits.of(judge.bank.takes), frequency=1.5)
+    assert quickest() > 2.5
+    assert 1.0 <= quickest(slow) <= 1.5
+    monkeypatch.setattr(LinkMass, "band", lambda self, parameters, values: 2.5)
+    assert 1.5 < quickest() <= 2.5
+    assert quickest(slow) <= 1.5
+    assert free.report()["limits"]["frequency"] is None
 
 
 def test_the_finding_with_the_most_doubtful_name_is_asked_about():

@@ -13,7 +13,7 @@ from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.report import terminal_summary
 from torchrl_athletic.diagnosis.report.page import render
 from torchrl_athletic.diagnosis.report.words import same_as
-from torchrl_athletic.diagnosis.result import Answer, Estimate, Finding, Name
+from torchrl_athletic.diagnosis.result import Answer, Estimate, Finding, Name, Rival
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import Recording
 
@@ -103,6 +103,28 @@ def test_delays_are_a_clock_only_where_all_joints_have_the_same():
     assert names(finding("actuation_delay", "hip", delay=(0.004, 0.006)), joints=("hip",)) == [clock]
 
 
+def of_rival(name: str, joint: str | None, joints: tuple[str, ...], *others: Finding) -> set[tuple[Name, ...]]:
+    """What is the same as the rival of a lag at the hip."""
+    lag = replace(finding("actuation_lag", "hip"), rivals=(Rival(name, joint, 0.4, ""),))
+    (rival,) = with_alternatives([lag, *others], joints, CATALOGUE)[0].rivals
+    return set(rival.alternatives)
+
+
+def test_a_rival_has_the_names_that_are_its_own_at_any_values():
+    clock = {(Name("clock_offset", None),)}
+    assert of_rival("actuation_delay", "hip", ("hip",)) == clock
+    assert of_rival("actuation_delay", "hip", ("hip", "knee")) == set()
+    beside = finding("actuation_delay", "knee", delay=(0.004, 0.006))  # whether both are alike is not known
+    assert of_rival("actuation_delay", "hip", ("hip", "knee"), beside) == set()
+    assert of_rival("clock_offset", None, ("hip",)) == set()  # an early one is no delay
+    assert of_rival("asymmetric_friction", "hip", ("hip",)) == set()
+    parts = (Name("coulomb_friction", "hip"), Name("torque_offset", "hip"))
+    assert of_rival("coulomb_friction", "hip", ("hip",), finding("torque_offset", "hip")) == {
+        (Name("asymmetric_friction", "hip"),)
+    }
+    assert parts not in of_rival("asymmetric_friction", "hip", ("hip",))
+
+
 def test_what_has_no_identity_and_what_the_catalogue_does_not_know_stay_as_they_are():
     assert names(finding("backlash", "knee"), finding("an effect of your own", "knee")) == [set(), set()]
 
@@ -127,6 +149,17 @@ def test_it_is_said_on_the_terminal_on_the_page_and_in_the_file():
         [{"effect": "coulomb_friction", "joint": "carriage"}, {"effect": "torque_offset", "joint": "carriage"}]
     ]
     assert Answer.from_json(answer.to_json()).findings == answer.findings
+
+
+def test_of_a_rival_it_is_said_in_the_same_places():
+    sample = slider()
+    clock = (Name("clock_offset", None),)
+    rival = Rival("actuation_delay", "carriage", 0.4, "chirp it", (clock,))
+    answer = replace(sample.answer, findings=(replace(sample.answer.findings[0], rivals=(rival,)),))
+    said = "Actuation delay, which here is the same as clock offset of the whole robot: no recording tells them apart."
+    assert said in " ".join(terminal_summary(answer).split())
+    assert said in render(answer, (), ())
+    assert Answer.from_json(answer.to_json()).findings[0].rivals == (rival,)
 
 
 def test_a_file_from_before_is_read_without_them():

@@ -62,7 +62,7 @@ def test_only_the_named_joint_moves(takes):
     for m in motions(takes, Limits.of(takes), [1], 8.0):
         if m.joint == "elbow":
             assert not np.ptp(m.wave[:, 0])
-            assert np.abs(m.wave[:, 1]).max() == pytest.approx(m.amplitude, rel=0.02 if m.kind != "mix" else 0.1)
+            assert np.abs(m.wave[:, 1]).max() == pytest.approx(m.amplitude, rel=0.02)
 
 
 def signals_of(joint: str = ""):

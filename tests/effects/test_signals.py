@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from torchrl_athletic.effects import JointAddress, Signals, project_recording
 from torchrl_athletic.effects.signals import (
     KERNEL,
+    QUICKEST,
     bristle,
     held_command,
     inertia_matrix,
@@ -302,6 +303,8 @@ def test_the_kernel_narrows_as_the_motion_gets_faster():
     widths = [kernel_for([take(TIME, np.sin(2 * np.pi * f * TIME))]) for f in (1.0, 7.0, 12.0, 60.0)]
     assert widths[0] == KERNEL[1]
     assert widths[1] > widths[2] > widths[3] == KERNEL[0]
+    assert kernel_for([take(TIME, np.sin(2 * np.pi * 60.0 * TIME))], least=QUICKEST) == QUICKEST
+    assert kernel_for([take(TIME, np.sin(2 * np.pi * 7.0 * TIME))], least=QUICKEST) == pytest.approx(widths[1])
 
 
 def test_the_kernel_halves_the_edge_of_the_band():

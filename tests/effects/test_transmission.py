@@ -15,6 +15,7 @@ from scipy.signal import lsim
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.effects import JointAddress, Plant, project_recording
 from torchrl_athletic.effects.gear import CONTACT_STEP, ROTOR_FLOOR, Gear, Spring
+from torchrl_athletic.effects.signals import inertia_matrix
 from torchrl_athletic.effects.transmission import Backlash, Compliance
 from torchrl_athletic.recordings import Recording
 
@@ -143,6 +144,15 @@ def test_the_other_joint_feels_a_gear_too(joint):
     for j in range(2):
         assert ((s.missing - predicted)[:, j] ** 2).sum() < 0.05 * (s.missing[:, j] ** 2).sum()
         assert (s.missing[:, j] ** 2).sum() > 0
+
+
+@pytest.mark.parametrize("effect", [Compliance(), Backlash()])
+def test_no_experiment_goes_beyond_the_resonance_of_a_gear(effect):
+    address = JointAddress.of(pendulum(), ("hinge",))
+    parameters = effect.parameters(pendulum(), address, 0)
+    inertia = inertia_matrix(pendulum(), address, np.zeros((1, 1)))[0, 0, 0] - pendulum().dof_armature[0]
+    values = np.array([inertia * (2 * np.pi * 7.0) ** 2 if p.name == "stiffness" else 0.01 for p in parameters])
+    assert effect.band(parameters, values) == pytest.approx(7.0)
 
 
 @pytest.mark.parametrize("effect", [Compliance(), Backlash()])

@@ -32,6 +32,8 @@ from torchrl_athletic.effects.base import carried
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.effects.payload import with_payload
 from torchrl_athletic.effects.signals import (
+    HALF_POWER,
+    QUICKEST,
     JointAddress,
     Signals,
     inertia_matrix,
@@ -166,6 +168,7 @@ class Experiment:
                 "position": self.limits.position.tolist(),
                 "velocity": self.limits.velocity.tolist(),
                 "torque": self.limits.torque.tolist(),
+                "frequency": self.limits.frequency if np.isfinite(self.limits.frequency) else None,
             },
             "largest": {
                 "position": [self.reference.min(0).tolist(), self.reference.max(0).tolist()],
@@ -272,20 +275,19 @@ def propose(
     limits = limits or Limits.of(takes)
     scene = Rivals(judge, rivals, probabilities)
     known = scene.products([thinned(s) for s in takes], scene.sigma)
-    sensors = _Sensors.of(takes)
+    sensors, highest = _Sensors.of(takes), min(limits.frequency, _highest_frequency(rivals))
     before = scene.separations(known)
     plans = []
     for mass, model in {0.0: takes[0].nominal, **(payloads or {})}.items():
         loop = _gains(takes, model)
         for motion in motions(takes, limits, _joints_of(rivals), seconds):
-            plan = _planned(motion, mass, model, takes, limits, loop)
+            plan = _planned(motion, mass, model, takes, limits, loop) if motion.frequency <= highest else None
             if plan is not None:
                 plans.append(_measured(scene, known, plan, sensors))
     if not plans:
         return None
-    often = max(1, int(LONGEST / max(p.recording.duration for p in plans)))
     # what little a motion tells adds up
-    repeated = [scene.separations(known + p.products.times(often)) for p in plans]
+    repeated = [scene.separations(known + p.products.times(_most_repeats(p))) for p in plans]
     hopeful = np.max([*repeated, *(p.separations for p in plans)], axis=0) > APART
     best = max(plans, key=lambda p: _worth(scene, p, hopeful))
     for other in _followers(plans, best, hopeful):
@@ -362,8 +364,9 @@ class _Plan:
 
     @property
     def effort(self) -> float:
-        """Of speed, torque and time, 0..1."""
-        return float(np.mean([*self.share, min(self.recording.duration / 30, 1.0)]))
+        """Of speed, torque, time and band, 0..1."""
+        band = max(m.frequency for m in self.motions) * QUICKEST / HALF_POWER
+        return float(np.mean([*self.share, min(self.recording.duration / 30, 1.0), band]))
 
 
 def _followers(plans: Sequence[_Plan], best: _Plan, hopeful: NDArray[np.bool_]) -> list[_Plan]:
@@ -432,12 +435,18 @@ def _repeated(rivals: Rivals, known: Products, plan: _Plan, hopeful: NDArray[np.
 
     Not always the longest: the longer it is, the more of the older recordings a rival may get wrong for its sake.
     """
-    best = plan
-    while best.separations[hopeful].min(initial=ENOUGH) < SPARE and 2 * plan.recording.duration <= LONGEST:
-        twice = replace(_joined(plan, plan), motions=plan.motions, repeats=2 * plan.repeats)
-        plan = _judged(rivals, known, twice, plan.signals, plan.products.times(2.0))
-        best = max(best, plan, key=lambda p: _worth(rivals, p, hopeful))
+    best, most = plan, _most_repeats(plan)
+    for often in (*(n for n in (2, 4, 8, 16) if n < most), most):
+        if best.separations[hopeful].min(initial=ENOUGH) >= SPARE:
+            break
+        longer = replace(reduce(_joined, [plan] * often), motions=plan.motions, repeats=often)
+        longer = _judged(rivals, known, longer, plan.signals, plan.products.times(often))
+        best = max(best, longer, key=lambda p: _worth(rivals, p, hopeful))
     return best
+
+
+def _most_repeats(plan: _Plan) -> int:
+    return max(1, int(LONGEST / plan.recording.duration))
 
 
 def _compensated(rivals: Rivals, plan: _Plan, sensors: _Sensors) -> _Plan:
@@ -468,9 +477,8 @@ def _seen(rivals: Rivals, plan: _Plan, sensors: _Sensors) -> Signals:
     else:
         log = replace(r, time=time, position=path, velocity=velocity, position_target=r.command[held])
     log = _stood(log, rivals.takes)
-    s = project_recording(
-        log, plan.model, sensors.position, sensors.velocity, None, kernel_for([log]), sensors.correlation
-    )
+    kernel = kernel_for([log], least=QUICKEST)
+    s = project_recording(log, plan.model, sensors.position, sensors.velocity, None, kernel, sensors.correlation)
     return replace(s, noise=sensors.louder * s.noise)
 
 
@@ -485,6 +493,17 @@ def _joints_of(rivals: Sequence[Scored]) -> list[int]:
     answers = {_answer(s, rivals) for s in rivals}
     named = {a.candidate.joint for s in rivals for a in s.fit.terms if a.candidate.key in answers}
     return sorted(named | {j - 1 for j in named if j})
+
+
+def _highest_frequency(rivals: Sequence[Scored]) -> float:
+    """Up to which every rival says how the robot moves [Hz]."""
+    answers = {_answer(s, rivals) for s in rivals}
+    return min(
+        atom.candidate.effect.band(atom.candidate.parameters, values)
+        for s in rivals
+        for atom, values in zip(s.fit.atoms, s.fit.values(), strict=True)
+        if atom.candidate.key in answers
+    )
 
 
 def _planned(

@@ -1,11 +1,11 @@
-"""Findings that state the same physics as other names do: one answer, with all of its names."""
+"""Findings and rivals that state the same physics as other names do: one answer, with all of its names."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
-from torchrl_athletic.diagnosis.result import Estimate, Finding, Name
+from torchrl_athletic.diagnosis.result import Estimate, Finding, Name, Rival
 from torchrl_athletic.effects import Effect
 
 Values = Mapping[str, Estimate]
@@ -14,7 +14,7 @@ Values = Mapping[str, Estimate]
 def with_alternatives(
     findings: Sequence[Finding], joints: Sequence[str], catalogue: Sequence[Effect], damped: Collection[str] = ()
 ) -> tuple[Finding, ...]:
-    """The same findings, each with the names that no recording can tell from its own.
+    """The same findings, each with the names that no recording can tell from its own, and so their rivals.
 
     What an effect declares in ``identical_to`` holds where its values make it so: friction by direction is dry friction
     with an offset only as long as its viscous part is the same both ways, only a clock that is late is a delay, gains
@@ -35,14 +35,34 @@ def with_alternatives(
         >>> with_alternatives([late], ["disk", "lever"], CATALOGUE)[0].alternatives
         ()
     """
-    known = {effect.name: effect for effect in catalogue}
     out = []
     for f in findings:
-        same = _declared(f, joints, known)
-        same += [(Name(whole.name, _joint(whole, f)),) for whole in catalogue if _is_part(f, whole, findings, joints)]
-        told = [names for names in same if f.joint not in damped and _DAMPING <= {f.effect, *(n.effect for n in names)}]
-        out.append(replace(f, alternatives=tuple(names for names in same if names not in told)))
+        others = [g for g in findings if g is not f]
+        rivals = []
+        for rival in f.rivals:
+            stated = _as_finding(rival)
+            names = _same(stated, (*others, stated), joints, catalogue, damped)
+            rivals.append(replace(rival, alternatives=names))
+        names = _same(f, findings, joints, catalogue, damped)
+        out.append(replace(f, alternatives=names, rivals=tuple(rivals)))
     return tuple(out)
+
+
+def _as_finding(rival: Rival) -> Finding:
+    return Finding(rival.effect, rival.joint, rival.probability, "", {}, "")
+
+
+def _same(
+    f: Finding,
+    findings: Sequence[Finding],
+    joints: Sequence[str],
+    catalogue: Sequence[Effect],
+    damped: Collection[str],
+) -> tuple[tuple[Name, ...], ...]:
+    same = _declared(f, joints, {effect.name: effect for effect in catalogue})
+    same += [(Name(whole.name, _joint(whole, f)),) for whole in catalogue if _is_part(f, whole, findings, joints)]
+    told = [names for names in same if f.joint not in damped and _DAMPING <= {f.effect, *(n.effect for n in names)}]
+    return tuple(names for names in same if names not in told)
 
 
 def _declared(f: Finding, joints: Sequence[str], known: Mapping[str, Effect]) -> list[tuple[Name, ...]]:
@@ -66,13 +86,16 @@ def _is_part(f: Finding, whole: Effect, findings: Sequence[Finding], joints: Seq
             continue
         damps = whole.name == "asymmetric_friction" and f.effect == "viscous_friction" and f.joint in where
         if (f in parts or damps) and len(parts) == len(names) * len(where):
-            return not whole.whole_robot or _agree([e for g in parts for e in g.parameters.values()])
+            values = [e for g in parts for e in g.parameters.values()]
+            agree = _agree(values) if all(g.parameters for g in parts) else len(parts) == 1
+            return agree or not whole.whole_robot
     return False
 
 
 def _holds(f: Finding, others: Collection[str]) -> bool:
-    """Whether the finding's values make it the same as the others."""
-    return all(_HOLDS.get((f.effect, other), lambda values: True)(f.parameters) for other in others)
+    """Whether the finding's values make it the same as the others; without values, whether any would."""
+    conditions = [_HOLDS[f.effect, other] for other in others if (f.effect, other) in _HOLDS]
+    return all(bool(f.parameters) and holds(f.parameters) for holds in conditions)
 
 
 def _joint(effect: Effect, f: Finding) -> str | None:

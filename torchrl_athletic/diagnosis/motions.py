@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.effects.effect import is_slide, torque_scale
-from torchrl_athletic.effects.signals import HALF_POWER, KERNEL, JointAddress, Signals, torque_range
+from torchrl_athletic.effects.signals import HALF_POWER, QUICKEST, JointAddress, Signals, torque_range
 from torchrl_athletic.recordings import ExcitationError, Safety, chirp, multisine, sine, square
 
 Array = NDArray[np.float64]
@@ -20,8 +20,8 @@ RATE = 200.0
 """Of the command [Hz]."""
 MARGIN = 0.9
 """Share of a limit that a motion may use."""
-MOST_MOTIONS = 40
-QUICK = (1.0, 0.5, 0.25, 0.12)
+MOST_MOTIONS = 60
+QUICK = (0.6, 1.0, 0.3, 0.15, 0.07)
 """Upper ends of the bands of small quick motions, which show what slow ones hide: in units of the highest frequency
 that the narrowest test function passes. Wide bands, since in a narrow one a lag is a delay."""
 SLOWEST = 0.2
@@ -40,6 +40,8 @@ class Limits:
     """Fastest motion [rad/s, m/s]. Shape (J,)."""
     torque: Array
     """Largest torque [N·m, N]. Shape (J,)."""
+    frequency: float = np.inf
+    """Highest frequency of a motion [Hz]: lower where something on the robot is loose."""
 
     @classmethod
     def of(cls, takes: Sequence[Signals]) -> Limits:
@@ -110,7 +112,7 @@ def motions(takes: Sequence[Signals], limits: Limits, joints: Sequence[int], sec
     start = takes[0].recording.position[0]
     names, middle, half = takes[0].recording.joint_names, (low + high) / 2, (high - low) / 2
     poses = [start] if len(names) == 1 else [start, middle + 0.5 * half]
-    clearest = HALF_POWER / max(KERNEL[0], 1.2 / min(takes[0].recording.rate, RATE))
+    clearest = HALF_POWER / max(QUICKEST, 1.2 / min(takes[0].recording.rate, RATE))
 
     def kinds(j: int, pose: Array) -> list[Iterator[Motion]]:
         own = (names, j, pose, limits, seconds)
@@ -177,7 +179,8 @@ def _mixes(
         band = SLOWEST, max(share * clearest, SLOWEST + 2 / seconds)
         velocity = multisine(names, [name], 1.0, band, seconds, rate=RATE, field="position_target").command
         way = np.cumsum(velocity, axis=0) - np.cumsum(velocity, axis=0).mean(0)
-        wave = way / np.abs(way).max() * _fade(len(way))[:, None]
+        wave = way * _fade(len(way))[:, None]
+        wave /= np.abs(wave).max()
         speed = RATE * float(np.abs(np.diff(wave, axis=0)).max())
         amplitude = min(0.5 * MARGIN * float(high - low) / 2, float(fastest) / speed)
         yield Motion(name, "mix", amplitude, band[1], _about(pose, joint, amplitude, limits), amplitude * wave)

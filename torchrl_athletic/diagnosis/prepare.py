@@ -17,7 +17,7 @@ from torchrl_athletic.diagnosis.replay import Take, join, take_of
 from torchrl_athletic.effects import JointAddress, Signals, project_recording
 from torchrl_athletic.effects.base import base_columns, pose_of
 from torchrl_athletic.effects.payload import with_payload
-from torchrl_athletic.effects.signals import kernel_for, torque_range
+from torchrl_athletic.effects.signals import QUICKEST, kernel_for, torque_range
 from torchrl_athletic.recordings import (
     Quality,
     Recording,
@@ -108,7 +108,7 @@ def prepare(
     quality = tuple(_with_known_noise([check_quality(r, limit) for r in recordings], old))
     kernel = kernel_for(recordings[:old] or recordings) if kernel is None else kernel
     kernels = [kernel] * old + [
-        kernel_for([r], q.position_noise) for r, q in zip(recordings[old:], quality[old:], strict=True)
+        kernel_for([r], q.position_noise, QUICKEST) for r, q in zip(recordings[old:], quality[old:], strict=True)
     ]
     signals: list[Signals] = []
     takes: list[Take] = []

@@ -38,6 +38,8 @@ class Rival:
     joint: str | None
     probability: float
     separating_experiment: str
+    alternatives: tuple[tuple[Name, ...], ...] = ()
+    """What states the same physics as it does: no recording favours one of them."""
 
 
 @dataclass(frozen=True)
@@ -182,9 +184,12 @@ class Answer:
 
 def _finding(f: Mapping[str, Any]) -> Finding:
     parameters = {name: Estimate(**{**p, "ci95": tuple(p["ci95"])}) for name, p in f["parameters"].items()}
-    alternatives = tuple(tuple(Name(**name) for name in names) for names in f.get("alternatives", ()))
-    rivals = tuple(Rival(**r) for r in f["rivals"])
-    return Finding(**{**f, "parameters": parameters, "rivals": rivals, "alternatives": alternatives})
+    rivals = tuple(Rival(**{**r, "alternatives": _alternatives(r)}) for r in f["rivals"])
+    return Finding(**{**f, "parameters": parameters, "rivals": rivals, "alternatives": _alternatives(f)})
+
+
+def _alternatives(content: Mapping[str, Any]) -> tuple[tuple[Name, ...], ...]:
+    return tuple(tuple(Name(**name) for name in names) for names in content.get("alternatives", ()))
 
 
 def _plain(value: Any) -> Any:

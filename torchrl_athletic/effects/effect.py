@@ -127,6 +127,10 @@ class Effect(ABC):
         """Whether values (P,), each within its bounds, make sense together."""
         return True
 
+    def band(self, parameters: Sequence[Parameter], values: Array) -> float:
+        """Up to which frequency it says how the robot moves [Hz]: no experiment is planned beyond."""
+        return np.inf
+
     @abstractmethod
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         """Put the effect into a batch of simulations. ``values`` has shape (rows, P), in the parameters' order."""

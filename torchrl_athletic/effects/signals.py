@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 KERNEL = (0.010, 0.040)
 """Least and greatest width of the test function [s]: noise below, smoothing bias above."""
+QUICKEST = 0.006
+"""Least width for an experiment that was planned to be quick, and counted with its noise [s]."""
 HALF_POWER = float(np.sqrt(np.log(2) / 2) / np.pi)
 """Frequency that a Gaussian test function passes with half the power, times its width."""
 TRUNCATE = 7.0
@@ -380,7 +382,7 @@ def project_recording(
     )
 
 
-def kernel_for(recordings: Sequence[Recording], noise: Array | None = None) -> float:
+def kernel_for(recordings: Sequence[Recording], noise: Array | None = None, least: float = KERNEL[0]) -> float:
     """Width of the test function that passes the band in which the robot moves: 99 % of the velocity's power [s].
 
     Above that band there is little to learn and much to be misled by, since flexible parts ring there.
@@ -389,17 +391,18 @@ def kernel_for(recordings: Sequence[Recording], noise: Array | None = None) -> f
         recordings: Of one test function.
         noise: Standard deviation of a position reading [rad, m], shape (J,): twice its power is no motion. One slow
             take asks for this, where noise may have a hundredth of the power.
+        least: Least width [s].
     """
     widest = []
     for r in recordings:
         period = 1.0 / r.rate
         time = np.arange(r.time[0], r.time[-1], period)
         position = np.stack([np.interp(time, r.time, q) for q in r.position.T], -1)
-        velocity = _gaussian(position, max(KERNEL[0] / period, 1.0), order=1)
+        velocity = _gaussian(position, max(least / period, 1.0), order=1)
         frequency, power = welch(velocity, 1 / period, nperseg=min(len(time), int(4 / period)), axis=0)
         if noise is not None:
             omega = 2 * np.pi * frequency[:, None]
-            width = max(KERNEL[0], period)
+            width = max(least, period)
             passed = 2 * period * (omega * period * noise) ** 2 * np.exp(-((omega * width) ** 2))
             power = np.maximum(power - 2 * passed, 0.0)
         moving = power.sum(0) > 0
@@ -407,7 +410,7 @@ def kernel_for(recordings: Sequence[Recording], noise: Array | None = None) -> f
             share = np.cumsum(power[:, moving], 0) / power[:, moving].sum(0)
             widest.append(float(frequency[(share > 0.99).argmax(0)].max()))
     band = float(np.quantile(widest, 0.75)) if widest else 1.0
-    return max(float(np.clip(HALF_POWER / max(band, 1e-3), *KERNEL)), *(1.2 / r.rate for r in recordings))
+    return max(float(np.clip(HALF_POWER / max(band, 1e-3), least, KERNEL[1])), *(1.2 / r.rate for r in recordings))
 
 
 def bristle(position: Array, width: float) -> Array:

@@ -60,6 +60,11 @@ class _Transmission(Effect):
             for at, fixed in enumerate(grid)
         ]
 
+    def band(self, parameters: Sequence[Parameter], values: Array) -> float:
+        """The resonance of the link on the held motor: how teeth rattle beyond it is not recorded."""
+        at = [p.name for p in parameters].index("stiffness")
+        return float(RIGID * np.sqrt(values[at] / parameters[at].nominal))
+
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         parameters = self.parameters(plant.model, plant.address, joint)
         if parameters and (values != [p.nominal for p in parameters]).any():

@@ -80,6 +80,8 @@ def _findings(answer: Answer) -> Iterator[str]:
         yield _wrapped(f"shows {finding.regime}", "    ", "    ")
         for rival in finding.rivals:
             yield _row(f"  or {words(rival.effect)}, {place(rival.joint)}", percent(rival.probability))
+            for sentence in same_as(rival, answer):
+                yield _wrapped(sentence, "    ", "    ")
 
 
 def _parameters(finding: Finding) -> Iterator[str]:

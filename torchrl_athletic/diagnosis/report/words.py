@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torchrl_athletic.diagnosis.report.quantity import percent
-from torchrl_athletic.diagnosis.result import Answer, Finding, Location, Name
+from torchrl_athletic.diagnosis.result import Answer, Finding, Location, Name, Rival
 
 _VERDICTS = {
     "nothing_missing": ("Nothing is missing", "The simulation explains the recordings as well as sensor noise allows."),
@@ -85,8 +85,8 @@ def grounds_words(finding: Finding) -> list[str]:
     return words
 
 
-def same_as(finding: Finding, answer: Answer) -> list[str]:
-    """The other names of what a finding states, in sentences.
+def same_as(finding: Finding | Rival, answer: Answer) -> list[str]:
+    """The other names of what a finding states, or a rival of one would, in sentences.
 
     Example:
         >>> f = Finding("clock_offset", None, 0.9, "", {}, "", alternatives=((Name("actuation_delay", "disk"),),))
