@@ -593,12 +593,17 @@ def _smaller(
     return _measured(rivals, known, reduce(_joined, [p for p in parts if p is not None]), sensors)
 
 
+def _once(plan: _Plan) -> Recording:
+    """A plan that is repeated, the first time: each begins and ends at rest in the same pose."""
+    return plan.recording.slice(0, plan.recording.num_samples // plan.repeats)
+
+
 def _simulated(plan: _Plan, rivals: Rivals) -> Array:
     """Positions that each rival predicts, with its values and with others that the recordings allow as well.
 
-    On the simulation's grid. Shape (rivals, DRAWS, T, J).
+    On the simulation's grid, of the first time. Shape (rivals, DRAWS, T, J).
     """
-    stood = _stood(plan.recording, rivals.takes)
+    stood = _stood(_once(plan), rivals.takes)
     windows = windows_of(take_of(stood, plan.model, np.full(stood.num_joints, 1e-9)), None)
     assert rivals.draws is not None
     out = []
@@ -616,7 +621,7 @@ def _keeps(plan: _Plan, paths: Array, limits: Limits) -> bool:
     """Whether no rival leaves the range or is faster than allowed, and the likeliest needs no more torque."""
     low, high = limits.position.T
     slack = SLACK * (high - low)
-    fastest = np.abs(np.diff(paths, axis=2)).max((0, 1, 2)) * (paths.shape[2] - 1) / plan.recording.duration
+    fastest = np.abs(np.diff(paths, axis=2)).max((0, 1, 2)) * (paths.shape[2] - 1) / _once(plan).duration
     inside = ((paths > low - slack) & (paths < high + slack)).all()
     strong = (np.abs(plan.torque) <= limits.torque).all()
     return bool(np.isfinite(paths).all() and inside and strong and (fastest <= (1 + SLACK) * limits.velocity).all())
