@@ -110,9 +110,8 @@ class Row:
         return [f["effect"] for f in self.findings if f["probability"] > 0.5 and self.grade(f) == "wrong"]
 
     def with_rivals(self) -> list[Mapping[str, Any]]:
-        """The answer set: findings, their rivals, and single names that state the same physics as one of them."""
-        out = [*self.findings, *(rival for f in self.findings for rival in f.get("rivals", ()))]
-        return out + [{"effect": effect, "joint": joint} for f in out for effect, joint in _same(f)]
+        """The answer set: findings and their rivals, each with the names that it says are the same."""
+        return [*self.findings, *(rival for f in self.findings for rival in f.get("rivals", ()))]
 
 
 def _is_same(truth: Truth, name: str) -> bool:
@@ -123,7 +122,7 @@ def _is_same(truth: Truth, name: str) -> bool:
 
 
 def _same(finding: Mapping[str, Any]) -> list[tuple[str, str | None]]:
-    """Single names that are printed with a finding, because its values make them the same physics."""
+    """Single names that are printed with a finding or a rival, because they are the same physics there."""
     return [(names[0]["effect"], names[0]["joint"]) for names in finding.get("alternatives", ()) if len(names) == 1]
 
 
@@ -267,7 +266,10 @@ def _admitted(r: Row) -> bool:
 
 
 def _exactly_in_set(r: Row) -> bool:
-    return any((f["effect"], f["joint"]) == (r.case.truths[0].effect, r.case.truths[0].joint) for f in r.with_rivals())
+    truth = r.case.truths[0]
+    name = truth.effect, truth.joint
+    said = r.with_rivals()
+    return any(name == (f["effect"], f["joint"]) or (name in _same(f) and _is_same(truth, f["effect"])) for f in said)
 
 
 def _closed(r: Row) -> float | None:

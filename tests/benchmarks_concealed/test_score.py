@@ -80,6 +80,21 @@ def test_another_name_of_the_same_physics_counts_for_the_answer_set_and_a_sum_of
     assert held == [0.0, 1.0, 0.0]
 
 
+def test_what_a_rival_is_the_same_as_counts_where_it_holds_for_the_truth():
+    def answer(truth: Truth, rival: str, same: str) -> Row:
+        r = row("unidentifiable", [truth], [said("actuation_lag", "elbow", 0.5, rivals=[(rival, "elbow")])])
+        r.result["answer"]["findings"][0]["rivals"][0]["alternatives"] = [[{"effect": same, "joint": "elbow"}]]
+        return r
+
+    def held(r: Row) -> float:
+        return numbers([r])["unidentifiable"]["truth_itself_in_answer_set"][0]
+
+    gains = [Truth("gain_mismatch", "elbow", {"kp_scale": kp, "kd_scale": 1.3}) for kp in (1.0, 1.3)]
+    assert held(answer(FRICTION, "viscous_friction", "coulomb_friction")) == 1.0
+    assert held(answer(FRICTION, "viscous_friction", "torque_offset")) == 0.0
+    assert [held(answer(truth, "viscous_friction", "gain_mismatch")) for truth in gains] == [1.0, 0.0]
+
+
 def test_an_identity_of_the_robot_is_as_right_as_the_truth():
     late = Truth("clock_offset", None, {"offset": 0.01})
     alike = ((("actuation_delay", "elbow"),),)

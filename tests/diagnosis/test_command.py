@@ -61,15 +61,16 @@ def test_files_and_folders_are_named_one_after_the_other(folder):
 
 def test_every_flag_reaches_the_diagnosis(folder, asked, capsys):
     flags = "--model robot.xml --recordings train --drive measured --base fixed --seed 4 --time-budget 60"
-    flags += " --output there"
+    flags += " --highest-frequency 5 --output there"
     main(parsed(*flags.split()))
     [((model, recordings, heldout), settings)] = asked
     assert (model, len(recordings), heldout) == (Path("robot.xml"), 2, [])
-    assert {k: settings[k] for k in ("drive", "base", "seed", "time_budget", "output")} == {
+    assert {k: settings[k] for k in ("drive", "base", "seed", "time_budget", "highest_frequency", "output")} == {
         "drive": "measured",
         "base": "fixed",
         "seed": 4,
         "time_budget": 60.0,
+        "highest_frequency": 5.0,
         "output": Path("there"),
     }
     shown = capsys.readouterr()

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis import experiment as planning
 from torchrl_athletic.diagnosis.experiment import (
@@ -38,6 +39,7 @@ from torchrl_athletic.effects import (
     TorqueScale,
 )
 from torchrl_athletic.effects.payload import with_payload
+from torchrl_athletic.effects.signals import project_recording
 from torchrl_athletic.recordings import Recording
 from torchrl_athletic.recordings.demo import (
     HiddenEffect,
@@ -258,10 +260,10 @@ def test_a_plan_that_a_rival_would_take_out_of_range_is_made_smaller(monkeypatch
     *_, judge, best, whole = solved("offset")
     limits = whole.limits
 
-    def runaway(plan, scene):  # one of them goes half as far again
-        start = plan.recording.position[0]
-        path = start + 1.5 * (plan.recording.position - start)
-        return np.stack([np.stack([plan.recording.position, path])] * len(scene.rivals))
+    def runaway(recording, model, scene):  # one of them goes half as far again
+        start = recording.position[0]
+        path = start + 1.5 * (recording.position - start)
+        return np.stack([np.stack([recording.position, path])] * len(scene.rivals))
 
     monkeypatch.setattr(planning, "_simulated", runaway)
     tame = propose(judge, rivals_of(judge, best), limits=limits)
@@ -279,14 +281,48 @@ def test_rivals_are_replayed_with_what_else_the_recordings_allow():
     model = judge.bank.takes[0].nominal
     recording = Recording(e.time, e.joint_names, e.reference, position_target=e.target, kp=e.kp, kd=e.kd)
     plan = planning._Plan(e.motions, 0.0, model, recording, e.torque, (0.5, 0.5))
-    paths = planning._simulated(plan, scene)
+    paths = planning._simulated(recording, model, scene)
     assert paths.shape[:2] == (len(scene.rivals), DRAWS)
     assert (np.ptp(paths, axis=1).max((1, 2)) > 1e-4).all()
-    assert planning._keeps(plan, paths, e.limits)
+    assert planning._keeps(plan, paths, recording.duration, e.limits)
     nowhere = replace(e.limits, position=np.array([[0.0, 1e-3]]))
     slow = replace(e.limits, velocity=0.5 * np.abs(np.diff(e.reference, axis=0)).max(0) * RATE)
     weak = replace(e.limits, torque=0.5 * np.abs(e.torque).max(0))
-    assert not any(planning._keeps(plan, paths, limits) for limits in (nowhere, slow, weak))
+    assert not any(planning._keeps(plan, paths, recording.duration, limits) for limits in (nowhere, slow, weak))
+
+
+def test_the_noise_of_a_plan_is_that_of_a_log_at_a_higher_rate():
+    robot = pendulum()
+    rng, time = np.random.default_rng(0), np.arange(0.0, 8.0, 0.001)
+    path = np.sin(2 * np.pi * 1.5 * time) + lfilter([1.0], [1.0, -0.8], 1e-4 * rng.standard_normal(len(time)))
+    log = Recording(time, robot.joint_names, path[:, None], torque_command=np.zeros((len(time), 1)))
+    (s,) = prepare([log], mujoco.MjModel.from_xml_string(robot.model_xml)).signals
+    sensors = planning._Sensors.of([s])
+    slow = Recording(time[::5], robot.joint_names, path[::5, None], torque_command=np.zeros((len(time[::5]), 1)))
+    seen = project_recording(slow, s.nominal, sensors.position, None, None, s.kernel, sensors.correlation)
+    assert sensors.louder * seen.noise == pytest.approx(s.noise, rel=0.1)
+
+
+def test_a_repeated_plan_is_simulated_once_unless_something_changes_meanwhile():
+    *_, judge, best, e = solved("offset")
+    scene = Rivals(judge, rivals_of(judge, best), None)
+    scene.separations(scene.products([thinned(s) for s in judge.bank.takes], scene.sigma))
+    model = judge.bank.takes[0].nominal
+    recording = Recording(e.time, e.joint_names, e.reference, position_target=e.target, kp=e.kp, kd=e.kd)
+    once = planning._Plan(e.motions, 0.0, model, recording, e.torque, (0.5, 0.5))
+    thrice = replace(planning._joined(planning._joined(once, once), once), motions=e.motions, repeats=3)
+    passed = planning._passed(thrice, scene)
+    assert passed.num_samples == recording.num_samples
+    np.testing.assert_array_equal(passed.position, recording.position)
+    paths = planning._simulated(passed, model, scene)
+    fastest = np.abs(np.diff(paths, axis=2)).max((0, 1, 2)) * (paths.shape[2] - 1) / recording.duration
+    for share in (0.97, 1.03):
+        limits = replace(e.limits, velocity=share * fastest / (1 + planning.SLACK))
+        assert planning._keeps(thrice, paths, passed.duration, limits) == (share > 1)
+
+    drifting = SimpleNamespace(candidate=SimpleNamespace(effect=SimpleNamespace(family="change")))
+    changes = SimpleNamespace(rivals=[SimpleNamespace(fit=SimpleNamespace(atoms=[drifting]))])
+    assert planning._passed(thrice, changes) is thrice.recording
 
 
 def test_a_plan_is_repeated_only_while_that_tells_more_and_a_minute_at_most(monkeypatch):
@@ -340,22 +376,21 @@ def test_nothing_quicker_is_considered_than_the_limits_and_the_rivals_laws_allow
     considered, planned, rivals = [], planning._planned, rivals_of(judge, best)
 
     def watched(motion: Motion, *rest):
-        considered.append(motion.frequency)
+        considered.append(motion.highest)
         return planned(motion, *rest)
 
     def quickest(limits: Limits | None = None) -> float:
         considered.clear()
-        e = propose(judge, rivals, limits=limits)
-        assert e is None or max(m.frequency for m in e.motions) <= max(considered)
+        propose(judge, rivals, limits=limits)
         return max(considered)
 
     monkeypatch.setattr(planning, "_planned", watched)
-    slow = replace(Limits.of(judge.bank.takes), frequency=1.5)
-    assert quickest() > 2.5
-    assert 1.0 <= quickest(slow) <= 1.5
-    monkeypatch.setattr(LinkMass, "band", lambda self, parameters, values: 2.5)
+    wide = Limits.of(judge.bank.takes)
+    assert quickest() == pytest.approx(planning.HALF_POWER / planning.QUICKEST)  # 31 Hz
+    assert 1.0 <= quickest(replace(wide, frequency=1.5)) <= 1.5
+    monkeypatch.setattr(LinkMass, "highest_frequency", lambda self, parameters, values: 2.5)
     assert 1.5 < quickest() <= 2.5
-    assert quickest(slow) <= 1.5
+    assert quickest(replace(wide, frequency=1.5)) <= 1.5
     assert free.report()["limits"]["frequency"] is None
 
 

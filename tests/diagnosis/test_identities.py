@@ -118,11 +118,27 @@ def test_a_rival_has_the_names_that_are_its_own_at_any_values():
     assert of_rival("actuation_delay", "hip", ("hip", "knee"), beside) == set()
     assert of_rival("clock_offset", None, ("hip",)) == set()  # an early one is no delay
     assert of_rival("asymmetric_friction", "hip", ("hip",)) == set()
-    parts = (Name("coulomb_friction", "hip"), Name("torque_offset", "hip"))
-    assert of_rival("coulomb_friction", "hip", ("hip",), finding("torque_offset", "hip")) == {
-        (Name("asymmetric_friction", "hip"),)
-    }
-    assert parts not in of_rival("asymmetric_friction", "hip", ("hip",))
+    # with what is beside it, which is said of findings
+    assert of_rival("coulomb_friction", "hip", ("hip",), finding("torque_offset", "hip")) == set()
+
+
+@pytest.mark.parametrize(
+    ("stated", "rival"),
+    [
+        (finding("clock_offset", None, offset=(-0.006, -0.004)), "actuation_delay"),
+        (finding("gain_mismatch", "hip", kp_scale=(1.1, 1.3), kd_scale=(1.5, 1.6)), "torque_scale"),
+        (finding("viscous_friction", "hip", coefficient=(1.0, 2.0)), "gain_mismatch"),
+    ],
+)
+def test_no_rival_is_called_the_same_as_the_finding_that_it_rivals(stated, rival):
+    beside = replace(stated, rivals=(Rival(rival, "hip", 0.4, ""),))
+    (found,) = with_alternatives([beside], ["hip"], CATALOGUE, ["hip"])[0].rivals
+    assert (Name(stated.effect, stated.joint),) not in found.alternatives
+
+
+def test_one_name_twice_does_not_add_up_to_another():
+    twice = finding("coulomb_friction", "knee"), finding("coulomb_friction", "knee")
+    assert names(*twice) == [set(), set()]
 
 
 def test_what_has_no_identity_and_what_the_catalogue_does_not_know_stay_as_they_are():

@@ -146,13 +146,14 @@ def test_the_other_joint_feels_a_gear_too(joint):
         assert (s.missing[:, j] ** 2).sum() > 0
 
 
-@pytest.mark.parametrize("effect", [Compliance(), Backlash()])
-def test_no_experiment_goes_beyond_the_resonance_of_a_gear(effect):
-    address = JointAddress.of(pendulum(), ("hinge",))
+def test_no_experiment_goes_where_teeth_rattle():
+    address, effect = JointAddress.of(pendulum(), ("hinge",)), Backlash()
     parameters = effect.parameters(pendulum(), address, 0)
     inertia = inertia_matrix(pendulum(), address, np.zeros((1, 1)))[0, 0, 0] - pendulum().dof_armature[0]
     values = np.array([inertia * (2 * np.pi * 7.0) ** 2 if p.name == "stiffness" else 0.01 for p in parameters])
-    assert effect.band(parameters, values) == pytest.approx(7.0)
+    assert effect.highest_frequency(parameters, values) == pytest.approx(7.0)
+    soft = Compliance().parameters(pendulum(), address, 0)
+    assert Compliance().highest_frequency(soft, np.array([p.nominal for p in soft])) == np.inf
 
 
 @pytest.mark.parametrize("effect", [Compliance(), Backlash()])

@@ -58,6 +58,9 @@ class Config:
     """Time after which no further combination of effects is fitted [s]."""
     seed: int = 0
     """Of the bootstrap and of the choice of windows."""
+    highest_frequency: float | None = None
+    """Of the experiment that is planned for rivals [Hz]; lower than the logs allow where something on the robot is
+    loose."""
     uan: bool = False
     """Hand what no named physics explains to an Unsupervised Actuator Net: two more minutes, and uan.pt."""
 
@@ -87,6 +90,7 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
                 base=config.base,
                 seed=config.seed,
                 time_budget=config.time_budget,
+                highest_frequency=config.highest_frequency,
                 output=config.output,
                 progress=progress,
             )

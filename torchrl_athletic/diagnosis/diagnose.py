@@ -22,6 +22,7 @@ from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, id
 from torchrl_athletic.diagnosis.gates import Evidence, judge_findings, summarise, verdict_of
 from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.locate import locate, regime_maps
+from torchrl_athletic.diagnosis.motions import Limits
 from torchrl_athletic.diagnosis.prepare import PAYLOAD, Drive, Prepared, drive_signals, prepare
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.remainder import remarks_on
@@ -95,11 +96,16 @@ class Diagnosis:
     """As they drove the simulation; empty after :meth:`load`."""
     heldout: tuple[Recording, ...] = field(default=(), repr=False)
     evidence: tuple[Evidence, ...] = field(default=(), repr=False)
+    highest_frequency: float | None = None
+    """Of a planned experiment [Hz]."""
 
     @cached_property
     def experiment(self) -> Experiment | None:
         """What to record next, where a finding has rivals."""
-        return next_experiment(self.evidence, self.answer.findings, xml=self.xml)
+        limits = None
+        if self.highest_frequency is not None and self.evidence:
+            limits = replace(Limits.of(self.evidence[0].judge.bank.takes), frequency=self.highest_frequency)
+        return next_experiment(self.evidence, self.answer.findings, limits, self.xml)
 
     @cached_property
     def overlays(self) -> tuple[Overlay, ...]:
@@ -154,6 +160,7 @@ def diagnose(
     base: Base = "recorded",
     seed: int = 0,
     time_budget: float | None = None,
+    highest_frequency: float | None = None,
     output: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -171,6 +178,7 @@ def diagnose(
             model has it.
         seed: Of the bootstrap and of the choice of windows.
         time_budget: Wall-clock time after which no further combination is fitted [s].
+        highest_frequency: Of the experiment that is planned for rivals [Hz]; as high as the logs allow if None.
         output: Folder for the report. Without it nothing is written, and nothing can be resumed.
         progress: Bar to move.
 
@@ -196,7 +204,7 @@ def diagnose(
     fitted, aside = (tuple(_stood(r.ordered(order), compiled, base) for r in group) for group in takes)
     work = _Work(
         compiled, xml, name, fitted, aside, tuple(catalogue), drive, seed, time_budget,
-        None if output is None else Path(output), progress or Progress(), len(joined), base,
+        None if output is None else Path(output), progress or Progress(), len(joined), base, highest_frequency,
     )  # fmt: skip
     try:
         work.run()
@@ -283,6 +291,7 @@ class _Work:
     joined: int = 0
     """How many of the recordings, the last ones, are of experiments."""
     base: Base = "recorded"
+    highest_frequency: float | None = None
     started: float = field(default_factory=time.monotonic)
     interrupted: bool = False
     stage: str = "quality"
@@ -492,7 +501,9 @@ class _Work:
             )
             for group in (self.recordings, self.heldout)
         )
-        return Diagnosis(answer, nominal, corrected, self.xml, maps, recordings, heldout, tuple(evidence))
+        return Diagnosis(
+            answer, nominal, corrected, self.xml, maps, recordings, heldout, tuple(evidence), self.highest_frequency
+        )
 
     def _is_open(self, fitted: Fitted | None) -> bool:
         """Whether some joint misses torque that noise does not explain, with all numbers within their tolerances."""

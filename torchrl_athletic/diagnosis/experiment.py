@@ -62,7 +62,7 @@ LONGEST = 60.0
 SLACK = 0.02
 """Share of range and speed by which a rival may predict that the robot leaves them: they are clear of the stops."""
 GENTLE = 0.2
-"""Share of its worth that a plan loses by using up all limits and half a minute."""
+"""Share of its worth that a plan loses by using up all limits, the whole band and half a minute."""
 HEAVY = 0.5
 """Mass to fasten to the last link where motions alone tell too little, as a share of its own."""
 BANDWIDTH = 1.5
@@ -273,15 +273,16 @@ def propose(
         raise ValueError(f"{len(rivals)} rival: an experiment separates at least two. Pass all of an answer set.")
     takes = judge.bank.takes
     limits = limits or Limits.of(takes)
+    limits = replace(limits, frequency=min(limits.frequency, _highest_frequency(rivals)))
     scene = Rivals(judge, rivals, probabilities)
     known = scene.products([thinned(s) for s in takes], scene.sigma)
-    sensors, highest = _Sensors.of(takes), min(limits.frequency, _highest_frequency(rivals))
+    sensors = _Sensors.of(takes)
     before = scene.separations(known)
     plans = []
     for mass, model in {0.0: takes[0].nominal, **(payloads or {})}.items():
         loop = _gains(takes, model)
         for motion in motions(takes, limits, _joints_of(rivals), seconds):
-            plan = _planned(motion, mass, model, takes, limits, loop) if motion.frequency <= highest else None
+            plan = _planned(motion, mass, model, takes, limits, loop)
             if plan is not None:
                 plans.append(_measured(scene, known, plan, sensors))
     if not plans:
@@ -308,8 +309,9 @@ def propose(
             as_long = scene.separations(known + known.times(plan.recording.duration / length))
             if not (plan.separations - as_long)[hopeful].max(initial=0.0) > 1.0:
                 break
-            paths = _simulated(plan, scene)
-            if _keeps(plan, paths, limits):
+            passed = _passed(plan, scene)
+            paths = _simulated(passed, plan.model, scene)
+            if _keeps(plan, paths, passed.duration, limits):
                 return _experiment(plan, scene, (before, as_long, plan.separations), hopeful, paths, limits)
     return None
 
@@ -365,7 +367,7 @@ class _Plan:
     @property
     def effort(self) -> float:
         """Of speed, torque, time and band, 0..1."""
-        band = max(m.frequency for m in self.motions) * QUICKEST / HALF_POWER
+        band = max(m.highest for m in self.motions) * QUICKEST / HALF_POWER
         return float(np.mean([*self.share, min(self.recording.duration / 30, 1.0), band]))
 
 
@@ -402,7 +404,13 @@ class _Sensors:
             first.recording, first.nominal, position, velocity, kernel=first.kernel, noise_correlation=correlation
         ).noise
         alike = [s.noise for s in takes if s.kernel == first.kernel]
-        return cls(position, velocity, correlation, np.sqrt(np.mean(np.square(alike), axis=0)) / again)
+        louder = np.sqrt(np.mean(np.square(alike), axis=0)) / again
+        if first.recording.rate > RATE:  # a plan is seen at RATE: of white noise that says as much as all samples do
+            fewer = np.sqrt(RATE / first.recording.rate)
+            position = position * np.sqrt((1 + correlation) / (1 - correlation)) * fewer
+            velocity = None if velocity is None else velocity * fewer
+            correlation = np.zeros_like(correlation)
+        return cls(position, velocity, correlation, louder)
 
 
 def _measured(rivals: Rivals, known: Products, plan: _Plan, sensors: _Sensors) -> _Plan:
@@ -431,12 +439,14 @@ def _worth(rivals: Rivals, plan: _Plan, hopeful: NDArray[np.bool_]) -> float:
 
 
 def _repeated(rivals: Rivals, known: Products, plan: _Plan, hopeful: NDArray[np.bool_]) -> _Plan:
-    """The plan as often as tells the pairs apart best: twice, four times and so on, until there is something to spare.
+    """The plan as often as tells the pairs apart best: once, twice, four times and so on, or all that a minute holds.
 
-    Not always the longest: the longer it is, the more of the older recordings a rival may get wrong for its sake.
+    No more often than leaves something to spare, and not always the longest: the longer it is, the more of the older
+    recordings a rival may get wrong for its sake.
     """
     best, most = plan, _most_repeats(plan)
-    for often in (*(n for n in (2, 4, 8, 16) if n < most), most):
+    doubled = [2**k for k in range(1, most) if 2**k < most]
+    for often in (*doubled, most)[: most - 1]:
         if best.separations[hopeful].min(initial=ENOUGH) >= SPARE:
             break
         longer = replace(reduce(_joined, [plan] * often), motions=plan.motions, repeats=often)
@@ -446,7 +456,7 @@ def _repeated(rivals: Rivals, known: Products, plan: _Plan, hopeful: NDArray[np.
 
 
 def _most_repeats(plan: _Plan) -> int:
-    return max(1, int(LONGEST / plan.recording.duration))
+    return max(1, int(LONGEST * RATE / plan.recording.num_samples))
 
 
 def _compensated(rivals: Rivals, plan: _Plan, sensors: _Sensors) -> _Plan:
@@ -497,12 +507,10 @@ def _joints_of(rivals: Sequence[Scored]) -> list[int]:
 
 def _highest_frequency(rivals: Sequence[Scored]) -> float:
     """Up to which every rival says how the robot moves [Hz]."""
-    answers = {_answer(s, rivals) for s in rivals}
     return min(
-        atom.candidate.effect.band(atom.candidate.parameters, values)
+        atom.candidate.effect.highest_frequency(atom.candidate.parameters, values)
         for s in rivals
         for atom, values in zip(s.fit.atoms, s.fit.values(), strict=True)
-        if atom.candidate.key in answers
     )
 
 
@@ -593,18 +601,20 @@ def _smaller(
     return _measured(rivals, known, reduce(_joined, [p for p in parts if p is not None]), sensors)
 
 
-def _once(plan: _Plan) -> Recording:
-    """A plan that is repeated, the first time: each begins and ends at rest in the same pose."""
-    return plan.recording.slice(0, plan.recording.num_samples // plan.repeats)
+def _passed(plan: _Plan, rivals: Rivals) -> Recording:
+    """What of a plan is simulated: one time of all, each from rest to rest, unless some rival changes meanwhile."""
+    changes = any(a.candidate.effect.family == "change" for s in rivals.rivals for a in s.fit.atoms)
+    once = plan.recording.num_samples // plan.repeats
+    return plan.recording if changes else plan.recording.slice(0, once)
 
 
-def _simulated(plan: _Plan, rivals: Rivals) -> Array:
+def _simulated(recording: Recording, model: mujoco.MjModel, rivals: Rivals) -> Array:
     """Positions that each rival predicts, with its values and with others that the recordings allow as well.
 
-    On the simulation's grid, of the first time. Shape (rivals, DRAWS, T, J).
+    On the simulation's grid. Shape (rivals, DRAWS, T, J).
     """
-    stood = _stood(_once(plan), rivals.takes)
-    windows = windows_of(take_of(stood, plan.model, np.full(stood.num_joints, 1e-9)), None)
+    stood = _stood(recording, rivals.takes)
+    windows = windows_of(take_of(stood, model, np.full(stood.num_joints, 1e-9)), None)
     assert rivals.draws is not None
     out = []
     for s, coefficients, drawn in zip(rivals.rivals, rivals.known, rivals.draws, strict=True):
@@ -617,11 +627,14 @@ def _simulated(plan: _Plan, rivals: Rivals) -> Array:
     return np.stack(out)
 
 
-def _keeps(plan: _Plan, paths: Array, limits: Limits) -> bool:
-    """Whether no rival leaves the range or is faster than allowed, and the likeliest needs no more torque."""
+def _keeps(plan: _Plan, paths: Array, duration: float, limits: Limits) -> bool:
+    """Whether no rival leaves the range or is faster than allowed, and the likeliest needs no more torque.
+
+    ``duration`` of the paths [s].
+    """
     low, high = limits.position.T
     slack = SLACK * (high - low)
-    fastest = np.abs(np.diff(paths, axis=2)).max((0, 1, 2)) * (paths.shape[2] - 1) / _once(plan).duration
+    fastest = np.abs(np.diff(paths, axis=2)).max((0, 1, 2)) * (paths.shape[2] - 1) / duration
     inside = ((paths > low - slack) & (paths < high + slack)).all()
     strong = (np.abs(plan.torque) <= limits.torque).all()
     return bool(np.isfinite(paths).all() and inside and strong and (fastest <= (1 + SLACK) * limits.velocity).all())

@@ -35,24 +35,26 @@ def with_alternatives(
         >>> with_alternatives([late], ["disk", "lever"], CATALOGUE)[0].alternatives
         ()
     """
-    out = []
-    for f in findings:
-        others = [g for g in findings if g is not f]
-        rivals = []
-        for rival in f.rivals:
-            stated = _as_finding(rival)
-            names = _same(stated, (*others, stated), joints, catalogue, damped)
-            rivals.append(replace(rival, alternatives=names))
-        names = _same(f, findings, joints, catalogue, damped)
-        out.append(replace(f, alternatives=names, rivals=tuple(rivals)))
-    return tuple(out)
+    return tuple(
+        replace(
+            f,
+            alternatives=_alternatives(f, findings, joints, catalogue, damped),
+            rivals=tuple(replace(r, alternatives=_of_rival(r, f, joints, catalogue, damped)) for r in f.rivals),
+        )
+        for f in findings
+    )
 
 
-def _as_finding(rival: Rival) -> Finding:
-    return Finding(rival.effect, rival.joint, rival.probability, "", {}, "")
+def _of_rival(
+    rival: Rival, f: Finding, joints: Sequence[str], catalogue: Sequence[Effect], damped: Collection[str]
+) -> tuple[tuple[Name, ...], ...]:
+    """Single names that are a rival's own at any values, and not the finding's."""
+    alone = Finding(rival.effect, rival.joint, rival.probability, "", {}, "")
+    same = _alternatives(alone, [alone], joints, catalogue, damped)
+    return tuple(names for names in same if len(names) == 1 and names[0] != Name(f.effect, f.joint))
 
 
-def _same(
+def _alternatives(
     f: Finding,
     findings: Sequence[Finding],
     joints: Sequence[str],
@@ -85,15 +87,15 @@ def _is_part(f: Finding, whole: Effect, findings: Sequence[Finding], joints: Seq
         if not all(_holds(g, {whole.name}) for g in parts):
             continue
         damps = whole.name == "asymmetric_friction" and f.effect == "viscous_friction" and f.joint in where
-        if (f in parts or damps) and len(parts) == len(names) * len(where):
-            values = [e for g in parts for e in g.parameters.values()]
-            agree = _agree(values) if all(g.parameters for g in parts) else len(parts) == 1
-            return agree or not whole.whole_robot
+        if (f in parts or damps) and len({(g.effect, g.joint) for g in parts}) == len(names) * len(where):
+            if not whole.whole_robot or len(parts) == 1:
+                return True
+            return _agree([e for g in parts for e in g.parameters.values()])
     return False
 
 
 def _holds(f: Finding, others: Collection[str]) -> bool:
-    """Whether the finding's values make it the same as the others; without values, whether any would."""
+    """Whether the finding's values make it the same as the others; without values, whether all of them do."""
     conditions = [_HOLDS[f.effect, other] for other in others if (f.effect, other) in _HOLDS]
     return all(bool(f.parameters) and holds(f.parameters) for holds in conditions)
 

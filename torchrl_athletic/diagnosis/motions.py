@@ -41,7 +41,7 @@ class Limits:
     torque: Array
     """Largest torque [N·m, N]. Shape (J,)."""
     frequency: float = np.inf
-    """Highest frequency of a motion [Hz]: lower where something on the robot is loose."""
+    """Highest frequency in a motion, of rounded corners that at half power [Hz]. Lower where something is loose."""
 
     @classmethod
     def of(cls, takes: Sequence[Signals]) -> Limits:
@@ -87,6 +87,11 @@ class Motion:
     wave: Array
     """Position about the pose. Shape (T, J)."""
 
+    @property
+    def highest(self) -> float:
+        """The highest frequency in it: of its repetition, its band or its rounded corners [Hz]."""
+        return max(self.frequency, HALF_POWER / ROUNDING[self.kind] if self.kind in ROUNDING else 0.0)
+
     def smaller(self, share: float) -> Motion:
         """The same with a share of the amplitude."""
         return replace(self, amplitude=share * self.amplitude, wave=share * self.wave)
@@ -107,12 +112,12 @@ class Motion:
 
 
 def motions(takes: Sequence[Signals], limits: Limits, joints: Sequence[int], seconds: float) -> Iterator[Motion]:
-    """Candidates, joints and kinds in turn, until there are enough."""
+    """Candidates within the limits, joints and kinds in turn, until there are enough."""
     low, high = limits.position.T
     start = takes[0].recording.position[0]
     names, middle, half = takes[0].recording.joint_names, (low + high) / 2, (high - low) / 2
     poses = [start] if len(names) == 1 else [start, middle + 0.5 * half]
-    clearest = HALF_POWER / max(QUICKEST, 1.2 / min(takes[0].recording.rate, RATE))
+    clearest = min(HALF_POWER / max(QUICKEST, 1.2 / min(takes[0].recording.rate, RATE)), limits.frequency)
 
     def kinds(j: int, pose: Array) -> list[Iterator[Motion]]:
         own = (names, j, pose, limits, seconds)
@@ -121,7 +126,7 @@ def motions(takes: Sequence[Signals], limits: Limits, joints: Sequence[int], sec
     streams = [_in_turn(kinds(j, pose)) for pose in poses for j in joints]
     if len(names) > 1:
         streams.append(_of_all(names, middle, half, limits, seconds))
-    yield from islice(_in_turn(streams), MOST_MOTIONS)
+    yield from islice((m for m in _in_turn(streams) if m.highest <= limits.frequency), MOST_MOTIONS)
 
 
 def _in_turn(streams: Iterable[Iterator[Motion]]) -> Iterator[Motion]:
@@ -176,7 +181,7 @@ def _mixes(
     low, high = limits.position[joint]
     name, fastest = names[joint], MARGIN * limits.velocity[joint]
     for share in QUICK:
-        band = SLOWEST, max(share * clearest, SLOWEST + 2 / seconds)
+        band = SLOWEST, max(share * clearest, SLOWEST + 2 / seconds)  # wide enough for some sines
         velocity = multisine(names, [name], 1.0, band, seconds, rate=RATE, field="position_target").command
         way = np.cumsum(velocity, axis=0) - np.cumsum(velocity, axis=0).mean(0)
         wave = way * _fade(len(way))[:, None]

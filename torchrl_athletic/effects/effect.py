@@ -127,8 +127,8 @@ class Effect(ABC):
         """Whether values (P,), each within its bounds, make sense together."""
         return True
 
-    def band(self, parameters: Sequence[Parameter], values: Array) -> float:
-        """Up to which frequency it says how the robot moves [Hz]: no experiment is planned beyond."""
+    def highest_frequency(self, parameters: Sequence[Parameter], values: Array) -> float:
+        """Up to which its law says how the robot moves [Hz]: no experiment is planned beyond."""
         return np.inf
 
     @abstractmethod

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 KERNEL = (0.010, 0.040)
 """Least and greatest width of the test function [s]: noise below, smoothing bias above."""
 QUICKEST = 0.006
-"""Least width for an experiment that was planned to be quick, and counted with its noise [s]."""
+"""Least width of the test function for the take of a planned experiment [s]: the plan has counted its noise."""
 HALF_POWER = float(np.sqrt(np.log(2) / 2) / np.pi)
 """Frequency that a Gaussian test function passes with half the power, times its width."""
 TRUNCATE = 7.0
@@ -313,7 +313,8 @@ def project_recording(
     v, direct = None, np.zeros(len(address.dof), dtype=bool)
     if recording.velocity is not None and velocity_noise is not None:
         v = CubicSpline(recording.time, recording.velocity)(fine_time)
-        direct = gain[1] * velocity_noise < 0.5 * sigma_a  # a drive's velocity may be filtered: only for a clear gain
+        # a drive's velocity may be filtered: only for a clear gain, and not where its lag would be taken for another
+        direct = (gain[1] * velocity_noise < 0.5 * sigma_a) & (kernel >= KERNEL[0])
         sigma_v = np.where(direct, gain[0] * velocity_noise, sigma_v)
         sigma_a = np.where(direct, gain[1] * velocity_noise, sigma_a)
 

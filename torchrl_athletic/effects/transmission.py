@@ -60,11 +60,6 @@ class _Transmission(Effect):
             for at, fixed in enumerate(grid)
         ]
 
-    def band(self, parameters: Sequence[Parameter], values: Array) -> float:
-        """The resonance of the link on the held motor: how teeth rattle beyond it is not recorded."""
-        at = [p.name for p in parameters].index("stiffness")
-        return float(RIGID * np.sqrt(values[at] / parameters[at].nominal))
-
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         parameters = self.parameters(plant.model, plant.address, joint)
         if parameters and (values != [p.nominal for p in parameters]).any():
@@ -175,6 +170,10 @@ class Backlash(_Transmission):
     def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
         """Teeth that always touch have no play, and a gap as wide as none is stands in for an offset."""
         return bool(NARROWEST * parameters[0].upper < values[0] < 0.99 * parameters[0].upper)
+
+    def highest_frequency(self, parameters: Sequence[Parameter], values: Array) -> float:
+        """Resonance of the link on the held motor: how the teeth rattle beyond is not in two numbers."""
+        return float(RIGID * np.sqrt(values[1] / parameters[1].nominal))
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         unit = 0.1 if is_slide(s.nominal, s.address, joint) else 1.0
