@@ -1,7 +1,7 @@
 """Teach a net the torques that a simulation of your robot lacks, from what its encoders said: no torque sensor needed.
 
 python recipes/train_uan.py --recordings outputs/recordings/z1                              # down the gradient
-python recipes/train_uan.py --method ppo --device cuda --output outputs/identification/uan_ppo   # as the paper does
+python recipes/train_uan.py --method ppo --credit arm --device cuda --output outputs/identification/uan_ppo  # paper's
 python recipes/train_uan.py --model outputs/diagnosis --output outputs/identification/left       # what that left
 
 Takes that say ``split: heldout``, and throws, are not looked at. A window of each other take is validated on: ``mse``
