@@ -360,7 +360,8 @@ def conceal(body: Body, robot: Robot, truth: Truth, rich: bool, rng: np.random.G
                 law["ripple_second"], law["ripple_second_periods"] = 0.12 * p["amplitude"], 2 * p["periods_per_turn"]
         case "joint_spring":
             law["spring"], law["spring_rest"] = p["stiffness"], p["rest"]
-            law["spring_cubic"] = 0.1 * p["stiffness"] / robot.reach[j] ** 2 if rich else 0.0
+            near = abs(p["rest"] - robot.centre[j]) < robot.reach[j]  # a far one pulls alike everywhere, cubed it tears
+            law["spring_cubic"] = 0.1 * p["stiffness"] / robot.reach[j] ** 2 if rich and near else 0.0
         case "joint_stop":
             law["stop_position"], law["stop_side"], law["stop_stiffness"] = p["position"], h["side"], p["stiffness"]
             law["stop_damping"] = 0.5 * p["stiffness"]

@@ -48,6 +48,16 @@ def test_the_generator_knows_neither_mujoco_nor_the_catalogue():
     assert set(re.findall(r"\bmj_\w+", (FOLDER / "arm.py").read_text(encoding="utf-8"))) == {"mj_name2id"}
 
 
+def test_a_spring_that_is_far_away_can_be_recorded():
+    """With the cube of its way it would tear the robot out of its range."""
+    session = next(
+        s for s in (prepare("sealed", "unidentifiable", 8 * k + 6, seed=1) for k in range(9))
+        if s.case.truths[0].effect == "joint_spring"
+    )  # fmt: skip
+    takes, aside = record(session, step=1e-3)
+    assert len(takes) + len(aside) == len(session.plans)
+
+
 def test_what_diagnoses_knows_nothing_of_the_generator():
     text = (FOLDER / "diagnose_case.py").read_text(encoding="utf-8")
     assert "benchmarks.concealed" not in text.replace("benchmarks/concealed", "")
