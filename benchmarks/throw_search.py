@@ -1,11 +1,11 @@
-"""How far does the concealed arm throw if the throw is searched on the arm itself? No simulator can promise more.
+"""How far does the concealed arm throw if the throw is searched on the arm itself, with no simulator at all?
 
-    python benchmarks/throw_bound.py --seeds 0 1 2
+    python benchmarks/throw_search.py --seeds 0 1 2
 
 Takes the throw made by hand and moves its position targets, at twelve times for the three joints of the plane that it
 swings in, by CMA-ES on the distance on the concealed arm: thousands of throws that nobody could make on a real one.
 Then throws ten times from the starts that policies are scored from. A search is no proof that nothing throws farther,
-but nothing that is learnt in a simulator has this advantage. Writes ``throw_bound.md``.
+but nothing that is learnt in a simulator has this advantage. Writes ``throw_search.md``.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def main(cfg: Config) -> None:
         lines.append(f"| seed {seed} | {best:.2f} | {real.mean():.2f} ± {real.std():.2f} | {real.max():.2f} |")
         table = "\n".join(lines)
         text = f"{table}\n\n{cfg.generations} generations of {cfg.population} throws on the arm a seed.\n"
-        (cfg.results / "throw_bound.md").write_text(text, encoding="utf-8")
+        (cfg.results / "throw_search.md").write_text(text, encoding="utf-8")
         print(table, flush=True)
 
 
