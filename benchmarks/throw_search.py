@@ -3,7 +3,7 @@
     python benchmarks/throw_search.py --seeds 0 1 2
 
 Takes the throw made by hand and moves its position targets, at twelve times for the three joints of the plane that it
-swings in, by CMA-ES on the distance on the concealed arm: thousands of throws that nobody could make on a real one.
+swings in, by CMA-ES on the distance on the concealed arm: a thousand throws that nobody could make on a real one.
 Then throws ten times from the starts that policies are scored from. A search is no proof that nothing throws farther,
 but nothing that is learnt in a simulator has this advantage. Writes ``throw_search.md``.
 """
@@ -64,7 +64,8 @@ def main(cfg: Config) -> None:
         real = distances(targets[None], starts(cfg.throws))
         lines.append(f"| seed {seed} | {best:.2f} | {real.mean():.2f} ± {real.std():.2f} | {real.max():.2f} |")
         table = "\n".join(lines)
-        text = f"{table}\n\n{cfg.generations} generations of {cfg.population} throws on the arm a seed.\n"
+        made = f"`python benchmarks/throw_search.py`, {cfg.generations} generations of {cfg.population} throws a seed."
+        text = f"{table}\n\n{made}\n"
         (cfg.results / "throw_search.md").write_text(text, encoding="utf-8")
         print(table, flush=True)
 

@@ -94,6 +94,14 @@ def test_what_was_fastened_goes_with_the_recordings_that_join_and_stays_with_the
     )
 
 
+def test_a_highest_frequency_is_remembered_until_another_one_is_said(folder, asked):
+    main(parsed(*"--model robot.xml --recordings train --output there".split()))
+    main(parsed(*"--output there --continue c.npz --highest-frequency 5".split()))
+    main(parsed(*"--output there --continue c.npz".split()))
+    main(parsed(*"--output there --continue c.npz --highest-frequency 3".split()))
+    assert [settings["highest_frequency"] for _, settings in asked] == [None, 5.0, 5.0, 3.0]
+
+
 def test_takes_with_a_weight_join_once_and_those_of_two_rounds_may_bear_one_name(folder, asked):
     main(parsed(*"--model robot.xml --recordings train --output there".split()))
     for round_, source in enumerate(("train/a.npz", "c.npz")):
@@ -162,6 +170,7 @@ def test_half_of_what_is_needed_is_refused(flags, missing):
         ("--model robot.xml --recordings train --columns broken.npz", "broken.npz"),
         ("--model knee.xml --recordings train", "joint_names has 'pendulum', the model has ['knee']"),
         ("--model robot.xml --recordings train --payload 0.5", "--payload speaks of the recordings of --continue"),
+        ("--model robot.xml --recordings train --highest-frequency 0", "--highest-frequency is 0.0 Hz. Give more"),
         ("--model robot.xml --recordings train --drive measured", "there is no torque_measured"),
         ("--model robot.xml --recordings train --output robot.xml", "--output robot.xml is a file. Name a folder."),
     ],

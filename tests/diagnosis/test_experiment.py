@@ -40,7 +40,7 @@ from torchrl_athletic.effects import (
 )
 from torchrl_athletic.effects.payload import with_payload
 from torchrl_athletic.effects.signals import project_recording
-from torchrl_athletic.recordings import Recording
+from torchrl_athletic.recordings import Recording, noise_correlation, sensor_noise
 from torchrl_athletic.recordings.demo import (
     HiddenEffect,
     Machine,
@@ -291,16 +291,29 @@ def test_rivals_are_replayed_with_what_else_the_recordings_allow():
     assert not any(planning._keeps(plan, paths, recording.duration, limits) for limits in (nowhere, slow, weak))
 
 
-def test_the_noise_of_a_plan_is_that_of_a_log_at_a_higher_rate():
+@pytest.mark.parametrize(("rate", "memory"), [(1000, 0.8), (500, 0.5), (200, 0.8)])
+@pytest.mark.parametrize("kernel", [0.006, 0.04])
+def test_the_noise_of_a_plan_is_that_of_a_log_at_its_own_rate(rate, memory, kernel):
     robot = pendulum()
-    rng, time = np.random.default_rng(0), np.arange(0.0, 8.0, 0.001)
-    path = np.sin(2 * np.pi * 1.5 * time) + lfilter([1.0], [1.0, -0.8], 1e-4 * rng.standard_normal(len(time)))
+    rng, time = np.random.default_rng(0), np.arange(0, 8 * rate) / rate
+    path = np.sin(2 * np.pi * 1.5 * time) + lfilter([1.0], [1.0, -memory], 1e-4 * rng.standard_normal(len(time)))
     log = Recording(time, robot.joint_names, path[:, None], torque_command=np.zeros((len(time), 1)))
     (s,) = prepare([log], mujoco.MjModel.from_xml_string(robot.model_xml)).signals
     sensors = planning._Sensors.of([s])
-    slow = Recording(time[::5], robot.joint_names, path[::5, None], torque_command=np.zeros((len(time[::5]), 1)))
-    seen = project_recording(slow, s.nominal, sensors.position, None, None, s.kernel, sensors.correlation)
-    assert sensors.louder * seen.noise == pytest.approx(s.noise, rel=0.1)
+    every = np.arange(0, 8 * RATE) / RATE
+    slow = Recording(every, robot.joint_names, np.zeros((len(every), 1)), torque_command=np.zeros((len(every), 1)))
+    own, seen = (
+        project_recording(r, s.nominal, noise, None, None, kernel, correlation).noise
+        for r, noise, correlation in (
+            (log, *_noise_of(log)),
+            (slow, sensors.position, sensors.correlation),
+        )
+    )
+    assert seen == pytest.approx(own, rel=0.25)
+
+
+def _noise_of(log: Recording) -> tuple[np.ndarray, np.ndarray]:
+    return sensor_noise(log)[0], noise_correlation(log)
 
 
 def test_a_repeated_plan_is_simulated_once_unless_something_changes_meanwhile():

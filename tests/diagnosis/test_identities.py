@@ -127,7 +127,6 @@ def test_a_rival_has_the_names_that_are_its_own_at_any_values():
     [
         (finding("clock_offset", None, offset=(-0.006, -0.004)), "actuation_delay"),
         (finding("gain_mismatch", "hip", kp_scale=(1.1, 1.3), kd_scale=(1.5, 1.6)), "torque_scale"),
-        (finding("viscous_friction", "hip", coefficient=(1.0, 2.0)), "gain_mismatch"),
     ],
 )
 def test_no_rival_is_called_the_same_as_the_finding_that_it_rivals(stated, rival):

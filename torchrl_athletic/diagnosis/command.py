@@ -76,7 +76,13 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
     try:
         if config.output.is_file():  # said now, not after the fit
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
-        config = fastened(config, recall(config, config.output))
+        asked = config
+        config = fastened(asked, recall(asked, asked.output))
+        if asked.highest_frequency is not None:  # said again because the last plan shook too much
+            config = replace(config, highest_frequency=asked.highest_frequency)
+        highest = config.highest_frequency
+        if highest is not None and not highest > 0:
+            raise RecordingError(f"--highest-frequency is {highest} Hz. Give more than 0, or leave it out.")
         model, recordings, heldout = inputs(config)
         new = joined(config)
         remember(config, config.output)

@@ -189,6 +189,7 @@ def diagnose(
     Raises:
         RecordingError: If the recordings cannot be used, or do not fit the model.
         ModelError: If MuJoCo cannot compile the model.
+        ValueError: If ``highest_frequency`` is not above zero.
         KeyboardInterrupt: If it came before anything was found.
 
     Example:
@@ -198,6 +199,8 @@ def diagnose(
         >>> diagnosis.answer.findings[0].effect == demo.secret.name  # doctest: +SKIP
         True
     """
+    if highest_frequency is not None and not highest_frequency > 0:
+        raise ValueError(f"highest_frequency is {highest_frequency} Hz. Give more than 0, or leave it out.")
     compiled, xml, name = load_model(model)
     order = recordings[0].joint_names if recordings else ()
     takes = ((*recordings, *joined), heldout)

@@ -22,7 +22,7 @@ from scipy.ndimage import gaussian_filter1d
 from torchrl_athletic.diagnosis.corrected import write_json
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.gates import LEAST_PROBABILITY, Evidence
-from torchrl_athletic.diagnosis.motions import MARGIN, RATE, ROUNDING, Limits, Motion, motions, touches, way
+from torchrl_athletic.diagnosis.motions import MARGIN, RATE, Limits, Motion, motions, touches, way
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.result import Finding
 from torchrl_athletic.diagnosis.screen import Atom, Key, row_noise
@@ -405,11 +405,12 @@ class _Sensors:
         ).noise
         alike = [s.noise for s in takes if s.kernel == first.kernel]
         louder = np.sqrt(np.mean(np.square(alike), axis=0)) / again
-        if first.recording.rate > RATE:  # a plan is seen at RATE: of white noise that says as much as all samples do
-            fewer = np.sqrt(RATE / first.recording.rate)
-            position = position * np.sqrt((1 + correlation) / (1 - correlation)) * fewer
-            velocity = None if velocity is None else velocity * fewer
-            correlation = np.zeros_like(correlation)
+        more = first.recording.rate / RATE
+        if more > 1.001:  # a plan is seen at RATE: of noise that passes as soon and is as loud at low frequencies
+            fading = np.maximum(correlation, 0.0) ** more
+            loud = (1 + correlation) / (1 - correlation) * (1 - fading) / (1 + fading)
+            position, correlation = position * np.sqrt(loud / more), fading
+            velocity = None if velocity is None else velocity / np.sqrt(more)
         return cls(position, velocity, correlation, louder)
 
 
@@ -446,7 +447,7 @@ def _repeated(rivals: Rivals, known: Products, plan: _Plan, hopeful: NDArray[np.
     """
     best, most = plan, _most_repeats(plan)
     doubled = [2**k for k in range(1, most) if 2**k < most]
-    for often in (*doubled, most)[: most - 1]:
+    for often in [*doubled, most] if most > 1 else []:
         if best.separations[hopeful].min(initial=ENOUGH) >= SPARE:
             break
         longer = replace(reduce(_joined, [plan] * often), motions=plan.motions, repeats=often)
@@ -556,10 +557,10 @@ def _planned(
 
 def _path(motion: Motion, start: Array, limits: Limits) -> Array:
     """From the start there and back, corners rounded. Shape (T, J)."""
-    path, rounding = motion.pose + motion.wave, ROUNDING.get(motion.kind)
-    if rounding is not None:
-        rest = np.repeat(motion.pose[None], round(4 * rounding * RATE), axis=0)
-        path = gaussian_filter1d(np.concatenate([rest, path, rest]), rounding * RATE, axis=0, mode="nearest")
+    path = motion.pose + motion.wave
+    if motion.rounding:
+        rest = np.repeat(motion.pose[None], round(4 * motion.rounding * RATE), axis=0)
+        path = gaussian_filter1d(np.concatenate([rest, path, rest]), motion.rounding * RATE, axis=0, mode="nearest")
     return np.concatenate([way(start, path[0], limits), path, way(path[-1], start, limits)])
 
 

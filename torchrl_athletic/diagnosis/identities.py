@@ -90,7 +90,7 @@ def _is_part(f: Finding, whole: Effect, findings: Sequence[Finding], joints: Seq
         if (f in parts or damps) and len({(g.effect, g.joint) for g in parts}) == len(names) * len(where):
             if not whole.whole_robot or len(parts) == 1:
                 return True
-            return _agree([e for g in parts for e in g.parameters.values()])
+            return all(g.parameters for g in parts) and _agree([e for g in parts for e in g.parameters.values()])
     return False
 
 

@@ -27,7 +27,7 @@ that the narrowest test function passes. Wide bands, since in a narrow one a lag
 SLOWEST = 0.2
 """Lowest frequency of a mix [Hz]."""
 ROUNDING: Mapping[str, float] = {"steps": 0.02, "sweep": 0.05}
-"""Width of the Gaussian that rounds corners which no drive can follow [s]."""
+"""Least width of the Gaussian that rounds corners which no drive can follow [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +86,13 @@ class Motion:
     """About which it moves [rad, m]. Shape (J,)."""
     wave: Array
     """Position about the pose. Shape (T, J)."""
+    rounding: float = 0.0
+    """Width of the Gaussian that rounds its corners [s]."""
 
     @property
     def highest(self) -> float:
         """The highest frequency in it: of its repetition, its band or its rounded corners [Hz]."""
-        return max(self.frequency, HALF_POWER / ROUNDING[self.kind] if self.kind in ROUNDING else 0.0)
+        return max(self.frequency, HALF_POWER / self.rounding if self.rounding else 0.0)
 
     def smaller(self, share: float) -> Motion:
         """The same with a share of the amplitude."""
@@ -168,7 +170,8 @@ def _sweeps(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, sec
             if 1 / seconds <= frequency <= 2.0:
                 slewed = Safety(slew=speed * fastest)
                 wave = square(names, name, [(amplitude, frequency)], RATE, whole, "position_target", slewed)
-                yield Motion(name, "sweep", amplitude, frequency, about, _home(wave.command, speed * fastest))
+                way_back = _home(wave.command, speed * fastest)
+                yield Motion(name, "sweep", amplitude, frequency, about, way_back, _rounding("sweep", limits))
 
 
 def _mixes(
@@ -217,9 +220,15 @@ def _jumps(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seco
             faded = Safety(fade=0.5)
             wave = chirp(names, name, amplitude, (0.2, highest), seconds, RATE, field="position_target", safety=faded)
             yield Motion(name, "chirp", amplitude, highest, about, wave.command)
-        if amplitude / (ROUNDING["steps"] * np.sqrt(2 * np.pi)) < fastest / 2:
+        rounding = _rounding("steps", limits)
+        if amplitude / (rounding * np.sqrt(2 * np.pi)) < fastest / 2:
             wave = square(names, name, [(amplitude, 1.0)], RATE, seconds, "position_target")
-            yield Motion(name, "steps", amplitude, 1.0, about, _home(wave.command, fastest))
+            yield Motion(name, "steps", amplitude, 1.0, about, _home(wave.command, fastest), rounding)
+
+
+def _rounding(kind: str, limits: Limits) -> float:
+    """Such that the corners hold no more than the highest frequency allowed [s]."""
+    return max(ROUNDING[kind], HALF_POWER / limits.frequency)
 
 
 def _home(wave: Array, speed: float) -> Array:
