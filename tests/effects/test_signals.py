@@ -97,11 +97,21 @@ def test_a_clear_velocity_channel_replaces_the_derivative_of_a_noisy_position():
     assert np.abs(with_it.acceleration[:, 0] - exact).max() < 0.02
     assert np.abs(without.acceleration[:, 0] - exact).max() > 0.5
     assert with_it.noise < 0.05 * without.noise
-    quick, same = (
-        project_recording(r, pendulum(), np.array([5e-3]), speed, kernel=0.008)
-        for r, speed in ((recording, np.array([1e-4])), (replace(recording, velocity=None), None))
-    )  # where the lag of a drive's filter would be taken for another
-    np.testing.assert_array_equal(quick.acceleration, same.acceleration)
+
+
+@pytest.mark.parametrize(
+    ("noise", "late", "is_used"),
+    [(1e-3, 0.0, True), (1e-3, 1e-4, True), (1e-3, 1e-3, False), (1e-3, -1e-3, False), (0.1, 0.0, False)],
+)
+def test_a_quick_take_uses_a_velocity_channel_only_if_it_is_seen_to_be_prompt(noise, late, is_used):
+    """A lag of the channel would be taken for one of the motor."""
+    reading = 0.05 * np.sin(60 * TIME) + np.random.default_rng(0).normal(0, noise, len(TIME))
+    recording = take(TIME, reading, velocity=3 * np.cos(60 * (TIME - late))[:, None])
+    noises = np.array([noise]), np.array([1e-3])
+    quick, wide = (project_recording(recording, pendulum(), *noises, kernel=kernel) for kernel in (0.008, 0.012))
+    without = project_recording(replace(recording, velocity=None), pendulum(), noises[0], None, kernel=0.008)
+    assert np.array_equal(quick.acceleration, without.acceleration) == (not is_used)
+    assert wide.noise < 0.1 * without.noise  # an ordinary take uses it in any case
 
 
 def swing(time, amplitude: float):

@@ -38,6 +38,8 @@ HALF_POWER = float(np.sqrt(np.log(2) / 2) / np.pi)
 """Frequency that a Gaussian test function passes with half the power, times its width."""
 TRUNCATE = 7.0
 """Half width of the test function's support, in widths: at 4, the second derivative of a constant shows."""
+PROMPT = 2e-4
+"""Least lateness of a velocity channel at which a quick take does without it [s]."""
 STUCK = 0.1
 """A joint rests where the encoder's noise hides its motion over this time [s]."""
 FINE_STEP = 0.0025
@@ -313,8 +315,11 @@ def project_recording(
     v, direct = None, np.zeros(len(address.dof), dtype=bool)
     if recording.velocity is not None and velocity_noise is not None:
         v = CubicSpline(recording.time, recording.velocity)(fine_time)
-        # a drive's velocity may be filtered: only for a clear gain, and not where its lag would be taken for another
-        direct = (gain[1] * velocity_noise < 0.5 * sigma_a) & (kernel >= KERNEL[0])
+        direct = gain[1] * velocity_noise < 0.5 * sigma_a  # a drive's velocity may be filtered: only for a clear gain
+        if kernel < KERNEL[0]:  # of a take that is to tell lags from delays: not with one of its own
+            loud = position_noise * _noise_gain(period, KERNEL[0], 2)
+            loud = loud * _memory_gain(period, KERNEL[0], 2, noise_correlation)
+            direct &= np.abs(_lateness(q, v, fine_step, loud)) < PROMPT
         sigma_v = np.where(direct, gain[0] * velocity_noise, sigma_v)
         sigma_a = np.where(direct, gain[1] * velocity_noise, sigma_a)
 
@@ -481,6 +486,18 @@ def sliding_direction(s: Signals, joint: int) -> Array:
     """Projected direction of sliding of a joint, rounded over its presliding width. Shape (N,)."""
     width = presliding_width(s, joint)
     return joint_feature(s, joint, lambda q, v: bristle(q, width))
+
+
+def _lateness(q: Array, v: Array, step: float, noise: Array) -> Array:
+    """How much later a velocity channel is than the position's derivative [s]. Shape (J,).
+
+    Infinite where the ``noise`` of the acceleration [rad/s²] hides it.
+    """
+    width = KERNEL[0] / step
+    speed, gain = _gaussian(q, width, 1) / step, _gaussian(q, width, 2) / step**2
+    moved = (gain**2).mean(0) - noise**2
+    late = -((_gaussian(v, width) - speed) * gain).mean(0) / np.maximum(moved, 1e-300)
+    return np.where(moved > noise**2, late, np.inf)
 
 
 def _light(kernel: float) -> float:

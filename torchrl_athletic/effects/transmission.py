@@ -172,8 +172,8 @@ class Backlash(_Transmission):
         return bool(NARROWEST * parameters[0].upper < values[0] < 0.99 * parameters[0].upper)
 
     def highest_frequency(self, parameters: Sequence[Parameter], values: Array) -> float:
-        """Resonance of the link on the held motor: how the teeth rattle beyond is not in two numbers."""
-        return float(RIGID * np.sqrt(values[1] / parameters[1].nominal))
+        """Half the resonance of the link on the held motor: how teeth rattle near it is not in two numbers."""
+        return float(0.5 * RIGID * np.sqrt(values[1] / parameters[1].nominal))
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         unit = 0.1 if is_slide(s.nominal, s.address, joint) else 1.0
