@@ -18,7 +18,6 @@ import numpy as np
 import torch
 import tyro
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
 from torch import Tensor
 from tqdm import tqdm
 
@@ -56,12 +55,13 @@ class Config:
 
 
 def main(cfg: Config) -> None:
-    by_hand = distances(np.zeros((1, len(KNOTS), len(SWINGING))), starts(cfg.throws))
+    begin = starts(cfg.throws)
+    by_hand = distances(np.zeros((1, len(KNOTS), len(SWINGING))), begin)
     lines = ["| targets | searched throw [m] | real throws [m] | farthest [m] |", "|---|---|---|---|"]
     lines.append(f"| by hand | | {by_hand.mean():.2f} ± {by_hand.std():.2f} | {by_hand.max():.2f} |")
     for seed in cfg.seeds:
         targets, best = search(cfg, seed)
-        real = distances(targets[None], starts(cfg.throws))
+        real = distances(targets[None], begin)
         lines.append(f"| seed {seed} | {best:.2f} | {real.mean():.2f} ± {real.std():.2f} | {real.max():.2f} |")
         table = "\n".join(lines)
         made = f"`python benchmarks/throw_search.py`, {cfg.generations} generations of {cfg.population} throws a seed."
@@ -120,14 +120,8 @@ def actions(knots: Array) -> Tensor:
 
 def along(planned: Tensor) -> Policy:
     """A policy that plays what is planned, whatever happens."""
-    step = -1
-
-    def act(tensordict: TensorDictBase) -> TensorDictBase:
-        nonlocal step
-        step += 1
-        return tensordict.set("action", planned[:, step].expand(*tensordict.shape, -1))
-
-    return act
+    steps = iter(planned.unbind(1))
+    return lambda tensordict: tensordict.set("action", next(steps).expand(*tensordict.shape, -1))
 
 
 if __name__ == "__main__":

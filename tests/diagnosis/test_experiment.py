@@ -274,14 +274,19 @@ def test_a_plan_that_a_rival_would_take_out_of_range_is_made_smaller(monkeypatch
     assert np.abs(tame.reference).max() < np.abs(whole.reference).max()
 
 
-def test_rivals_are_replayed_with_what_else_the_recordings_allow():
+def planned() -> tuple[Experiment, Rivals, planning._Plan]:
+    """The experiment about an offset, its rivals with their draws, and its plan."""
     *_, judge, best, e = solved("offset")
     scene = Rivals(judge, rivals_of(judge, best), None)
     scene.separations(scene.products([thinned(s) for s in judge.bank.takes], scene.sigma))
-    model = judge.bank.takes[0].nominal
     recording = Recording(e.time, e.joint_names, e.reference, position_target=e.target, kp=e.kp, kd=e.kd)
-    plan = planning._Plan(e.motions, 0.0, model, recording, e.torque, (0.5, 0.5))
-    paths = planning._simulated(recording, model, scene)
+    return e, scene, planning._Plan(e.motions, 0.0, judge.bank.takes[0].nominal, recording, e.torque, (0.5, 0.5))
+
+
+def test_rivals_are_replayed_with_what_else_the_recordings_allow():
+    e, scene, plan = planned()
+    recording = plan.recording
+    paths = planning._simulated(recording, plan.model, scene)
     assert paths.shape[:2] == (len(scene.rivals), DRAWS)
     assert (np.ptp(paths, axis=1).max((1, 2)) > 1e-4).all()
     assert planning._keeps(plan, paths, recording.duration, e.limits)
@@ -305,29 +310,21 @@ def test_the_noise_of_a_plan_is_that_of_a_log_at_its_own_rate(rate, memory, kern
     own, seen = (
         project_recording(r, s.nominal, noise, None, None, kernel, correlation).noise
         for r, noise, correlation in (
-            (log, *_noise_of(log)),
+            (log, sensor_noise(log)[0], noise_correlation(log)),
             (slow, sensors.position, sensors.correlation),
         )
     )
     assert seen == pytest.approx(own, rel=0.25)
 
 
-def _noise_of(log: Recording) -> tuple[np.ndarray, np.ndarray]:
-    return sensor_noise(log)[0], noise_correlation(log)
-
-
 def test_a_repeated_plan_is_simulated_once_unless_something_changes_meanwhile():
-    *_, judge, best, e = solved("offset")
-    scene = Rivals(judge, rivals_of(judge, best), None)
-    scene.separations(scene.products([thinned(s) for s in judge.bank.takes], scene.sigma))
-    model = judge.bank.takes[0].nominal
-    recording = Recording(e.time, e.joint_names, e.reference, position_target=e.target, kp=e.kp, kd=e.kd)
-    once = planning._Plan(e.motions, 0.0, model, recording, e.torque, (0.5, 0.5))
+    e, scene, once = planned()
+    recording = once.recording
     thrice = replace(planning._joined(planning._joined(once, once), once), motions=e.motions, repeats=3)
     passed = planning._passed(thrice, scene)
     assert passed.num_samples == recording.num_samples
     np.testing.assert_array_equal(passed.position, recording.position)
-    paths = planning._simulated(passed, model, scene)
+    paths = planning._simulated(passed, once.model, scene)
     fastest = np.abs(np.diff(paths, axis=2)).max((0, 1, 2)) * (paths.shape[2] - 1) / recording.duration
     for share in (0.97, 1.03):
         limits = replace(e.limits, velocity=share * fastest / (1 + planning.SLACK))

@@ -177,6 +177,14 @@ def test_of_a_rival_it_is_said_in_the_same_places():
     assert Answer.from_json(answer.to_json()).findings[0].rivals == (rival,)
 
 
+def test_the_finding_that_it_rivals_is_no_partner_of_a_rival():
+    gains = ((Name("gain_mismatch", "hip"),),)
+    viscous = replace(finding("viscous_friction", "hip"), alternatives=gains)
+    rival = Rival("torque_scale", "hip", 0.4, "", gains)
+    (said,) = same_as(rival, Answer("explained", (), findings=(replace(viscous, rivals=(rival,)),)))
+    assert said == "Torque scale, which here is the same as gain mismatch: no recording tells them apart."
+
+
 def test_a_file_from_before_is_read_without_them():
     content = slider().answer.to_json()
     del content["findings"][0]["alternatives"]

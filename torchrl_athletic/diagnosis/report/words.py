@@ -95,11 +95,12 @@ def same_as(finding: Finding | Rival, answer: Answer) -> list[str]:
     """
     out = []
     for names in finding.alternatives:
-        together = [g for g in answer.findings if g is not finding and names in g.alternatives]
+        others = () if isinstance(finding, Rival) else answer.findings  # a rival's names are its own, without partners
+        together = [g for g in others if g is not finding and names in g.alternatives]
         partners = " and ".join(_named(g, finding.joint) for g in together)
         which = f"which together with {partners}" if partners else "which here"
-        others = " with ".join(_named(n, finding.joint) for n in names)
-        out.append(f"{title(finding.effect)}, {which} is the same as {others}: no recording tells them apart.")
+        said = " with ".join(_named(n, finding.joint) for n in names)
+        out.append(f"{title(finding.effect)}, {which} is the same as {said}: no recording tells them apart.")
     return out
 
 
