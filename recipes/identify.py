@@ -97,7 +97,7 @@ def identify(robot: Robot, takes: list[Recording], cfg: Config) -> Simulator:
 
 
 def folder_of(cfg: Config) -> Path:
-    seeded = cfg.method in ("cem", "actuator_net")
+    seeded = cfg.method in ("cem", "actuator_net", "diagnosed")
     return cfg.output / (f"{cfg.method}_seed{cfg.seed}" if seeded else cfg.method)
 
 

@@ -13,13 +13,11 @@ from scipy.signal import lfilter
 from torchrl_athletic.diagnosis import experiment as planning
 from torchrl_athletic.diagnosis.experiment import (
     Experiment,
-    answer_set,
     next_experiment,
     propose,
-    shares,
     write,
 )
-from torchrl_athletic.diagnosis.gates import Evidence
+from torchrl_athletic.diagnosis.gates import LEAST_PROBABILITY, Evidence, answer_set
 from torchrl_athletic.diagnosis.motions import RATE, Limits, Motion
 from torchrl_athletic.diagnosis.prepare import PAYLOAD, prepare
 from torchrl_athletic.diagnosis.result import Finding, Rival
@@ -105,14 +103,16 @@ def searched(robot: Robot, takes, catalogue, joined: int = 0) -> tuple[Judge, Sc
 
 def answers(judge: Judge, best: Scored) -> dict:
     """Share of each name that could stand for the only term."""
-    (term,) = best.fit.terms
-    return shares(answer_set(judge, best, term))
+    return {o.atom.candidate.key: o.share for o in options_of(judge, best)}
 
 
-def rivals_of(judge: Judge, best: Scored) -> list[Scored]:
+def rivals_of(judge: Judge, best: Scored) -> dict:
+    return {o.atom.candidate.key: o.scored for o in options_of(judge, best)}
+
+
+def options_of(judge: Judge, best: Scored, least: float = LEAST_PROBABILITY) -> list:
     (term,) = best.fit.terms
-    options = answer_set(judge, best, term)
-    return [options[key] for key in shares(options)]
+    return [o for o in answer_set(Evidence(judge, best), term) if o.share > least]
 
 
 @lru_cache
@@ -196,11 +196,10 @@ def tilted():
 
 def test_what_no_motion_separates_is_said_and_not_recorded_for(tilted):
     judge, best = tilted
-    (term,) = best.fit.terms
-    options = answer_set(judge, best, term)
-    offset, tilt = options["encoder_offset", "pendulum"], options["gravity_tilt", None]
-    assert propose(judge, [offset, tilt]) is None
-    experiment = propose(judge, [offset, tilt, options["torque_offset", "pendulum"]])
+    options = {o.atom.candidate.key: o.scored for o in options_of(judge, best, least=0.0)}
+    pair = {key: options[key] for key in (("encoder_offset", "pendulum"), ("gravity_tilt", None))}
+    assert propose(judge, pair) is None
+    experiment = propose(judge, {**pair, ("torque_offset", "pendulum"): options["torque_offset", "pendulum"]})
     assert experiment.inseparable == ((("encoder_offset", "pendulum"), ("gravity_tilt", None)),)
     assert "No motion" in experiment.sentence
 
@@ -208,7 +207,7 @@ def test_what_no_motion_separates_is_said_and_not_recorded_for(tilted):
 def test_one_name_needs_no_experiment(tilted):
     judge, best = tilted
     with pytest.raises(ValueError, match="at least two"):
-        propose(judge, [best])
+        propose(judge, {("torque_offset", "pendulum"): best})
 
 
 @pytest.mark.slow
@@ -277,7 +276,7 @@ def test_a_plan_that_a_rival_would_take_out_of_range_is_made_smaller(monkeypatch
 def planned() -> tuple[Experiment, Rivals, planning._Plan]:
     """The experiment about an offset, its rivals with their draws, and its plan."""
     *_, judge, best, e = solved("offset")
-    scene = Rivals(judge, rivals_of(judge, best), None)
+    scene = Rivals(judge, list(rivals_of(judge, best).values()), None)
     scene.separations(scene.products([thinned(s) for s in judge.bank.takes], scene.sigma))
     recording = Recording(e.time, e.joint_names, e.reference, position_target=e.target, kp=e.kp, kd=e.kd)
     return e, scene, planning._Plan(e.motions, 0.0, judge.bank.takes[0].nominal, recording, e.torque, (0.5, 0.5))

@@ -9,7 +9,15 @@ from effects.arm import address, arm
 
 from torchrl_athletic.diagnosis import gates
 from torchrl_athletic.diagnosis.calibration import DECISIVE, EQUALS, SENSELESS, Grounds, probability
-from torchrl_athletic.diagnosis.gates import EXPLAINED, NEAR_FLOOR, PARTLY, summarise, verdict_of
+from torchrl_athletic.diagnosis.gates import (
+    EXPLAINED,
+    NEAR_FLOOR,
+    PARTLY,
+    Evidence,
+    answer_set,
+    summarise,
+    verdict_of,
+)
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import (
@@ -101,7 +109,7 @@ def test_one_joint_far_from_its_floor_is_enough_not_to_call_the_model_complete()
 
 
 def atom(name: str, joint: str = "elbow"):
-    return SimpleNamespace(candidate=SimpleNamespace(key=(name, joint)))
+    return SimpleNamespace(candidate=SimpleNamespace(key=(name, joint), joint_name=joint))
 
 
 def scored(evidence: float, *atoms):
@@ -112,8 +120,9 @@ def test_probabilities_are_shares_of_the_evidence_among_those_who_could_stand_th
     kept, term, rival, far = atom("payload"), atom("coulomb"), atom("stribeck"), atom("backlash")
     options = [scored(100.0, kept, term), scored(104.0, kept, rival), scored(140.0, far, kept)]
     monkeypatch.setattr(gates, "alternatives", lambda *_: options)
-    atoms, shares = gates._shares(SimpleNamespace(judge=None, best=options[0], simulated={}), term)
-    assert atoms == [term, rival, far]
+    found = answer_set(Evidence(None, options[0]), term)
+    assert [o.atom for o in found] == [term, rival, far]
+    shares = [o.share for o in found]
     assert sum(shares) == pytest.approx(1.0)
     assert shares[1] / shares[0] == pytest.approx(np.exp(-2.0))  # evidence is twice the log odds
     assert shares[2] < 1e-8
@@ -124,18 +133,42 @@ def test_what_the_simulation_says_of_a_combination_counts_beside_the_torque_doma
     options = [scored(100.0, term), scored(104.0, rival)]
     monkeypatch.setattr(gates, "alternatives", lambda *_: options)
     against = {frozenset({("coulomb", "elbow")}): 10.0, frozenset({("stribeck", "elbow")}): 0.0}
-    part = SimpleNamespace(judge=None, best=options[0], simulated=against)
-    shares = gates._shares(part, term)[1]
-    assert shares[1] / shares[0] == pytest.approx(np.exp(3.0))
+    shares = {o.atom.candidate.key: o.share for o in answer_set(Evidence(None, options[0], simulated=against), term)}
+    assert shares["stribeck", "elbow"] / shares["coulomb", "elbow"] == pytest.approx(np.exp(3.0))
 
 
 def test_a_rival_that_was_not_simulated_gains_nothing_by_it(monkeypatch):
     term, rival = atom("coulomb"), atom("stribeck")
     options = [scored(100.0, term), scored(104.0, rival)]
     monkeypatch.setattr(gates, "alternatives", lambda *_: options)
-    part = SimpleNamespace(judge=None, best=options[0], simulated={frozenset({("coulomb", "elbow")}): 10.0})
-    shares = gates._shares(part, term)[1]
-    assert shares[1] / shares[0] == pytest.approx(np.exp(-2.0))
+    part = Evidence(None, options[0], simulated={frozenset({("coulomb", "elbow")}): 10.0})
+    shares = {o.atom.candidate.key: o.share for o in answer_set(part, term)}
+    assert shares["stribeck", "elbow"] / shares["coulomb", "elbow"] == pytest.approx(np.exp(-2.0))
+
+
+def test_another_combination_that_does_as_well_is_a_rival_of_each_term_that_it_does_without(monkeypatch):
+    rotor, lag, kept = atom("reflected_inertia"), atom("actuation_lag"), atom("payload", "wrist")
+    gains, elsewhere = atom("gain_mismatch"), atom("backlash", "wrist")
+    best = scored(100.0, rotor, lag, kept)
+    monkeypatch.setattr(gates, "alternatives", lambda *_: [best])
+    others = ((scored(0.0, gains, kept), 2.0), (scored(0.0, rotor, elsewhere), 0.0))
+    part = Evidence(None, best, others=others)
+    for term in (rotor, lag):
+        shares = {o.atom.candidate.key: o.share for o in answer_set(part, term)}
+        assert set(shares) == {term.candidate.key, gains.candidate.key}  # play at the wrist stands in for neither
+        assert shares[gains.candidate.key] / shares[term.candidate.key] == pytest.approx(np.exp(-1.0))
+    shares = {o.atom.candidate.key: o.share for o in answer_set(part, kept)}
+    assert shares == {kept.candidate.key: 0.5, elsewhere.candidate.key: 0.5}
+
+
+def test_a_combination_that_stands_in_for_one_term_is_weighed_once(monkeypatch):
+    term, rival = atom("coulomb"), atom("stribeck")
+    options = [scored(100.0, term), scored(102.0, rival)]
+    monkeypatch.setattr(gates, "alternatives", lambda *_: options)
+    shares = {
+        o.atom.candidate.key: o.share for o in answer_set(Evidence(None, options[0], others=((options[1], 7.0),)), term)
+    }
+    assert shares["stribeck", "elbow"] / shares["coulomb", "elbow"] == pytest.approx(np.exp(-1.0))
 
 
 def test_equals_share_the_probability_and_odds_do_not_depend_on_the_level(monkeypatch):
@@ -143,7 +176,7 @@ def test_equals_share_the_probability_and_odds_do_not_depend_on_the_level(monkey
     for level in (-1e5, 0.0, 1e5):
         options = [scored(level, term), scored(level, rival)]
         monkeypatch.setattr(gates, "alternatives", lambda *_, options=options: options)
-        assert gates._shares(SimpleNamespace(judge=None, best=options[0], simulated={}), term)[1] == [0.5, 0.5]
+        assert [o.share for o in answer_set(Evidence(None, options[0]), term)] == [0.5, 0.5]
 
 
 WHERE = (Location("elbow", "everywhere", 0.8, (0.7, 0.9)), Location("elbow", "moving backwards", 0.6, (0.5, 0.7)))

@@ -85,6 +85,21 @@ def test_each_method_leaves_a_simulator_and_the_comparison_scores_those_that_can
     capsys.readouterr()
 
 
+def test_each_seed_of_a_diagnosis_has_a_folder_of_its_own_with_its_report_in_it(folder, tmp_path, monkeypatch):
+    asked = {}
+
+    def diagnosed(robot, recordings, *, seed, output, **_):
+        asked[seed] = sorted(take.metadata["split"] for take in recordings), output
+        return Simulator("diagnosed", robot, notes={"seed": seed})
+
+    monkeypatch.setattr(identify, "identify_diagnosed", diagnosed)
+    for seed in (0, 1):
+        identify.main(replace(config(folder, "diagnosed", seed=seed), output=tmp_path))
+        own = tmp_path / f"diagnosed_seed{seed}"
+        assert asked[seed] == (["train", "train"], own / "diagnosis")
+        assert Simulator.load(own, ARM).notes["seed"] == seed
+
+
 def test_scores_are_kept_beside_a_simulator_until_it_or_the_question_changes(folder, monkeypatch):
     identify.main(config(folder, "default"))
     simulator, calls = folder / "found" / "default", []

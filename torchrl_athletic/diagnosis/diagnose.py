@@ -426,7 +426,10 @@ class _Work:
         scored = [s["train"] for s in self.scores]
         self.chosen, against = _decide(self.options, self.errors, scored, self.began)
         simulated = {keys(o.best.fit.terms): float(a) for o, a in zip(self.options, against, strict=False)}
-        self.options = tuple(replace(o, simulated=simulated) for o in self.options)
+        total = [o.behind + float(a) for o, a in zip(self.options, against, strict=False)]
+        self.options = tuple(
+            replace(o, simulated=simulated, others=_others(self.options, total, k)) for k, o in enumerate(self.options)
+        )
 
     def _start_over(self) -> None:
         """Where what fits the torques best leaves most of the motion open, ask about each effect alone.
@@ -667,6 +670,14 @@ def _decide(
     against = np.array([_against(e - best) if t else CLOSE for e, t in zip(logs, taken, strict=True)])
     behind = np.array([o.behind if t else np.inf for o, t in zip(options, taken, strict=False)])
     return int(np.argmin(against + behind)), against
+
+
+def _others(options: Sequence[Evidence], total: Sequence[float], own: int) -> tuple[tuple[Scored, float], ...]:
+    """The other combinations that were fitted, each with the evidence against it beside that of one of them."""
+    if own >= len(total):
+        return ()
+    fitted = enumerate(zip(options, total, strict=False))
+    return tuple((option.best, against - total[own]) for k, (option, against) in fitted if k != own)
 
 
 def _misses(worse: Array, better: Array, floor: Array, began: Array) -> bool:

@@ -7,7 +7,7 @@ the robot's limits: optimal design for model discrimination (Atkinson, Fedorov 1
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
@@ -21,12 +21,12 @@ from scipy.ndimage import gaussian_filter1d
 
 from torchrl_athletic.diagnosis.corrected import write_json
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.gates import LEAST_PROBABILITY, Evidence
+from torchrl_athletic.diagnosis.gates import Evidence, answer_set
 from torchrl_athletic.diagnosis.motions import MARGIN, RATE, Limits, Motion, motions, touches, way
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.result import Finding
-from torchrl_athletic.diagnosis.screen import Atom, Key, row_noise
-from torchrl_athletic.diagnosis.search import Judge, Scored, alternatives
+from torchrl_athletic.diagnosis.screen import Key, row_noise
+from torchrl_athletic.diagnosis.search import Judge, Scored
 from torchrl_athletic.diagnosis.separation import ENOUGH, Products, Rivals, thinned
 from torchrl_athletic.effects.base import carried
 from torchrl_athletic.effects.effect import is_slide
@@ -198,14 +198,13 @@ def next_experiment(
         for part in evidence:
             for term in part.best.fit.terms:
                 if term.candidate.key == (finding.effect, finding.joint):
-                    options = [
-                        (s, asked[key]) for key, s in answer_set(part.judge, part.best, term).items() if key in asked
-                    ]
+                    options = {o.atom.candidate.key: o.scored for o in answer_set(part, term)}
+                    options = {key: s for key, s in options.items() if key in asked}
                     if len(options) > 1:
-                        rivals, shared = [s for s, _ in options], [p for _, p in options]
-                        plan = propose(part.judge, rivals, shared, limits)
+                        shared = [asked[key] for key in options]
+                        plan = propose(part.judge, options, shared, limits)
                         if (plan is None or plan.inseparable or plan.after < SPARE) and xml:
-                            loaded = propose(part.judge, rivals, shared, limits, _weights(part.judge, xml))
+                            loaded = propose(part.judge, options, shared, limits, _weights(part.judge, xml))
                             plan = loaded if loaded is not None and _tells_more(loaded, plan) else plan
                         if plan is not None:
                             return plan
@@ -226,26 +225,9 @@ def _weights(judge: Judge, xml: str) -> dict[float, mujoco.MjModel]:
     return {mass: carried(with_payload(xml, s.recording.joint_names, mass))} if mass else {}
 
 
-def answer_set(judge: Judge, best: Scored, term: Atom) -> dict[Key, Scored]:
-    """The combinations with a term replaced by each effect that could stand in its place, best first."""
-    kept = {a.candidate.key for a in best.fit.terms if a is not term}
-    return {
-        next(a.candidate.key for a in s.fit.terms if a.candidate.key not in kept): s
-        for s in alternatives(judge, best, term)
-    }
-
-
-def shares(options: Mapping[Key, Scored]) -> dict[Key, float]:
-    """Share of the evidence that each option has, those above the least that is printed. Sums to one."""
-    evidence = np.array([s.evidence for s in options.values()])
-    weight = np.exp(-0.5 * (evidence - evidence.min()))
-    kept = {key: float(w) for key, w in zip(options, weight / weight.sum(), strict=True) if w > LEAST_PROBABILITY}
-    return {key: w / sum(kept.values()) for key, w in kept.items()}
-
-
 def propose(
     judge: Judge,
-    rivals: Sequence[Scored],
+    rivals: Mapping[Key, Scored],
     probabilities: Sequence[float] | None = None,
     limits: Limits | None = None,
     payloads: Mapping[float, mujoco.MjModel] | None = None,
@@ -257,7 +239,8 @@ def propose(
 
     Args:
         judge: Of the search that found the rivals.
-        rivals: Combinations that the recordings cannot tell apart, each fitted to them; the likeliest first.
+        rivals: Combinations that the recordings cannot tell apart, each fitted to them, by the effect and the joint
+            that each stands for; the likeliest first.
         probabilities: Of the rivals; they weigh the pairs. Equal if None.
         limits: Of the robot; :meth:`Limits.of` the recordings if None.
         payloads: Mass that may be fastened [kg] -> the model with it (:func:`with_payload`).
@@ -273,8 +256,8 @@ def propose(
         raise ValueError(f"{len(rivals)} rival: an experiment separates at least two. Pass all of an answer set.")
     takes = judge.bank.takes
     limits = limits or Limits.of(takes)
-    limits = replace(limits, frequency=min(limits.frequency, _highest_frequency(rivals)))
-    scene = Rivals(judge, rivals, probabilities)
+    limits = replace(limits, frequency=min(limits.frequency, _highest_frequency(rivals.values())))
+    scene = Rivals(judge, list(rivals.values()), probabilities)
     known = scene.products([thinned(s) for s in takes], scene.sigma)
     sensors = _Sensors.of(takes)
     before = scene.separations(known)
@@ -312,7 +295,8 @@ def propose(
             passed = _passed(plan, scene)
             paths = _simulated(passed, plan.model, scene)
             if _keeps(plan, paths, passed.duration, limits):
-                return _experiment(plan, scene, (before, as_long, plan.separations), hopeful, paths, limits)
+                separations = before, as_long, plan.separations
+                return _experiment(plan, scene, list(rivals), separations, hopeful, paths, limits)
     return None
 
 
@@ -499,14 +483,13 @@ def _stood(recording: Recording, takes: Sequence[Signals]) -> Recording:
     return recording if base is None else recording.with_base_held(base.pose[0, :3], base.pose[0, 3:])
 
 
-def _joints_of(rivals: Sequence[Scored]) -> list[int]:
+def _joints_of(rivals: Mapping[Key, Scored]) -> list[int]:
     """Joints that the rivals speak of, and the one before each, whose motion its effects feel."""
-    answers = {_answer(s, rivals) for s in rivals}
-    named = {a.candidate.joint for s in rivals for a in s.fit.terms if a.candidate.key in answers}
+    named = {a.candidate.joint for s in rivals.values() for a in s.fit.terms if a.candidate.key in rivals}
     return sorted(named | {j - 1 for j in named if j})
 
 
-def _highest_frequency(rivals: Sequence[Scored]) -> float:
+def _highest_frequency(rivals: Iterable[Scored]) -> float:
     """Up to which every rival says how the robot moves [Hz]."""
     return min(
         atom.candidate.effect.highest_frequency(atom.candidate.parameters, values)
@@ -644,13 +627,13 @@ def _keeps(plan: _Plan, paths: Array, duration: float, limits: Limits) -> bool:
 def _experiment(
     plan: _Plan,
     scene: Rivals,
+    keys: Sequence[Key],
     separations: tuple[Array, Array, Array],
     hopeful: NDArray[np.bool_],
     paths: Array,
     limits: Limits,
 ) -> Experiment:
     r = plan.recording
-    keys = [_answer(s, scene.rivals) for s in scene.rivals]
     named = [(keys[a], keys[b]) for a, b in scene.pairs]
     before, repeated, after = (float(s[hopeful].min()) for s in separations)
     slides = [is_slide(plan.model, scene.takes[0].address, j) for j in range(r.num_joints)]
@@ -678,15 +661,6 @@ def _experiment(
         kd=r.kd,
         limits=limits,
     )
-
-
-def _answer(scored: Scored, rivals: Sequence[Scored]) -> Key:
-    """The term of a combination that not all of them have."""
-    own = [a.candidate.key for a in scored.fit.terms]
-    common = set(own)
-    for other in rivals:
-        common &= {a.candidate.key for a in other.fit.terms}
-    return next(key for key in own if key not in common)
 
 
 def _words(keys: Sequence[Key]) -> str:

@@ -8,7 +8,7 @@ included, must pass the sensors' floor.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,20 @@ LEAST_PROBABILITY = 0.03
 
 
 @dataclass(frozen=True, eq=False)
+class StandIn:
+    """What could stand in a term's place."""
+
+    atom: Atom
+    """Its name."""
+    scored: Scored
+    """The combination that has it."""
+    against: float
+    """Twice the log odds against that combination beside the one that was found."""
+    share: float = 0.0
+    """Of the evidence among all that could stand there."""
+
+
+@dataclass(frozen=True, eq=False)
 class Evidence:
     """One part of the search, kept for the gates: the mechanics, or the drive alone."""
 
@@ -53,6 +67,9 @@ class Evidence:
     """Whether it holds the first as a special case, which the simulation has to show to be too simple."""
     simulated: Mapping[frozenset[Key], float] = field(default_factory=dict)
     """Combination -> twice the log odds that the simulation gives against it, for those that were fitted."""
+    others: tuple[tuple[Scored, float], ...] = ()
+    """Other combinations that were fitted, each with twice the log odds against it beside this one's, by torques and
+    simulation."""
 
     def left_of(self, candidate: Candidate) -> float:
         """The same where an effect acts: on its joint, or on the joint that is explained worst."""
@@ -108,6 +125,34 @@ def verdict_of(
     return ("partly_explained" if share <= PARTLY else "unexplained"), share
 
 
+def answer_set(part: Evidence, term: Atom) -> list[StandIn]:
+    """Who could stand in a term's place, itself included, with the share of the evidence that each has.
+
+    In its place alone stands another effect beside all other terms. Where quite another combination does as well, the
+    effect that it has there is a rival of each term that it does without: gains that are off, of a rotor with a lag.
+    """
+    found = keys(part.best.fit.terms)
+    beside = found - {term.candidate.key}
+    replaced = alternatives(part.judge, part.best, term)
+    untried = part.simulated.get(found, 0.0)  # by the simulation: no better than the best
+    evidence = [s.evidence + part.simulated.get(keys(s.fit.terms), untried) for s in replaced]
+    own = next(e for s, e in zip(replaced, evidence, strict=True) if keys(s.fit.terms) == found)
+    of = {
+        keys(s.fit.terms): StandIn(next(a for a in s.fit.terms if a.candidate.key not in beside), s, e - own)
+        for s, e in zip(replaced, evidence, strict=True)
+    }
+    for scored, against in part.others:
+        new = [a for a in scored.fit.terms if a.candidate.key not in found]
+        new = [a for a in new if a.candidate.joint_name in (None, term.candidate.joint_name)]
+        if new and term.candidate.key not in keys(scored.fit.terms):
+            of.setdefault(keys(scored.fit.terms), StandIn(new[0], scored, against))
+    best: dict[Key, StandIn] = {}
+    for option in sorted(of.values(), key=lambda o: o.against):
+        best.setdefault(option.atom.candidate.key, option)
+    weights = np.exp(-0.5 * np.array([o.against - min(o.against for o in best.values()) for o in best.values()]))
+    return [replace(o, share=float(w)) for o, w in zip(best.values(), weights / weights.sum(), strict=True)]
+
+
 def summarise(
     verdict: Verdict,
     findings: Sequence[Finding],
@@ -152,8 +197,8 @@ def _finding(
     bank, candidate, h = part.judge.bank, term.candidate, fitted.hypothesis
     values, samples = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.samples)
     band = h.values_of(chosen, fitted.interval().T).T
-    rated = list(zip(*_shares(part, term), strict=True))
-    own = next(share for a, share in rated if a.candidate.key == candidate.key)
+    rated = answer_set(part, term)
+    own = next(option.share for option in rated if option.atom.candidate.key == candidate.key)
     grounds = Grounds(
         share=own,
         left=part.left_of(candidate),
@@ -174,13 +219,13 @@ def _finding(
     named = {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)}
     rivals = [
         Rival(
-            a.candidate.effect.name,
-            a.candidate.joint_name,
-            share * per_share,
-            effect.experiment(a.candidate.effect.name, joint),
+            option.atom.candidate.effect.name,
+            option.atom.candidate.joint_name,
+            option.share * per_share,
+            effect.experiment(option.atom.candidate.effect.name, joint),
         )
-        for a, share in rated
-        if a.candidate.key != candidate.key and share > LEAST_PROBABILITY
+        for option in rated
+        if option.atom.candidate.key != candidate.key and option.share > LEAST_PROBABILITY
     ]
     explained = bank.prediction(part.best.fit, term)
     return Finding(
@@ -264,17 +309,6 @@ def _stand_in(effect: Effect, joint: str) -> str:
         f"No effect of the catalogue holds on all recordings of {joint}; {words} fits best, with another strength "
         "on each, so it stands in for something else."
     )
-
-
-def _shares(part: Evidence, term: Atom) -> tuple[list[Atom], list[float]]:
-    """Who could stand in a term's place, and the share of the evidence that each has."""
-    options = alternatives(part.judge, part.best, term)
-    kept = {a.candidate.key for a in part.best.fit.terms if a is not term}
-    atoms = [next(a for a in s.fit.terms if a.candidate.key not in kept) for s in options]
-    untried = part.simulated.get(keys(part.best.fit.terms), 0.0)  # by the simulation: no better than the best
-    against = np.array([s.evidence + part.simulated.get(keys(s.fit.terms), untried) for s in options])
-    weights = np.exp(-0.5 * (against - against.min()))
-    return atoms, [float(w) for w in weights / weights.sum()]
 
 
 def _energy_share(part: Evidence, term: Atom) -> float:
