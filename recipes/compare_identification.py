@@ -51,6 +51,7 @@ def main(cfg: Config) -> None:
     judged = {folder: simulator for folder, simulator in found.items() if simulator.randomization is None}
     if not judged:
         raise SystemExit("none of the folders holds a simulator to compare. Make some: recipes/identify.py.")
+    refuse_twins(judged)
     results: list[Result] = []
     for folder, simulator in (bar := tqdm(judged.items())):
         bar.set_postfix_str(folder.name)
@@ -61,6 +62,19 @@ def main(cfg: Config) -> None:
     figure(results, examples(list(judged.values()), groups), cfg.output / "comparison.svg")
     print(table(results))
     print("numbers, table and figure:", cfg.output)
+
+
+def refuse_twins(judged: dict[Path, Simulator]) -> None:
+    """One method and seed counts once in a mean."""
+    seen: dict[tuple[str, int], Path] = {}
+    for folder, simulator in judged.items():
+        key = simulator.name, int(simulator.notes.get("seed", 0))
+        if key in seen:
+            raise SystemExit(
+                f"{seen[key]} and {folder} both hold seed {key[1]} of {key[0]!r}. Move one of them out of the way, or "
+                "name the folders to compare with --simulators."
+            )
+        seen[key] = folder
 
 
 def group_of(take: Recording) -> str:

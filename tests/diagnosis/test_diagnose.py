@@ -12,7 +12,7 @@ import pytest
 from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
-from torchrl_athletic.diagnosis.diagnose import BEHIND, ModelError, _decide, load_model
+from torchrl_athletic.diagnosis.diagnose import BEHIND, ModelError, _decide, _others, load_model
 from torchrl_athletic.diagnosis.gates import Evidence
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.effects import CATALOGUE
@@ -146,7 +146,7 @@ def test_the_simulation_decides_between_what_the_torques_leave_open(better, left
     errors = 10 * np.exp(0.01 * np.random.default_rng(0).normal(size=(2, 100, 1)))
     options = [Evidence(None, None), Evidence(None, None, behind, is_richer)]
     scores = [leaving(0.1), leaving(left)]
-    chosen, against = _decide(options, [errors[0], errors[1] * np.exp(-better)], scores, 0.5 * np.arange(100))
+    chosen, against, _ = _decide(options, [errors[0], errors[1] * np.exp(-better)], scores, 0.5 * np.arange(100))
     assert chosen == expected
     assert against[chosen] == 0 or expected == 0
 
@@ -210,8 +210,21 @@ def test_a_richer_law_that_is_not_taken_refutes_nothing():
     plain[[20, 200]] = 50.0
     options = [Evidence(None, None), Evidence(None, None, 0.0, True)]
     scores = [leaving(0.99), leaving(0.01)]
-    chosen, against = _decide(options, [plain, np.ones((400, 1))], scores, 0.5 * np.arange(400))
+    chosen, against, _ = _decide(options, [plain, np.ones((400, 1))], scores, 0.5 * np.arange(400))
     assert (chosen, against[0]) == (0, 0)
+
+
+def test_what_the_simulation_refutes_does_not_need_or_was_asked_about_alone_is_no_other_explanation():
+    def option(*names: str, alone: bool = False) -> Evidence:
+        terms = [SimpleNamespace(candidate=SimpleNamespace(key=(name, "hip"))) for name in names]
+        return Evidence(None, SimpleNamespace(fit=SimpleNamespace(terms=terms)), alone=alone)
+
+    found, gains, refuted, idle, late = (option(n) for n in ("rotor", "gains", "richer", "offset", "spring"))
+    both, stop = option("gains", "rotor"), option("stop", alone=True)
+    options = (found, gains, refuted, idle, both, stop, late)
+    needed = [{("rotor", "hip")}, {("gains", "hip")}, set(), set(), {("gains", "hip")}, {("stop", "hip")}]
+    assert _others(options, needed, 0) == (gains.best, both.best, late.best)  # that was not fitted for lack of time
+    assert _others(options, needed, 5) == ()
 
 
 @pytest.mark.parametrize(

@@ -146,29 +146,51 @@ def test_a_rival_that_was_not_simulated_gains_nothing_by_it(monkeypatch):
     assert shares["stribeck", "elbow"] / shares["coulomb", "elbow"] == pytest.approx(np.exp(-2.0))
 
 
-def test_another_combination_that_does_as_well_is_a_rival_of_each_term_that_it_does_without(monkeypatch):
-    rotor, lag, kept = atom("reflected_inertia"), atom("actuation_lag"), atom("payload", "wrist")
-    gains, elsewhere = atom("gain_mismatch"), atom("backlash", "wrist")
-    best = scored(100.0, rotor, lag, kept)
+def exchanged(monkeypatch, term, best, other, behind: float = 2.0) -> dict:
+    """Shares of who could stand in a term's place, where no single one could and another combination lies behind."""
     monkeypatch.setattr(gates, "alternatives", lambda *_: [best])
-    others = ((scored(0.0, gains, kept), 2.0), (scored(0.0, rotor, elsewhere), 0.0))
-    part = Evidence(None, best, others=others)
+    monkeypatch.setattr(gates, "as_rival", lambda judge, best, atoms: scored(best.evidence + behind, *atoms))
+    return {o.atom.candidate.key[0]: o.share for o in answer_set(Evidence(None, best, others=(other,)), term)}
+
+
+def test_an_effect_that_does_alone_what_several_do_is_a_rival_of_each(monkeypatch):
+    rotor, lag, kept, gains = atom("rotor"), atom("lag"), atom("payload", "wrist"), atom("gains")
+    best, other = scored(100.0, rotor, lag, kept), scored(0.0, gains, kept)
     for term in (rotor, lag):
-        shares = {o.atom.candidate.key: o.share for o in answer_set(part, term)}
-        assert set(shares) == {term.candidate.key, gains.candidate.key}  # play at the wrist stands in for neither
-        assert shares[gains.candidate.key] / shares[term.candidate.key] == pytest.approx(np.exp(-1.0))
-    shares = {o.atom.candidate.key: o.share for o in answer_set(part, kept)}
-    assert shares == {kept.candidate.key: 0.5, elsewhere.candidate.key: 0.5}
+        shares = exchanged(monkeypatch, term, best, other)
+        assert set(shares) == {term.candidate.key[0], "gains"}
+        assert shares["gains"] / shares[term.candidate.key[0]] == pytest.approx(np.exp(-1.0))
+    assert exchanged(monkeypatch, kept, best, other) == {"payload": 1.0}
 
 
-def test_a_combination_that_stands_in_for_one_term_is_weighed_once(monkeypatch):
-    term, rival = atom("coulomb"), atom("stribeck")
-    options = [scored(100.0, term), scored(102.0, rival)]
-    monkeypatch.setattr(gates, "alternatives", lambda *_: options)
-    shares = {
-        o.atom.candidate.key: o.share for o in answer_set(Evidence(None, options[0], others=((options[1], 7.0),)), term)
-    }
-    assert shares["stribeck", "elbow"] / shares["coulomb", "elbow"] == pytest.approx(np.exp(-1.0))
+def test_a_cause_of_the_whole_robot_is_a_rival_of_those_of_its_joints(monkeypatch):
+    delays, clock = [atom("delay", joint) for joint in ("hip", "knee")], atom("clock", None)
+    for delay in delays:
+        assert set(exchanged(monkeypatch, delay, scored(100.0, *delays), scored(0.0, clock))) == {"delay", "clock"}
+
+
+@pytest.mark.parametrize(
+    ("best", "other"),
+    [
+        ((atom("gains"),), (atom("rotor"), atom("lag"))),  # which of two would it be
+        ((atom("gains"), atom("offset")), (atom("rotor"), atom("lag"))),
+        ((atom("gains"), atom("play", "wrist")), (atom("rotor"),)),  # nor does one joint's speak for another's
+        ((atom("gains"), atom("offset")), (atom("offset"),)),
+        ((atom("gains"),), (atom("rotor"),)),  # that is in the list of those that stand in its place alone
+    ],
+)
+def test_other_combinations_are_no_rivals_where_no_single_name_stands_for_several(monkeypatch, best, other):
+    assert exchanged(monkeypatch, best[0], scored(100.0, *best), scored(0.0, *other)) == {"gains": 1.0}
+
+
+def test_what_the_simulation_says_of_another_combination_counts_as_well(monkeypatch):
+    rotor, lag, gains = atom("rotor"), atom("lag"), atom("gains")
+    best, other = scored(100.0, rotor, lag), scored(0.0, gains)
+    monkeypatch.setattr(gates, "alternatives", lambda *_: [best])
+    monkeypatch.setattr(gates, "as_rival", lambda judge, best, atoms: scored(best.evidence, *atoms))
+    part = Evidence(None, best, simulated={frozenset({("gains", "elbow")}): 2.0}, others=(other,))
+    shares = {o.atom.candidate.key[0]: o.share for o in answer_set(part, rotor)}
+    assert shares["gains"] / shares["rotor"] == pytest.approx(np.exp(-1.0))
 
 
 def test_equals_share_the_probability_and_odds_do_not_depend_on_the_level(monkeypatch):

@@ -100,6 +100,13 @@ def test_each_seed_of_a_diagnosis_has_a_folder_of_its_own_with_its_report_in_it(
         assert Simulator.load(own, ARM).notes["seed"] == seed
 
 
+def test_two_folders_of_one_method_and_seed_are_refused_by_name(folder, tmp_path):
+    for name in ("old", "new"):
+        Simulator("cem", ARM, notes={"seed": 1}).save(tmp_path / name)
+    with pytest.raises(SystemExit, match=r"old and .*new both hold seed 1 of 'cem'"):
+        compare.main(compare.Config(folder / "takes", (tmp_path / "old", tmp_path / "new"), tmp_path))
+
+
 def test_scores_are_kept_beside_a_simulator_until_it_or_the_question_changes(folder, monkeypatch):
     identify.main(config(folder, "default"))
     simulator, calls = folder / "found" / "default", []

@@ -424,11 +424,14 @@ class _Work:
         if not self.errors:
             return
         scored = [s["train"] for s in self.scores]
-        self.chosen, against = _decide(self.options, self.errors, scored, self.began)
+        self.chosen, against, taken = _decide(self.options, self.errors, scored, self.began)
+        needed = [
+            {c.key for c in (*f.hypothesis.terms, *f.hypothesis.trims) if t and c in _candidates(o)}
+            for o, f, t in zip(self.options, self.fits, taken, strict=False)
+        ]
         simulated = {keys(o.best.fit.terms): float(a) for o, a in zip(self.options, against, strict=False)}
-        total = [o.behind + float(a) for o, a in zip(self.options, against, strict=False)]
         self.options = tuple(
-            replace(o, simulated=simulated, others=_others(self.options, total, k)) for k, o in enumerate(self.options)
+            replace(o, simulated=simulated, others=_others(self.options, needed, k)) for k, o in enumerate(self.options)
         )
 
     def _start_over(self) -> None:
@@ -447,7 +450,10 @@ class _Work:
         known = {keys(o.best.fit.terms) for o in self.options}
         judge = self.options[0].judge
         alone = [s for s in singles(judge) if keys(s.fit.terms) not in known]
-        self.options = (*self.options[: len(self.fits)], *(Evidence(judge, s, BEHIND) for s in alone[:ALONE]))
+        self.options = (
+            *self.options[: len(self.fits)],
+            *(Evidence(judge, s, BEHIND, alone=True) for s in alone[:ALONE]),
+        )
         self._fit()
         self._compare()
 
@@ -644,8 +650,8 @@ def _trimmed(corrected: Simulation) -> tuple[str, ...]:
 
 def _decide(
     options: Sequence[Evidence], errors: Sequence[Array], scores: Sequence[Score], began: Array
-) -> tuple[int, Array]:
-    """Which option torques and simulation speak for, and what the simulation says against each.
+) -> tuple[int, Array, list[bool]]:
+    """Which option torques and simulation speak for, what the simulation says against each, and which are not refuted.
 
     Args:
         options: What was fitted, the preferred one first.
@@ -669,15 +675,32 @@ def _decide(
     best = min((e for e, t in zip(logs, taken, strict=True) if t), key=lambda e: float(e.mean()))
     against = np.array([_against(e - best) if t else CLOSE for e, t in zip(logs, taken, strict=True)])
     behind = np.array([o.behind if t else np.inf for o, t in zip(options, taken, strict=False)])
-    return int(np.argmin(against + behind)), against
+    return int(np.argmin(against + behind)), against, taken
 
 
-def _others(options: Sequence[Evidence], total: Sequence[float], own: int) -> tuple[tuple[Scored, float], ...]:
-    """The other combinations that were fitted, each with the evidence against it beside that of one of them."""
-    if own >= len(total):
+def _candidates(option: Evidence) -> list[Candidate]:
+    return [a.candidate for a in option.best.fit.terms]
+
+
+def _others(options: Sequence[Evidence], needed: Sequence[Collection[Key]], own: int) -> tuple[Scored, ...]:
+    """Combinations beside one of them that are not refuted, and of which the simulation needs what is new.
+
+    For effects that were asked about alone only the simulation speaks, and it has decided.
+
+    Args:
+        options: All of them.
+        needed: Terms that the simulation needs, as small as they may be, of each that was fitted; none of those that it
+            refutes.
+        own: Number of the one.
+    """
+    found = keys(options[own].best.fit.terms)
+    if options[own].alone:
         return ()
-    fitted = enumerate(zip(options, total, strict=False))
-    return tuple((option.best, against - total[own]) for k, (option, against) in fitted if k != own)
+    return tuple(
+        o.best
+        for k, o in enumerate(options)
+        if k != own and not o.alone and (k >= len(needed) or keys(o.best.fit.terms) - found <= set(needed[k]))
+    )
 
 
 def _misses(worse: Array, better: Array, floor: Array, began: Array) -> bool:

@@ -19,7 +19,7 @@ from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score, Verdict
 from torchrl_athletic.diagnosis.screen import Atom, Candidate, Key
-from torchrl_athletic.diagnosis.search import INVARIANT, Judge, Scored, alternatives, keys, scatter
+from torchrl_athletic.diagnosis.search import INVARIANT, Judge, Scored, alternatives, as_rival, keys, scatter
 from torchrl_athletic.effects import Effect, Parameter
 
 Array = NDArray[np.float64]
@@ -49,8 +49,8 @@ class StandIn:
     """Its name."""
     scored: Scored
     """The combination that has it."""
-    against: float
-    """Twice the log odds against that combination beside the one that was found."""
+    evidence: float
+    """Of torques and simulation against that combination; lower is better."""
     share: float = 0.0
     """Of the evidence among all that could stand there."""
 
@@ -65,11 +65,12 @@ class Evidence:
     """Evidence that the recordings' torques give against it, beside the first."""
     richer: bool = False
     """Whether it holds the first as a special case, which the simulation has to show to be too simple."""
+    alone: bool = False
+    """Whether it is an effect that was asked about alone, whatever the torques say."""
     simulated: Mapping[frozenset[Key], float] = field(default_factory=dict)
     """Combination -> twice the log odds that the simulation gives against it, for those that were fitted."""
-    others: tuple[tuple[Scored, float], ...] = ()
-    """Other combinations that were fitted, each with twice the log odds against it beside this one's, by torques and
-    simulation."""
+    others: tuple[Scored, ...] = ()
+    """Other combinations that neither torques nor simulation refute."""
 
     def left_of(self, candidate: Candidate) -> float:
         """The same where an effect acts: on its joint, or on the joint that is explained worst."""
@@ -128,29 +129,35 @@ def verdict_of(
 def answer_set(part: Evidence, term: Atom) -> list[StandIn]:
     """Who could stand in a term's place, itself included, with the share of the evidence that each has.
 
-    In its place alone stands another effect beside all other terms. Where quite another combination does as well, the
-    effect that it has there is a rival of each term that it does without: gains that are off, of a rotor with a lag.
+    Each other effect in its place, beside all other terms; and an effect that alone does what this term and others of
+    its joint do together, as gains that are off do of a rotor with a lag.
     """
     found = keys(part.best.fit.terms)
     beside = found - {term.candidate.key}
     replaced = alternatives(part.judge, part.best, term)
+    options = [(next(a for a in s.fit.terms if a.candidate.key not in beside), s) for s in replaced]
+    for other in part.others:
+        atom = _instead(part.best, other)
+        if atom is not None and term.candidate.key not in keys(other.fit.terms):
+            options.append((atom, as_rival(part.judge, part.best, other.fit.terms)))
     untried = part.simulated.get(found, 0.0)  # by the simulation: no better than the best
-    evidence = [s.evidence + part.simulated.get(keys(s.fit.terms), untried) for s in replaced]
-    own = next(e for s, e in zip(replaced, evidence, strict=True) if keys(s.fit.terms) == found)
-    of = {
-        keys(s.fit.terms): StandIn(next(a for a in s.fit.terms if a.candidate.key not in beside), s, e - own)
-        for s, e in zip(replaced, evidence, strict=True)
-    }
-    for scored, against in part.others:
-        new = [a for a in scored.fit.terms if a.candidate.key not in found]
-        new = [a for a in new if a.candidate.joint_name in (None, term.candidate.joint_name)]
-        if new and term.candidate.key not in keys(scored.fit.terms):
-            of.setdefault(keys(scored.fit.terms), StandIn(new[0], scored, against))
+    out = [StandIn(a, s, s.evidence + part.simulated.get(keys(s.fit.terms), untried)) for a, s in options]
     best: dict[Key, StandIn] = {}
-    for option in sorted(of.values(), key=lambda o: o.against):
+    for option in sorted(out, key=lambda o: o.evidence):
         best.setdefault(option.atom.candidate.key, option)
-    weights = np.exp(-0.5 * np.array([o.against - min(o.against for o in best.values()) for o in best.values()]))
+    least = min(o.evidence for o in best.values())
+    weights = np.exp(-0.5 * np.array([o.evidence - least for o in best.values()]))
     return [replace(o, share=float(w)) for o, w in zip(best.values(), weights / weights.sum(), strict=True)]
+
+
+def _instead(best: Scored, other: Scored) -> Atom | None:
+    """The only term that a combination has and the best has not, if it stands for several of its joint; else None."""
+    new = [a for a in other.fit.terms if a.candidate.key not in keys(best.fit.terms)]
+    gone = [a for a in best.fit.terms if a.candidate.key not in keys(other.fit.terms)]
+    if len(new) != 1 or len(gone) < 2:
+        return None
+    joints = {a.candidate.joint_name for a in (*new, *gone)} - {None}
+    return new[0] if new[0].candidate.joint_name is None or len(joints) == 1 else None
 
 
 def summarise(

@@ -358,9 +358,18 @@ def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
     return judge._alternatives[key]
 
 
-def _alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
+def as_rival(judge: Judge, best: Scored, atoms: Sequence[Atom]) -> Scored:
+    """A combination as :func:`alternatives` weighs it: by the independent samples that the best one's residual has."""
+    return judge.score(atoms, _independent(judge, best), RIVAL_PRICE)
+
+
+def _independent(judge: Judge, best: Scored) -> Array:
     samples = judge.bank.independent_samples(judge.bank.rows(best.fit))
-    independent = judge.independent * np.minimum(1.0, samples / np.maximum(judge.independent.sum(1), 1e-9))[:, None]
+    return judge.independent * np.minimum(1.0, samples / np.maximum(judge.independent.sum(1), 1e-9))[:, None]
+
+
+def _alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
+    independent = _independent(judge, best)
     rest = [a for a in best.fit.terms if a is not term]
     own = judge.score(best.fit.terms, independent, RIVAL_PRICE)
     out = {term.candidate.key: own}
