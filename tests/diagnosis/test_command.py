@@ -82,6 +82,17 @@ def test_every_flag_reaches_the_diagnosis(folder, asked, capsys):
     assert "The same command goes on from here." in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("weight", "said"), [(0.0, "new_recording.npz\n"), (0.5, "new_recording.npz --payload 0.5\n")])
+def test_how_the_diagnosis_goes_on_is_said_with_the_weight_that_the_plan_asks_for(
+    folder, monkeypatch, capsys, weight, said
+):
+    plan = SimpleNamespace(sentence="Swing the elbow alone.", payload=weight)
+    answer = Answer("nothing_missing", ("All is well.",))
+    monkeypatch.setattr(command, "diagnose", lambda *_, **__: SimpleNamespace(experiment=plan, answer=answer))
+    main(parsed("--model", "robot.xml", "--recordings", "train", "--output", "my out"))
+    assert f"--output 'my out' --continue {said}" in capsys.readouterr().out
+
+
 def test_what_was_fastened_goes_with_the_recordings_that_join_and_stays_with_them(folder, asked):
     flags = "--model robot.xml --recordings train --output there"
     main(parsed(*flags.split()))

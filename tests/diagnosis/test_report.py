@@ -236,7 +236,10 @@ def test_the_planned_experiment_is_given_with_its_file_and_how_to_go_on():
     page = Page(render(s.answer, (), (), "my out", experiment="Swing the elbow alone."))
     assert "Swing the elbow alone." in page.text
     assert "next_experiment.npz" in page.text
-    assert "--output 'my out' --continue" in page.code
+    assert "--output 'my out' --continue new_recording.npz" in page.code
+    assert "--payload" not in page.code
+    loaded = Page(render(s.answer, (), (), "my out", experiment="Swing the elbow alone.", payload=0.5))
+    assert "--continue new_recording.npz --payload 0.5" in loaded.code
     assert "next_experiment.npz" not in Page(text_of("arm")).text
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -109,8 +110,12 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
             diagnosis = hand_over(diagnosis, config.output)
         except ValueError as error:
             print(f"No UAN was trained: {error}\n")
-    plan = diagnosis.experiment.sentence if diagnosis.experiment else ""
-    print(terminal_summary(diagnosis.answer, plan))
+    plan = diagnosis.experiment
+    print(terminal_summary(diagnosis.answer, plan.sentence if plan else ""))
+    if plan:
+        weight = f" --payload {plan.payload:g}" if plan.payload else ""
+        command = f"python recipes/diagnose.py --output {shlex.quote(str(config.output))} --continue new_recording.npz"
+        print(f"With its recording the diagnosis goes on:\n  {command}{weight}")
     print(f"\nReport: {config.output / 'report.html'}")
     if not diagnosis.answer.complete:
         print("Stopped early. The same command goes on from here.")

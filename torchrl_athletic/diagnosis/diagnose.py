@@ -128,8 +128,8 @@ class Diagnosis:
         write_json(output / "corrected.json", {**self.corrected.to_json(), "model_xml": self.xml})
         write_atomically(output / "corrected.xml", corrected_xml(self.xml, self.corrected))
         write(self.experiment, output)
-        plan = self.experiment.sentence if self.experiment else ""
-        write_report(self.answer, self.maps, self.overlays, output / "report.html", self.nominal.model, plan)
+        plan, payload = (self.experiment.sentence, self.experiment.payload) if self.experiment else ("", 0.0)
+        write_report(self.answer, self.maps, self.overlays, output / "report.html", self.nominal.model, plan, payload)
 
     @classmethod
     def load(cls, output: str | Path, catalogue: Sequence[Effect] = CATALOGUE) -> Diagnosis:

@@ -81,6 +81,7 @@ def write_report(
     path: str | os.PathLike[str],
     model: mujoco.MjModel | None = None,
     experiment: str = "",
+    payload: float = 0.0,
 ) -> Path:
     """Write the page that shows ``answer``: one self-contained HTML file, no script, nothing loaded from anywhere.
 
@@ -92,6 +93,7 @@ def write_report(
             that a reader never sees half a page.
         model: The given model, for the picture of the robot; without it there is none.
         experiment: What the planned experiment asks for, in words, if ``next_experiment.npz`` lies beside the page.
+        payload: Mass that it asks to fasten [kg].
 
     Returns:
         ``path``.
@@ -102,7 +104,7 @@ def write_report(
         'report.html'
     """
     path = Path(path)
-    text = render(answer, maps, overlays, path.parent.name or ".", model, experiment)
+    text = render(answer, maps, overlays, path.parent.name or ".", model, experiment, payload)
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
         beside = Path(folder) / path.name
@@ -118,6 +120,7 @@ def render(
     folder: str = "OUT",
     model: mujoco.MjModel | None = None,
     experiment: str = "",
+    payload: float = 0.0,
 ) -> str:
     """The text of the page; ``folder`` is the name of the output folder in its examples."""
     import jinja2
@@ -155,6 +158,7 @@ def render(
         motion=_motion(answer, overlays, units),
         fit=[(split, _fit_rows(answer.fit[split], units)) for split in ("heldout", "train") if split in answer.fit],
         experiment=experiment,
+        fastened=f" --payload {payload:g}" if payload else "",
         command_file=COMMAND_FILE,
         next_takes=next_takes(answer),
         quality=_quality(answer.quality),
