@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from diagnosis.plants import pendulum, record, smooth_torque
 
-from torchrl_athletic.diagnosis.corrected import NATIVE, Simulation, corrected_xml, write_atomically, write_json
+from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
+from torchrl_athletic.diagnosis.corrected_xml import DRIVE, NATIVE, corrected_xml
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate
 from torchrl_athletic.effects import CATALOGUE, JointAddress, Plant
+from torchrl_athletic.robots import from_mjcf
 from torchrl_athletic.robots.benches import two_link_arm
 
 EFFECTS = {e.name: e for e in (*CATALOGUE, *FIT_TRIMS)}
@@ -106,6 +108,87 @@ def test_mjcf_alone_moves_as_the_corrected_simulation_when_it_can_say_all(name, 
     assert "not expressed" not in xml
 
 
+DRIVE_TERMS = {name: MEMORY_TERMS[name] for name in DRIVE}
+MOTOR = '<motor joint="pendulum" gear="2" ctrlrange="-1 1"/>'
+SERVO = '<position joint="pendulum" kp="6" kv="0.4"/>'
+
+
+def by_actuator(xml: str, command: np.ndarray, start: float, rate: float = 100.0) -> np.ndarray:
+    """Positions of a plain loop that tells the actuator each command for one sample. Shape (T, 1)."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    data.qpos[:], position = start, []
+    for u in command:
+        position.append(data.qpos.copy())
+        for _ in range(round(1 / rate / model.opt.timestep)):
+            data.ctrl[:] = u
+            mujoco.mj_step(model, data)
+    return np.array(position)
+
+
+@pytest.mark.parametrize("names", [*((name,) for name in sorted(DRIVE)), tuple(sorted(DRIVE))], ids="-".join)
+def test_a_motor_of_mjcf_moves_the_robot_as_the_corrected_drive_does(names):
+    given = pendulum().replace('<motor joint="pendulum"/>', MOTOR)
+    simulation = corrected({name: DRIVE_TERMS[name] for name in names}, xml=given)
+    xml = corrected_xml(given, simulation, "torques")
+    assert "not expressed" not in xml
+    torque = smooth_torque(3.0)
+    torque[:10] = 0.0  # what a line holds before is nothing to MuJoCo, and the first command to a replay
+    r = record(given, torque, start=0.3, noise=0.0)
+    moved = by_actuator(xml, torque / 2, 0.3)
+    np.testing.assert_allclose(moved, simulation.rollout(r, None), rtol=0, atol=5e-3)  # half a step
+    assert np.abs(moved - by_actuator(given, torque / 2, 0.3)).max() > 3e-2
+
+
+def test_a_servo_of_mjcf_takes_a_late_target_and_a_limit_but_no_scale_nor_lag():
+    given = pendulum().replace('<motor joint="pendulum"/>', SERVO)
+    simulation = corrected({"actuation_delay": [0.03], "torque_saturation": [0.5], "torque_offset": [0.2]}, xml=given)
+    target = 0.5 * smooth_torque(3.0)
+    target[:10] = 0.0
+    gains = {"kp": np.array([6.0]), "kd": np.array([0.4])}
+    r = record(given, target, noise=0.0, **gains)
+    xml = corrected_xml(given, simulation, "targets")
+    moved = by_actuator(xml, target, 0.0)
+    np.testing.assert_allclose(moved, simulation.rollout(r, None), rtol=0, atol=3e-3)
+    assert np.abs(moved - by_actuator(given, target, 0.0)).max() > 3e-2
+    assert "not expressed" not in xml
+    both = corrected_xml(given, corrected({"torque_scale": [1.2], "actuation_lag": [0.02]}, xml=given), "targets")
+    assert "torque_scale of pendulum" in both
+    assert "actuation_lag of pendulum" in both
+    assert from_mjcf(both, torque_limit=5.0).kp == (6.0,)
+
+
+@pytest.mark.parametrize(
+    "actuators",
+    [
+        "",
+        '<motor joint="pendulum"/><motor joint="pendulum"/>',
+        '<velocity joint="pendulum" kv="1"/>',
+        '<intvelocity joint="pendulum" kp="1" actrange="-1 1"/>',
+    ],
+)
+def test_what_no_single_motor_or_servo_drives_keeps_its_drive_in_json(actuators):
+    given = pendulum().replace('<motor joint="pendulum"/>', actuators)
+    xml = corrected_xml(given, corrected(DRIVE_TERMS, xml=given), "torques")
+    assert {name for name in DRIVE if f"{name} of pendulum" in xml} == set(DRIVE)
+
+
+@pytest.mark.parametrize("commands", [None, "targets"])
+def test_a_delay_is_not_given_to_an_actuator_that_takes_other_commands_than_were_late(commands):
+    xml = corrected_xml(pendulum(), corrected({"actuation_delay": [0.02]}), commands)
+    assert "actuation_delay of pendulum" in xml
+    assert mujoco.MjModel.from_xml_string(xml).actuator_delay == pytest.approx([0.0])
+
+
+def test_limits_that_are_there_stay_and_a_constant_torque_makes_no_servo():
+    given = pendulum(joint='actuatorfrcrange="-0.4 0.3"').replace('<motor joint="pendulum"/>', MOTOR)
+    terms = {"torque_saturation": [0.35], "torque_scale": [0.8], "torque_offset": [0.1]}
+    model = mujoco.MjModel.from_xml_string(corrected_xml(given, corrected(terms, xml=given)))
+    assert model.jnt_actfrcrange[0] == pytest.approx([-0.18, 0.3])
+    assert model.actuator_forcerange[0] == pytest.approx([-1.0, 1.0])
+    assert from_mjcf(corrected_xml(given, corrected(terms, xml=given))).kp == (0.0,)
+
+
 def test_dry_friction_brings_its_stiffness_into_mjcf():
     model = mujoco.MjModel.from_xml_string(corrected_xml(pendulum(), corrected({"coulomb_friction": [0.1, 0.0]})))
     assert model.dof_frictionloss == pytest.approx([0.1])
@@ -153,7 +236,8 @@ def turned(quat: np.ndarray, moments: np.ndarray) -> np.ndarray:
 
 
 def test_what_mjcf_cannot_say_or_not_wholly_is_named_in_a_comment():
-    xml = corrected_xml(pendulum(), corrected({**NATIVE_TERMS, **PART_TERMS, **MEMORY_TERMS}))
+    given = pendulum().replace('<motor joint="pendulum"/>', "")
+    xml = corrected_xml(given, corrected({**NATIVE_TERMS, **PART_TERMS, **MEMORY_TERMS}, xml=given))
     head = xml[: xml.index("-->")]
     for said, terms in (("not expressed", MEMORY_TERMS), ("in part only", PART_TERMS)):
         assert {n for n in EFFECTS if f"{said} here, see corrected.json: {n} of pendulum" in head} == set(terms)

@@ -10,7 +10,8 @@ from tensordict import TensorDict
 from torchrl.envs import Compose, Transform, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml
+from torchrl_athletic.diagnosis.corrected import Simulation
+from torchrl_athletic.diagnosis.corrected_xml import corrected_xml
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.replay import take_of
 from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate

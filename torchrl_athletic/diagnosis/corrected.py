@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate
-from torchrl_athletic.effects import CATALOGUE, Effect, JointAddress, Plant
+from torchrl_athletic.effects import CATALOGUE, Effect, JointAddress
 from torchrl_athletic.effects.base import Base, held_base
 from torchrl_athletic.recordings import Recording, sensor_noise
 from torchrl_athletic.recordings.quality import with_known_base
@@ -118,92 +118,6 @@ class Simulation:
             groups.append(tuple(candidates))
         base = content.get("base", "recorded")
         return cls(model, names, Hypothesis(*groups), np.array(values, dtype=np.float64), base)
-
-
-def corrected_xml(xml: str, simulation: Simulation) -> str:
-    """The model with what MJCF can say of the correction.
-
-    Friction loss with its softness, damping, armature, stiffness and spring reference of joints; mass, centre of mass
-    and inertia of links, payloads included; gravity.
-
-    What it cannot say (delay, lag, scale, offset and limits of torques, gears, encoders, gains, most laws of friction)
-    is listed in a comment and stands in ``corrected.json``. An effect that it can say in part, such as the breakaway
-    torque of Stribeck friction, stands in both.
-    """
-    spec = mujoco.MjSpec.from_string(xml)
-    plant = _plant(simulation)
-    for j, name in enumerate(simulation.joint_names):
-        _write_joint(spec.joint(name), plant, j, spec.compiler.degree)
-    for body in range(1, simulation.model.nbody):
-        _write_link(spec.bodies[body], plant, body)
-    if "opt.gravity" in plant.fields:
-        spec.option.gravity = plant.fields["opt.gravity"][0]
-    spec.compile()
-    note = "".join(
-        f"\n  {'in part only' if _plant(simulation, c).fields else 'not expressed'} here, see corrected.json: "
-        f"{c.effect.name} of {c.where}"
-        for c in (*simulation.hypothesis.terms, *simulation.hypothesis.trims)
-        if c.effect.name not in NATIVE
-    )
-    return f"<!-- corrected by torchrl_athletic{note.replace('--', '- -')} -->\n{spec.to_xml()}"
-
-
-NATIVE = frozenset(
-    {
-        "coulomb_friction",
-        "gravity_tilt",
-        "joint_spring",
-        "link_com",
-        "link_com_shift",
-        "link_inertia",
-        "link_mass",
-        "payload",
-        "reflected_inertia",
-        "viscous_friction",
-    }
-)
-"""Effects that MJCF can say."""
-
-
-def _plant(simulation: Simulation, only: Candidate | None = None) -> Plant:
-    """One simulation with the correction in it, or with one effect of it."""
-    plant = Plant(simulation.model, JointAddress.of(simulation.model, simulation.joint_names), 1)
-    if only is None:
-        simulation.hypothesis.build(plant, simulation.values[None])
-    else:
-        only.effect.apply(plant, only.joint, simulation.hypothesis.values_of(only, simulation.values)[None])
-    return plant
-
-
-def _write_joint(joint: Any, plant: Plant, j: int, degrees: bool) -> None:
-    """``degrees``: whether the model's angles are in degrees."""
-    fields, dof, index = plant.fields, plant.address.dof[j], plant.address.joint[j]
-    if "dof_frictionloss" in fields:
-        joint.frictionloss = float(fields["dof_frictionloss"][0, dof])
-        joint.solref_friction, joint.solimp_friction = fields["dof_solref"][0, dof], fields["dof_solimp"][0, dof]
-    if "dof_damping" in fields:
-        joint.damping[0] = np.ravel(fields["dof_damping"][0, dof])[0]
-    if "dof_armature" in fields:
-        joint.armature = float(fields["dof_armature"][0, dof])
-    if "jnt_stiffness" in fields:
-        joint.stiffness[0] = np.ravel(fields["jnt_stiffness"][0, index])[0]
-        rest = float(fields["qpos_spring"][0, plant.address.qpos[j]])
-        turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE
-        joint.springref = np.degrees(rest) if turns and degrees else rest
-
-
-def _write_link(link: Any, plant: Plant, body: int) -> None:
-    """Mass, centre of mass and principal moments, where they changed."""
-    names = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
-    given = [getattr(plant.model, name)[body] for name in names]
-    corrected = [
-        plant.fields[name][0, body] if name in plant.fields else value for name, value in zip(names, given, strict=True)
-    ]
-    if all(np.array_equal(c, g) for c, g in zip(corrected, given, strict=True)):
-        return
-    link.mass, link.ipos, link.iquat, link.inertia = float(corrected[0]), *corrected[1:]
-    link.fullinertia = [np.nan, 0, 0, 0, 0, 0]  # which would count instead
-    link.explicitinertial = True
 
 
 def write_atomically(path: Path, text: str) -> None:

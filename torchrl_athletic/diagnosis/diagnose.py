@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.checkpoint import Checkpoint, inputs_digest
 from torchrl_athletic.diagnosis.compare import follows, harms, open_share, score
-from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml, write_atomically, write_json
+from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
+from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml
 from torchrl_athletic.diagnosis.experiment import Experiment, next_experiment, write
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, idle_terms, without
 from torchrl_athletic.diagnosis.gates import Evidence, judge_findings, summarise, verdict_of
@@ -107,6 +108,12 @@ class Diagnosis:
             limits = replace(Limits.of(self.evidence[0].judge.bank.takes), frequency=self.highest_frequency)
         return next_experiment(self.evidence, self.answer.findings, limits, self.xml)
 
+    @property
+    def _commands(self) -> Commands | None:
+        """What was recorded as commands, if all recordings agree."""
+        kinds = {r.position_target is None for r in self.recordings}
+        return None if len(kinds) != 1 else "torques" if kinds.pop() else "targets"
+
     @cached_property
     def overlays(self) -> tuple[Overlay, ...]:
         """Recorded and simulated positions of some recordings."""
@@ -126,7 +133,7 @@ class Diagnosis:
         output = Path(output)
         write_json(output / "diagnosis.json", self.answer.to_json())
         write_json(output / "corrected.json", {**self.corrected.to_json(), "model_xml": self.xml})
-        write_atomically(output / "corrected.xml", corrected_xml(self.xml, self.corrected))
+        write_atomically(output / "corrected.xml", corrected_xml(self.xml, self.corrected, self._commands))
         write(self.experiment, output)
         plan, payload = (self.experiment.sentence, self.experiment.payload) if self.experiment else ("", 0.0)
         write_report(self.answer, self.maps, self.overlays, output / "report.html", self.nominal.model, plan, payload)

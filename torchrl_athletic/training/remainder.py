@@ -15,7 +15,8 @@ from torchrl.envs import Transform
 
 from torchrl_athletic.diagnosis import Diagnosis, Score
 from torchrl_athletic.diagnosis.compare import score
-from torchrl_athletic.diagnosis.corrected import Simulation, corrected_xml
+from torchrl_athletic.diagnosis.corrected import Simulation
+from torchrl_athletic.diagnosis.corrected_xml import corrected_xml
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.replay import SHORTEST

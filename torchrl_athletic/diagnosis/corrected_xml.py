@@ -1,0 +1,174 @@
+"""The corrected model as MJCF: what MuJoCo can say natively."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal, TypeAlias
+
+import mujoco
+import numpy as np
+
+from torchrl_athletic.diagnosis.corrected import Simulation
+from torchrl_athletic.diagnosis.screen import Candidate, Key
+from torchrl_athletic.effects import JointAddress, Plant
+
+Commands: TypeAlias = Literal["torques", "targets"]
+
+
+def corrected_xml(xml: str, simulation: Simulation, commands: Commands | None = None) -> str:
+    """The model with what MJCF can say of the correction.
+
+    Friction loss with its softness, damping, armature, stiffness and spring reference of joints; mass, centre of mass
+    and inertia of links, payloads included; gravity. Where one actuator without a state of its own drives a joint:
+    offset and limit of its torque; of a motor scale and lag, too; and the delay, where the actuator takes what was
+    recorded as the command. This package drives joints past actuators, by ``corrected.json``, so that none acts twice.
+
+    What is not said (limits by speed, gears, encoders, gains, most laws of friction) is listed in a comment and stands
+    in ``corrected.json``. An effect that is said in part, such as the breakaway torque of Stribeck friction, stands in
+    both.
+
+    Args:
+        xml: The given model.
+        simulation: The corrected one.
+        commands: Whether torques or position targets were recorded as commands; None leaves delays out.
+    """
+    spec = mujoco.MjSpec.from_string(xml)
+    plant = _plant(simulation)
+    said: set[Key] = set()
+    for j, name in enumerate(simulation.joint_names):
+        _write_joint(spec.joint(name), plant, j, spec.compiler.degree)
+        said |= {(effect, name) for effect in _write_drive(spec, name, _drive_of(simulation, name), commands)}
+    for body in range(1, simulation.model.nbody):
+        _write_link(spec.bodies[body], plant, body)
+    if "opt.gravity" in plant.fields:
+        spec.option.gravity = plant.fields["opt.gravity"][0]
+    spec.compile()
+    note = "".join(
+        f"\n  {'in part only' if _plant(simulation, c).fields else 'not expressed'} here, see corrected.json: "
+        f"{c.effect.name} of {c.where}"
+        for c in (*simulation.hypothesis.terms, *simulation.hypothesis.trims)
+        if c.effect.name not in NATIVE and c.key not in said
+    )
+    return f"<!-- corrected by torchrl_athletic{note.replace('--', '- -')} -->\n{spec.to_xml()}"
+
+
+NATIVE = frozenset(
+    {
+        "coulomb_friction",
+        "gravity_tilt",
+        "joint_spring",
+        "link_com",
+        "link_com_shift",
+        "link_inertia",
+        "link_mass",
+        "payload",
+        "reflected_inertia",
+        "viscous_friction",
+    }
+)
+"""Effects that MJCF can say of any model."""
+DRIVE = ("torque_scale", "torque_offset", "torque_saturation", "actuation_lag", "actuation_delay")
+"""Effects that it can say of an actuator."""
+
+
+def _plant(simulation: Simulation, only: Candidate | None = None) -> Plant:
+    """One simulation with the correction in it, or with one effect of it."""
+    plant = Plant(simulation.model, JointAddress.of(simulation.model, simulation.joint_names), 1)
+    if only is None:
+        simulation.hypothesis.build(plant, simulation.values[None])
+    else:
+        only.effect.apply(plant, only.joint, simulation.hypothesis.values_of(only, simulation.values)[None])
+    return plant
+
+
+def _write_joint(joint: Any, plant: Plant, j: int, degrees: bool) -> None:
+    """``degrees``: whether the model's angles are in degrees."""
+    fields, dof, index = plant.fields, plant.address.dof[j], plant.address.joint[j]
+    if "dof_frictionloss" in fields:
+        joint.frictionloss = float(fields["dof_frictionloss"][0, dof])
+        joint.solref_friction, joint.solimp_friction = fields["dof_solref"][0, dof], fields["dof_solimp"][0, dof]
+    if "dof_damping" in fields:
+        joint.damping[0] = np.ravel(fields["dof_damping"][0, dof])[0]
+    if "dof_armature" in fields:
+        joint.armature = float(fields["dof_armature"][0, dof])
+    if "jnt_stiffness" in fields:
+        joint.stiffness[0] = np.ravel(fields["jnt_stiffness"][0, index])[0]
+        rest = float(fields["qpos_spring"][0, plant.address.qpos[j]])
+        turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE
+        joint.springref = np.degrees(rest) if turns and degrees else rest
+
+
+def _drive_of(simulation: Simulation, joint: str) -> dict[str, float]:
+    """Effect -> value, of those that a joint's actuator may say."""
+    h = simulation.hypothesis
+    own = (c for c in (*h.terms, *h.trims) if c.joint_name == joint and c.effect.name in DRIVE)
+    return {c.effect.name: float(h.values_of(c, simulation.values)[0]) for c in own}
+
+
+def _write_drive(spec: mujoco.MjSpec, name: str, of: Mapping[str, float], commands: Commands | None) -> set[str]:
+    """Put a drive's effects into the joint's actuator, if there is one that can take them. Returns those it took."""
+    own = [a for a in spec.actuators if a.target == name and a.trntype == mujoco.mjtTrn.mjTRN_JOINT]
+    takes = _commands_of(own[0]) if len(own) == 1 else None
+    if takes is None:
+        return set()
+    (actuator,), said = own, set()
+    if "torque_offset" in of:
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.biasprm[0] += of["torque_offset"] / actuator.gear[0]
+        said.add("torque_offset")
+    if "torque_scale" in of and takes == "torques":  # a servo's gains are its own
+        _keep_range(actuator)
+        actuator.gainprm[0] *= of["torque_scale"]
+        said.add("torque_scale")
+    if "torque_saturation" in of and (takes == "torques" or "torque_scale" not in of):
+        _limit(spec.joint(name), of["torque_saturation"], of.get("torque_scale", 1.0), of.get("torque_offset", 0.0))
+        said.add("torque_saturation")
+    if "actuation_lag" in of and takes == "torques":
+        actuator.dyntype, actuator.dynprm[0] = mujoco.mjtDyn.mjDYN_FILTEREXACT, of["actuation_lag"]
+        said.add("actuation_lag")
+    if "actuation_delay" in of and takes == commands:
+        actuator.delay = of["actuation_delay"]
+        actuator.nsample = max(1, int(np.ceil(actuator.delay / spec.option.timestep)))
+        said.add("actuation_delay")
+    return said
+
+
+def _commands_of(actuator: Any) -> Commands | None:
+    """What an actuator without a state of its own is told: torques, or the position that it holds; None of others."""
+    stateless = actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE and actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+    if not stateless or not actuator.gear[0]:
+        return None
+    if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
+        return "torques"
+    return "targets" if actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and actuator.biasprm[1] else None
+
+
+def _limit(joint: Any, limit: float, scale: float, offset: float) -> None:
+    """Limit the torque that is commanded, before scale and offset."""
+    low, high = offset - scale * limit, offset + scale * limit
+    if joint.actfrclimited != mujoco.mjtLimited.mjLIMITED_FALSE and np.ptp(joint.actfrcrange):
+        low, high = max(low, joint.actfrcrange[0]), min(high, joint.actfrcrange[1])
+    joint.actfrcrange, joint.actfrclimited = [low, high], mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+def _keep_range(actuator: Any) -> None:
+    """A motor's range is that of its command; what its torque is scaled to has the same."""
+    unlimited = actuator.forcelimited == mujoco.mjtLimited.mjLIMITED_FALSE or not np.ptp(actuator.forcerange)
+    of_command = actuator.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE and np.ptp(actuator.ctrlrange) > 0
+    if unlimited and of_command:
+        actuator.forcerange = np.sort(actuator.gainprm[0] * np.asarray(actuator.ctrlrange))
+        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+def _write_link(link: Any, plant: Plant, body: int) -> None:
+    """Mass, centre of mass and principal moments, where they changed."""
+    names = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
+    given = [getattr(plant.model, name)[body] for name in names]
+    corrected = [
+        plant.fields[name][0, body] if name in plant.fields else value for name, value in zip(names, given, strict=True)
+    ]
+    if all(np.array_equal(c, g) for c, g in zip(corrected, given, strict=True)):
+        return
+    link.mass, link.ipos, link.iquat, link.inertia = float(corrected[0]), *corrected[1:]
+    link.fullinertia = [np.nan, 0, 0, 0, 0, 0]  # which would count instead
+    link.explicitinertial = True
