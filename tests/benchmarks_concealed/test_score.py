@@ -167,3 +167,36 @@ def test_gains_are_viscous_friction_only_where_kd_alone_is_too_large():
         return numbers([r])["single"]["name"][0]
 
     assert [named(1.01, 1.3), named(0.8, 1.3), named(1.01, 0.8)] == [1.0, 0.0, 0.0]
+
+
+def test_a_wrong_name_of_exactly_one_half_is_counted_apart():
+    n = numbers([row("single", [FRICTION], [said("backlash", "elbow", 0.5)])])["single"]
+    assert n["wrong_name_over_half"] == [0.0, 1]
+    assert n["wrong_name_half_or_more"] == [1.0, 1]
+
+
+def test_what_stands_in_for_physics_outside_the_catalogue_is_listed_with_what_it_leaves():
+    parts = {"elbow": {"after": 4e-3, "floor": 2e-3}, "wrist": {"after": 3e-3, "floor": 1e-3}}
+    fit = {"heldout": {"share_closed": 0.9, "per_joint": parts}}
+    mistaken, admitted = (
+        row("outside", [FRICTION], [said("backlash", "elbow", p)], verdict=verdict)
+        for p, verdict in ((0.9, "explained"), (0.4, "partly_explained"))
+    )
+    mistaken = replace(mistaken, result={**mistaken.result, "answer": {**mistaken.result["answer"], "fit": fit}})
+    n = numbers([mistaken, admitted])
+    assert n["open_set"]["both"] == [0.5, 2]
+    [listed] = n["open_set"]["mistaken"]
+    assert listed["over_floor"] == {"train": None, "heldout": 3.0}
+    assert "| coulomb_friction | backlash | 0.90 | explained | - | 3.0 |" in tables([mistaken, admitted], n)
+
+
+def test_six_joints_that_took_long_and_another_excitation_have_figures_of_their_own():
+    slow, quick = (
+        replace(r, result={**r.result, "joints": 6, "seconds": seconds})
+        for r, seconds in ((row("heldout", [FRICTION], [said("coulomb_friction", "elbow")]), 150.0),
+                           (row("single", [FRICTION], []), 60.0))
+    )  # fmt: skip
+    n = numbers([slow, quick, row("single", [FRICTION], [])])
+    assert n["six_joints_over_120_s"] == [0.5, 2]
+    assert n["single"]["heldout_excitation"] == [1.0, 1]
+    assert n["single"]["name"] == [0.3333, 3]
