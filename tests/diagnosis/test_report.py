@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from diagnosis.sample import ARM, SAMPLES, Sample, arm, partial, slider, unexplained
 
-from torchrl_athletic.diagnosis.report import write_report
+from torchrl_athletic.diagnosis.report import terminal_summary, write_report
 from torchrl_athletic.diagnosis.report.page import render
 from torchrl_athletic.diagnosis.report.words import lead, next_takes, would_change
 from torchrl_athletic.diagnosis.result import Answer, Estimate
@@ -229,6 +229,14 @@ def test_what_a_parameter_chooses_has_no_interval():
     stop = replace(s.answer.findings[0], parameters={"side": Estimate(1.0, (1.0, 1.0), "1")})
     rows = {row[0]: row[1:] for row in Page(render(replace(s.answer, findings=(stop,)), (), ())).rows}
     assert rows["Side"][1] == ""
+
+
+def test_a_finding_is_only_as_sure_as_the_catalogue_is_whole():
+    said = "holds where the catalogue has the physics"
+    s = arm()
+    for answer, there in ((s.answer, True), (replace(s.answer, findings=()), False)):
+        assert (said in Page(render(answer, (), ())).text) is there
+        assert (said in " ".join(terminal_summary(answer).split())) is there
 
 
 def test_the_planned_experiment_is_given_with_its_file_and_how_to_go_on():

@@ -44,6 +44,7 @@ from torchrl_athletic.diagnosis.report.telling import (
     telling_window,
 )
 from torchrl_athletic.diagnosis.report.words import (
+    IF_KNOWN,
     besides,
     grounds_words,
     joints_and_regimes,
@@ -150,6 +151,7 @@ def render(
         lead=lead(answer),
         besides=besides(answer),
         would_change=would_change(answer),
+        if_known=IF_KNOWN,
         robot=_robot(answer, model),
         where=joints_and_regimes(answer.locations),
         hero=_hero(answer, units),

@@ -14,6 +14,7 @@ from torchrl_athletic.diagnosis.report.quantity import (
     share_closed,
 )
 from torchrl_athletic.diagnosis.report.words import (
+    IF_KNOWN,
     besides,
     joints_and_regimes,
     lead,
@@ -82,6 +83,8 @@ def _findings(answer: Answer) -> Iterator[str]:
             yield _row(f"  or {words(rival.effect)}, {place(rival.joint)}", percent(rival.probability))
             for sentence in same_as(rival, answer):
                 yield _wrapped(sentence, "    ", "    ")
+    if answer.findings:
+        yield _wrapped(IF_KNOWN, "  ", "  ")
 
 
 def _parameters(finding: Finding) -> Iterator[str]:

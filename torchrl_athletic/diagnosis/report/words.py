@@ -23,6 +23,9 @@ def verdict_words(answer: Answer) -> tuple[str, str]:
     return _VERDICTS[answer.verdict]
 
 
+IF_KNOWN = "How sure it is holds where the catalogue has the physics; where it has not, another name can fit as well."
+
+
 def lead(answer: Answer) -> list[str]:
     """The answer in at most three sentences: what is missing, where it shows, how much better the correction fits."""
     told = [f.sentence for f in answer.findings if f.sentence in answer.summary]
