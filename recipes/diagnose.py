@@ -1,6 +1,6 @@
 """Say what physics a MuJoCo model leaves out, from recordings of the real robot.
 
-python recipes/diagnose.py                    # demo: an arm that hides one effect; no data, a minute, 0.6 GB
+python recipes/diagnose.py                    # demo: an arm that hides one effect; no data, a minute, 0.4 GB
 python recipes/diagnose.py --dataset emps     # a public recording of a real bench
 python recipes/diagnose.py --model robot.xml --recordings train/ --heldout heldout/ --output out/
 python recipes/diagnose.py --uan              # and teach a net what no named physics explains: two minutes more

@@ -10,7 +10,8 @@ import pytest
 
 from torchrl_athletic.diagnosis import Answer, Finding, Location, Rival, Score
 from torchrl_athletic.diagnosis.calibration import Grounds
-from torchrl_athletic.diagnosis.corrected import NATIVE, SCHEMA
+from torchrl_athletic.diagnosis.corrected import SCHEMA
+from torchrl_athletic.diagnosis.corrected_xml import DRIVE, NATIVE
 from torchrl_athletic.diagnosis.result import SCHEMA as ANSWER_SCHEMA
 from torchrl_athletic.diagnosis.screen import FIT_TRIMS, TRIMS
 from torchrl_athletic.diagnosis.search import DECISIVE, MISFIT, TERM
@@ -82,4 +83,7 @@ def test_schemas_and_what_mjcf_can_say():
         "joint_spring": "spring",
     }
     assert set(words) == NATIVE
-    assert all(word in FILES for word in words.values())
+    assert set(DRIVE) == {f"torque_{word}" for word in ("scale", "offset", "saturation")} | {
+        f"actuation_{word}" for word in ("lag", "delay")
+    }
+    assert all(word in FILES for word in (*words.values(), "offset", "limit of its torque", "scale", "lag", "`delay`"))
