@@ -232,7 +232,7 @@ def test_what_a_parameter_chooses_has_no_interval():
 
 
 def test_a_finding_is_only_as_sure_as_the_catalogue_is_whole():
-    said = "holds where the catalogue has the physics"
+    said = "hold if the physics is in the catalogue"
     s = arm()
     for answer, there in ((s.answer, True), (replace(s.answer, findings=()), False)):
         assert (said in Page(render(answer, (), ())).text) is there

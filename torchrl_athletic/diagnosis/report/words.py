@@ -23,7 +23,7 @@ def verdict_words(answer: Answer) -> tuple[str, str]:
     return _VERDICTS[answer.verdict]
 
 
-IF_KNOWN = "How sure it is holds where the catalogue has the physics; where it has not, another name can fit as well."
+IF_KNOWN = "These percentages hold if the physics is in the catalogue; if it is not, another name can fit as well."
 
 
 def lead(answer: Answer) -> list[str]:
