@@ -231,6 +231,13 @@ def test_what_a_parameter_chooses_has_no_interval():
     assert rows["Side"][1] == ""
 
 
+def test_shares_of_the_data_are_percentages_not_a_programs_words():
+    answer = replace(arm().answer, quality={"used_share": {"shoulder": 1.0, "elbow": 0.5}, "drive": "command"})
+    text = Page(render(answer, (), ())).text
+    assert "shoulder 100 %, elbow 50 %" in text
+    assert "{" not in text
+
+
 def test_a_finding_is_only_as_sure_as_the_catalogue_is_whole():
     said = "hold if the physics is in the catalogue"
     s = arm()

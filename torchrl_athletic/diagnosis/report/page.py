@@ -350,8 +350,17 @@ def _quality(quality: Mapping[str, Any]) -> dict[str, Any]:
         "recordings": recordings,
         "total": quantity(sum(float(r.get("duration", 0.0)) for r in quality.get("recordings", ())), "s"),
         "warnings": [str(w) for w in quality.get("warnings", ())],
-        "notes": {title(str(k)): str(v) for k, v in quality.items() if k not in known and v not in (None, "", [], {})},
+        "notes": {
+            title(str(k)): _note(v) for k, v in quality.items() if k not in known and v not in (None, "", [], {})
+        },
     }
+
+
+def _note(value: Any) -> str:
+    """A remark of the quality control; shares by joint as percentages."""
+    if isinstance(value, Mapping) and all(isinstance(v, float) for v in value.values()):
+        return ", ".join(f"{name} {percent(v)}" for name, v in value.items())
+    return str(value)
 
 
 def _together(value: Any) -> Any:
