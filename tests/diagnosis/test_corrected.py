@@ -126,7 +126,11 @@ def by_actuator(xml: str, command: np.ndarray, start: float, rate: float = 100.0
     return np.array(position)
 
 
-@pytest.mark.parametrize("names", [*((name,) for name in sorted(DRIVE)), tuple(sorted(DRIVE))], ids="-".join)
+@pytest.mark.parametrize(
+    "names",
+    [*((name,) for name in sorted(DRIVE)), *(tuple(n for n in sorted(DRIVE) if n != left) for left in DRIVE[1:3])],
+    ids="-".join,
+)
 def test_a_motor_of_mjcf_moves_the_robot_as_the_corrected_drive_does(names):
     given = pendulum().replace('<motor joint="pendulum"/>', MOTOR)
     simulation = corrected({name: DRIVE_TERMS[name] for name in names}, xml=given)
@@ -142,7 +146,7 @@ def test_a_motor_of_mjcf_moves_the_robot_as_the_corrected_drive_does(names):
 
 def test_a_servo_of_mjcf_takes_a_late_target_and_a_limit_but_no_scale_nor_lag():
     given = pendulum().replace('<motor joint="pendulum"/>', SERVO)
-    simulation = corrected({"actuation_delay": [0.03], "torque_saturation": [0.5], "torque_offset": [0.2]}, xml=given)
+    simulation = corrected({"actuation_delay": [0.03], "torque_saturation": [0.5]}, xml=given)
     target = 0.5 * smooth_torque(3.0)
     target[:10] = 0.0
     gains = {"kp": np.array([6.0]), "kd": np.array([0.4])}
@@ -181,12 +185,40 @@ def test_a_delay_is_not_given_to_an_actuator_that_takes_other_commands_than_were
 
 
 def test_limits_that_are_there_stay_and_a_constant_torque_makes_no_servo():
-    given = pendulum(joint='actuatorfrcrange="-0.4 0.3"').replace('<motor joint="pendulum"/>', MOTOR)
-    terms = {"torque_saturation": [0.35], "torque_scale": [0.8], "torque_offset": [0.1]}
+    given = pendulum(joint='actuatorfrcrange="-0.4 0.2"').replace('<motor joint="pendulum"/>', MOTOR)
+    terms = {"torque_saturation": [0.35], "torque_scale": [0.8]}
     model = mujoco.MjModel.from_xml_string(corrected_xml(given, corrected(terms, xml=given)))
-    assert model.jnt_actfrcrange[0] == pytest.approx([-0.18, 0.3])
+    assert model.jnt_actfrcrange[0] == pytest.approx([-0.28, 0.2])
     assert model.actuator_forcerange[0] == pytest.approx([-1.0, 1.0])
-    assert from_mjcf(corrected_xml(given, corrected(terms, xml=given))).kp == (0.0,)
+    xml = corrected_xml(given, corrected({"torque_offset": [0.1], "torque_saturation": [0.35]}, xml=given))
+    assert "torque_saturation of pendulum" in xml  # of what is commanded: beside an offset no range says it
+    assert mujoco.MjModel.from_xml_string(xml).actuator_forcerange[0] == pytest.approx([-1.0, 1.0])
+    assert from_mjcf(xml).kp == (0.0,)
+
+
+def test_a_drive_that_a_chain_acts_out_stays_out_of_the_actuators():
+    given = pendulum().replace('<motor joint="pendulum"/>', MOTOR)
+    xml = corrected_xml(given, corrected(DRIVE_TERMS, xml=given), "torques", drive=False)
+    assert {name for name in DRIVE if f"{name} of pendulum" in xml} == set(DRIVE)
+    model = mujoco.MjModel.from_xml_string(xml)
+    assert (model.na, model.actuator_gainprm[0, 0], model.jnt_actfrclimited[0]) == (0, 1.0, 0)
+
+
+def test_a_lag_adds_no_state_to_a_model_whose_keyframes_hold_some():
+    other = '<general joint="pendulum" dyntype="integrator" gear="0"/>'
+    given = pendulum()
+    key = '<keyframe><key qpos="0" act="0.5"/></keyframe></mujoco>'
+    two = given.replace('<body name="link">', '<body name="arm"><joint name="arm"/><inertial pos="0 0 0" mass="1" '
+                        'diaginertia="1 1 1"/></body><body name="link">')  # fmt: skip
+    two = two.replace("</actuator>", other.replace("pendulum", "arm") + "</actuator>")
+    two = two.replace("</mujoco>", key.replace('qpos="0"', 'qpos="0 0"'))
+    model = mujoco.MjModel.from_xml_string(two)
+    names = ("arm", "pendulum")
+    address = JointAddress.of(model, names)
+    lag = Candidate(EFFECTS["actuation_lag"], 1, "pendulum", EFFECTS["actuation_lag"].parameters(model, address, 1))
+    xml = corrected_xml(two, Simulation(model, names, Hypothesis((lag,)), np.array([0.02])), "torques")
+    assert "actuation_lag of pendulum" in xml
+    assert mujoco.MjModel.from_xml_string(xml).key_act.tolist() == [[0.5]]
 
 
 def test_dry_friction_brings_its_stiffness_into_mjcf():

@@ -15,7 +15,7 @@ from torchrl_athletic.effects import JointAddress, Plant
 Commands: TypeAlias = Literal["torques", "targets"]
 
 
-def corrected_xml(xml: str, simulation: Simulation, commands: Commands | None = None) -> str:
+def corrected_xml(xml: str, simulation: Simulation, commands: Commands | None = None, *, drive: bool = True) -> str:
     """The model with what MJCF can say of the correction.
 
     Friction loss with its softness, damping, armature, stiffness and spring reference of joints; mass, centre of mass
@@ -31,13 +31,15 @@ def corrected_xml(xml: str, simulation: Simulation, commands: Commands | None = 
         xml: The given model.
         simulation: The corrected one.
         commands: Whether torques or position targets were recorded as commands; None leaves delays out.
+        drive: Whether actuators are corrected as well; a chain of transforms takes the place of that.
     """
     spec = mujoco.MjSpec.from_string(xml)
     plant = _plant(simulation)
     said: set[Key] = set()
     for j, name in enumerate(simulation.joint_names):
         _write_joint(spec.joint(name), plant, j, spec.compiler.degree)
-        said |= {(effect, name) for effect in _write_drive(spec, name, _drive_of(simulation, name), commands)}
+        if drive:
+            said |= {(effect, name) for effect in _write_drive(spec, name, _drive_of(simulation, name), commands)}
     for body in range(1, simulation.model.nbody):
         _write_link(spec.bodies[body], plant, body)
     if "opt.gravity" in plant.fields:
@@ -112,18 +114,20 @@ def _write_drive(spec: mujoco.MjSpec, name: str, of: Mapping[str, float], comman
     if takes is None:
         return set()
     (actuator,), said = own, set()
+    if takes == "torques" and ("torque_offset" in of or "torque_scale" in of):
+        _keep_range(actuator)
     if "torque_offset" in of:
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         actuator.biasprm[0] += of["torque_offset"] / actuator.gear[0]
         said.add("torque_offset")
     if "torque_scale" in of and takes == "torques":  # a servo's gains are its own
-        _keep_range(actuator)
         actuator.gainprm[0] *= of["torque_scale"]
         said.add("torque_scale")
-    if "torque_saturation" in of and (takes == "torques" or "torque_scale" not in of):
-        _limit(spec.joint(name), of["torque_saturation"], of.get("torque_scale", 1.0), of.get("torque_offset", 0.0))
-        said.add("torque_saturation")
-    if "actuation_lag" in of and takes == "torques":
+    plain = "torque_offset" not in of and (takes == "torques" or "torque_scale" not in of)  # else no one range says it
+    if "torque_saturation" in of and plain:
+        if _limit(spec.joint(name), of["torque_saturation"] * of.get("torque_scale", 1.0)):
+            said.add("torque_saturation")
+    if "actuation_lag" in of and takes == "torques" and not any(len(key.act) for key in spec.keys):
         actuator.dyntype, actuator.dynprm[0] = mujoco.mjtDyn.mjDYN_FILTEREXACT, of["actuation_lag"]
         said.add("actuation_lag")
     if "actuation_delay" in of and takes == commands:
@@ -143,21 +147,25 @@ def _commands_of(actuator: Any) -> Commands | None:
     return "targets" if actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and actuator.biasprm[1] else None
 
 
-def _limit(joint: Any, limit: float, scale: float, offset: float) -> None:
-    """Limit the torque that is commanded, before scale and offset."""
-    low, high = offset - scale * limit, offset + scale * limit
+def _limit(joint: Any, limit: float) -> bool:
+    """Limit the torque of a joint's actuators, within what is there. Returns whether anything is left of it."""
+    low, high = -limit, limit
     if joint.actfrclimited != mujoco.mjtLimited.mjLIMITED_FALSE and np.ptp(joint.actfrcrange):
         low, high = max(low, joint.actfrcrange[0]), min(high, joint.actfrcrange[1])
+    if low >= high:
+        return False
     joint.actfrcrange, joint.actfrclimited = [low, high], mujoco.mjtLimited.mjLIMITED_TRUE
+    return True
 
 
 def _keep_range(actuator: Any) -> None:
-    """A motor's range is that of its command; what its torque is scaled to has the same."""
-    unlimited = actuator.forcelimited == mujoco.mjtLimited.mjLIMITED_FALSE or not np.ptp(actuator.forcerange)
-    of_command = actuator.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE and np.ptp(actuator.ctrlrange) > 0
-    if unlimited and of_command:
-        actuator.forcerange = np.sort(actuator.gainprm[0] * np.asarray(actuator.ctrlrange))
-        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    """A motor's range is that of its command; what its torque is scaled and shifted to keeps it."""
+    if actuator.ctrllimited == mujoco.mjtLimited.mjLIMITED_FALSE or not np.ptp(actuator.ctrlrange):
+        return
+    low, high = np.sort(actuator.gainprm[0] * np.asarray(actuator.ctrlrange))
+    if actuator.forcelimited != mujoco.mjtLimited.mjLIMITED_FALSE and np.ptp(actuator.forcerange):
+        low, high = max(low, actuator.forcerange[0]), min(high, actuator.forcerange[1])
+    actuator.forcerange, actuator.forcelimited = [low, high], mujoco.mjtLimited.mjLIMITED_TRUE
 
 
 def _write_link(link: Any, plant: Plant, body: int) -> None:

@@ -147,9 +147,8 @@ def _servo_gains(model: mujoco.MjModel, actuators: list[int], joints: int) -> tu
     if len(actuators) != joints:
         return (0.0,) * joints, (0.0,) * joints
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
-    servo = affine & (model.actuator_biasprm[:, 1:3] != 0).any(1)  # a constant torque beside the command is no servo
-    kp = np.where(servo, model.actuator_gainprm[:, 0], 0.0)
-    kd = np.where(servo, -model.actuator_biasprm[:, 2], 0.0)
+    kp = np.where(affine, -model.actuator_biasprm[:, 1], 0.0)
+    kd = np.where(affine, -model.actuator_biasprm[:, 2], 0.0)
     return tuple(map(float, kp)), tuple(map(float, kd))
 
 

@@ -85,7 +85,7 @@ def learn_remainder(
             "out --uan."
         )
     named = acted_out(diagnosis.corrected)
-    robot = driven_robot(corrected_xml(diagnosis.xml, named), diagnosis.recordings)
+    robot = driven_robot(corrected_xml(diagnosis.xml, named, drive=False), diagnosis.recordings)
     torch.manual_seed(diagnosis.answer.seed)
     takes = takes_of([_named(r, robot) for r in without_gaps(diagnosis.recordings)], robot)
     net = uan(HISTORY, HIDDEN, **units_of(takes, robot))
