@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from torchrl_athletic.diagnosis.diagnose import Diagnosis, ModelError, diagnose
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.report import terminal_summary
+from torchrl_athletic.diagnosis.report.words import go_on
 from torchrl_athletic.effects.base import Base
 from torchrl_athletic.recordings import (
     ColumnMap,
@@ -113,9 +113,7 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
     plan = diagnosis.experiment
     print(terminal_summary(diagnosis.answer, plan.sentence if plan else ""))
     if plan:
-        weight = f" --payload {plan.payload:g}" if plan.payload else ""
-        command = f"python recipes/diagnose.py --output {shlex.quote(str(config.output))} --continue new_recording.npz"
-        print(f"With its recording the diagnosis goes on:\n  {command}{weight}")
+        print(f"With its recording the diagnosis goes on:\n  {go_on(str(config.output), plan.payload)}")
     print(f"\nReport: {config.output / 'report.html'}")
     if not diagnosis.answer.complete:
         print("Stopped early. The same command goes on from here.")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import shlex
 import tempfile
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -46,6 +45,7 @@ from torchrl_athletic.diagnosis.report.telling import (
 from torchrl_athletic.diagnosis.report.words import (
     IF_KNOWN,
     besides,
+    go_on,
     grounds_words,
     joints_and_regimes,
     lead,
@@ -138,7 +138,6 @@ def render(
         chosen=CHOSEN,
         grounds=grounds_words,
         same_as=same_as,
-        shell=lambda text: escape(shlex.quote(text)),
     )
     units = joint_units(answer, maps)
     return environment.from_string((here / "page.html").read_text("utf-8")).render(
@@ -160,7 +159,7 @@ def render(
         motion=_motion(answer, overlays, units),
         fit=[(split, _fit_rows(answer.fit[split], units)) for split in ("heldout", "train") if split in answer.fit],
         experiment=experiment,
-        fastened=f" --payload {payload:g}" if payload else "",
+        go_on=escape(go_on(folder, payload)),
         command_file=COMMAND_FILE,
         next_takes=next_takes(answer),
         quality=_quality(answer.quality),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -24,6 +25,12 @@ def verdict_words(answer: Answer) -> tuple[str, str]:
 
 
 IF_KNOWN = "These percentages hold if the physics is in the catalogue; if it is not, another name can fit as well."
+
+
+def go_on(folder: str, payload: float) -> str:
+    """The command that takes the recording of a planned experiment in, with the mass that it asks to fasten [kg]."""
+    weight = f" --payload {payload:g}" if payload else ""
+    return f"python recipes/diagnose.py --output {shlex.quote(folder)} --continue new_recording.npz{weight}"
 
 
 def lead(answer: Answer) -> list[str]:
