@@ -33,7 +33,7 @@ from torchrl_athletic.diagnosis.calibration import Grounds, learnt, probability,
 
 GROUNDS = Grounds(
     **{f.name: 1 for f in fields(Grounds)}
-    | {"share": 0.9, "left": 0.1, "energy": 0.8, "plain": False, "senseless": False, "leans": False}
+    | {"share": 0.9, "left": 0.1, "energy": 0.8, "plain": False, "senseless": False, "leans": False, "far": False}
 )
 
 

@@ -248,6 +248,35 @@ def test_what_makes_no_sense_is_hardly_believed_and_nobody_beside_it_by_more_tha
     assert "stands in for something else" in gates._sentence(law, named, odd)
 
 
+@pytest.mark.parametrize(
+    ("after", "before", "expected"),
+    [
+        (NEAR_FLOOR + 0.1, 20.0, True),
+        (NEAR_FLOOR - 0.1, 20.0, False),  # near the floor: drives' filters leave as much
+        (NEAR_FLOOR + 0.1, 200.0, False),  # a bearing that is no formula leaves a little of much
+    ],
+)
+def test_a_joint_is_far_beyond_eight_floors_and_a_tenth_of_what_it_was(after, before, expected):
+    rows = {
+        "elbow": {"before": before, "after": after, "floor": 1.0},
+        "wrist": {"before": 9.0, "after": 1.0, "floor": 1.0},
+    }
+    near = Score(1, 1, 1, 0, {"elbow": {"before": before, "after": 1.0, "floor": 1.0}})
+    assert ("elbow" in gates._far([Score(1, 1, 1, 0, rows), near])) is expected  # in one of the splits is enough
+    assert "wrist" not in gates._far([Score(1, 1, 1, 0, rows), near])
+    assert gates._far([]) == frozenset()
+
+
+def test_beside_a_simulation_that_is_far_off_no_name_has_more_than_one_half():
+    sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
+    off = dataclasses.replace(sure, far=True)
+    assert probability(off) == EQUALS < probability(sure)
+    dry = Candidate(CoulombFriction(), 1, "elbow", CoulombFriction().parameters(arm(), address(), 1))
+    named = {"torque": 0.5, "turnover": 0.0}
+    assert "the law may be another" in gates._sentence(dry, named, off)
+    assert "the law may be another" not in gates._sentence(dry, named, sure)
+
+
 def test_no_name_with_rivals_left_is_stated_above_one_half():
     sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
     assert probability(dataclasses.replace(sure, share=0.7)) == EQUALS

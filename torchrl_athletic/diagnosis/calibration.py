@@ -15,7 +15,8 @@ DECISIVE = 0.75
 mention" (Kass, Raftery 1995, doi:10.1080/01621459.1995.10476572)."""
 EQUALS = 0.5
 """The most that a finding may have beside rivals that are not refuted, whoever is ahead. The same holds for a law of
-which what sets it apart from simpler ones is not seen, and for one beside another that makes no sense."""
+which what sets it apart from simpler ones is not seen, for one beside another that makes no sense, and where the
+simulation with it is still far from the recordings."""
 SENSELESS = 0.2
 """The most of a finding that makes no sense as it stands: a motor at the end of what may be, a gear seen in noise."""
 
@@ -49,13 +50,16 @@ class Grounds:
     """Whether its values, together, are none that a robot has."""
     leans: bool = False
     """Whether another finding on its joint is senseless, so that the two may be halves of something else."""
+    far: bool = False
+    """Whether the simulation with it is still far from the recordings on its joint, so that the law may be another."""
 
     @property
     def most(self) -> float:
         """The probability that it may have at most."""
         if self.senseless:
             return SENSELESS
-        return EQUALS if self.plain or self.leans or self.share < DECISIVE else self.share
+        doubtful = self.plain or self.leans or self.far or self.share < DECISIVE
+        return EQUALS if doubtful else self.share
 
     def features(self) -> dict[str, float]:
         """Numbers of order one, in which the log odds are linear."""

@@ -33,6 +33,9 @@ PARTLY = 0.80
 NEAR_FLOOR = 8.0
 """Window error over the floor up to which a model without predictable missing torque is called complete, and one with
 findings explained: whatever was gross before, what is left beyond it shows that a law is another."""
+KEPT = 0.1
+"""Share of the given model's window error that a right law may leave, however many times the floor that is, since
+bearings are no formulas. Beyond it and beyond :data:`NEAR_FLOOR`, no name has more than one half."""
 SHOWN = 1.5
 """Window error of the given model over the floor below which the simulation shows nothing of a gear."""
 ALIKE = 0.05
@@ -92,7 +95,7 @@ def judge_findings(evidence: Sequence[Evidence], fitted: Fitted, scores: Collect
     """State every term of the fitted hypothesis, most probable first."""
     still_open = max((open_share(s) for s in scores), default=1.0)
     stated = {c.key: c for c in fitted.hypothesis.terms}
-    above = _above_floor(scores)
+    above, far = _above_floor(scores), _far(scores)
     h = fitted.hypothesis
     senseless = {
         c.key
@@ -100,7 +103,7 @@ def judge_findings(evidence: Sequence[Evidence], fitted: Fitted, scores: Collect
         if not c.effect.is_physical(c.parameters, h.values_of(c, fitted.values)) or _is_noise(c, above)
     }
     out = [
-        _finding(part, term, fitted, stated[term.candidate.key], still_open, senseless)
+        _finding(part, term, fitted, stated[term.candidate.key], still_open, senseless, far)
         for part in evidence
         for term in part.best.fit.terms
         if term.candidate.key in stated
@@ -199,7 +202,13 @@ def summarise(
 
 
 def _finding(
-    part: Evidence, term: Atom, fitted: Fitted, chosen: Candidate, still_open: float, senseless: Collection[Key]
+    part: Evidence,
+    term: Atom,
+    fitted: Fitted,
+    chosen: Candidate,
+    still_open: float,
+    senseless: Collection[Key],
+    far: Collection[str],
 ) -> Finding:
     bank, candidate, h = part.judge.bank, term.candidate, fitted.hypothesis
     values, samples = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.samples)
@@ -219,6 +228,7 @@ def _finding(
         plain=_is_plain(chosen, values, samples),
         senseless=chosen.key in senseless,
         leans=any(c.key in senseless and c.joint_name == chosen.joint_name for c in h.terms if c.key != chosen.key),
+        far=bool(far) if candidate.joint_name is None else candidate.joint_name in far,
     )
     likely = probability(grounds, candidate.effect.name)
     per_share = min(likely / max(own, 1e-9), (1.0 - likely) / max(1.0 - own, 1e-9))
@@ -285,6 +295,16 @@ def _above_floor(scores: Collection[Score]) -> Mapping[str, float]:
     return {name: max(e["before"] / max(e["floor"], 1e-12) for e in of) for name, of in errors.items()}
 
 
+def _far(scores: Collection[Score]) -> frozenset[str]:
+    """Joints that the corrected model does not follow, in fitted recordings or in those kept aside."""
+    return frozenset(
+        name
+        for s in scores
+        for name, e in s.per_joint.items()
+        if e["after"] > NEAR_FLOOR * max(e["floor"], 1e-12) and e["after"] > KEPT * e["before"]
+    )
+
+
 def _is_noise(candidate: Candidate, above: Mapping[str, float]) -> bool:
     """Whether a gear gives way on a joint that the given model follows as it is.
 
@@ -307,7 +327,13 @@ def _sentence(candidate: Candidate, named: Mapping[str, float], grounds: Grounds
     said = effect.sentence(joint, named, candidate.parameters)
     if grounds.senseless:
         return f"{said} No robot is likely to have that: it stands in for something else."
-    return f"{said} Of what makes it more than a simpler law nothing is seen." if grounds.plain else said
+    if grounds.plain:
+        return f"{said} Of what makes it more than a simpler law nothing is seen."
+    return (
+        f"{said} With it the simulation is still far from the recordings: the law may be another."
+        if grounds.far
+        else said
+    )
 
 
 def _stand_in(effect: Effect, joint: str) -> str:

@@ -92,6 +92,10 @@ def grounds_words(finding: Finding) -> list[str]:
     words = [text.format(percent(g[name])) for name, text in said.items() if name in g]
     if "sure" in g:
         words.append(f"Its numbers lie {g['sure']:.2g} standard deviations from the given model's.")
+    if g.get("far"):
+        words.append(
+            "The simulation with all that is named is still far from the recordings: so it has one half at most."
+        )
     return words
 
 
