@@ -387,6 +387,27 @@ def test_where_both_are_good_to_the_noise_a_twentieth_of_the_joints_evidence_kee
     assert ("warming" not in offered) == bent  # what was given up is no rival
 
 
+@pytest.mark.parametrize(
+    ("difference", "bearing", "bent"),
+    [(0.16, 0.05, True), (0.24, 0.05, False), (0.24, 0.5, True)],  # the last one is little beside what else is left
+)
+def test_friction_that_differs_by_direction_is_no_bearing_that_differs_from_its_formula(difference, bearing, bent):
+    rng = np.random.default_rng(0)
+    ahead, back, other = smooth(rng, (3, N))
+    friction = (1 + difference / 2) * ahead + (1 - difference / 2) * back + bearing * other
+    take, wide = on_shoulder(30 * friction, rng.normal(size=(N, 2))), {"lower": -1e3, "upper": 1e3}
+    plain = Given("dry", ahead + back, **wide)
+    rich = Given("by_direction", np.stack([ahead, back], -1), excludes=("dry",), **wide)
+    plain.family = "friction"  # type: ignore[misc]
+    rich.special_cases, rich.sets_apart = frozenset({"dry"}), (("p0", "p1"),)  # type: ignore[misc]
+    weigh = judge(take, candidate(plain), candidate(rich))
+    simple, more = (weigh.score([atom]) for atom in weigh.bank.atoms)
+    assert weigh.is_open(simple.fit).any()
+    assert weigh.within_misfit(simple.fit, more.fit)
+    assert weigh.closes(simple.fit, more.fit) < ALL
+    assert _is_bent(weigh, simple, more, 0) == bent
+
+
 def test_a_stand_in_for_two_effects_is_given_up_for_the_two():
     """Stand-ins fill the beam; each is better than either cause, and keeps the second out: only an exchange helps."""
     rng = np.random.default_rng(1)

@@ -59,7 +59,7 @@ def short(inputs, output, **changes):
 def test_it_leaves_a_simulator_a_curve_and_what_it_was_made_of(inputs, tmp_path, method):
     made = recipe.main(short(inputs, tmp_path, method=method))
     loaded = Simulator.load(tmp_path, robot())
-    assert (loaded.name, loaded.kind) == ("uan", "correction")
+    assert (loaded.name, loaded.kind) == ({"gradient": "uan", "ppo": "uan_ppo_credit"}[method], "correction")
     errors = torch.randn(5, 2, 40)
     torch.testing.assert_close(loaded.net(errors), made.net(errors))
     rows = CSVTable(tmp_path / "progress.csv").rows

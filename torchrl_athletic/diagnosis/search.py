@@ -44,6 +44,9 @@ RICHER = 0.25
 """Share of what is open that an effect must close beyond a simpler one that it contains."""
 ALL = 0.95
 """The same from which on it explains all: a bearing that differs from a formula is no other formula to the noise."""
+SIDED = 0.2
+"""Relative difference of two numbers of a law that are equal in simpler ones, such as of friction's two directions: a
+bearing that differs from its formula does so alike both ways."""
 SEEN = 0.05
 """The same, or of the evidence, from which on the simulation is asked whether the richer law is the true one."""
 INVARIANT = 0.4
@@ -611,13 +614,26 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
 def _is_bent(judge: Judge, plain: Scored, rich: Scored, joint: int) -> bool:
     """Whether a richer law may owe what it explains more to a bearing that is no formula.
 
-    Not if it explains all of it; nor, where both are good to the noise, if much of the joint's evidence speaks for it.
+    Not if it explains all of it; nor, where both are good to the noise or it tells directions apart as no bearing does,
+    if much of the joint's evidence speaks for it.
     """
     if judge.closes(plain.fit, rich.fit) >= ALL or not judge.within_misfit(plain.fit, rich.fit):
         return False
     bare, without, level = (judge.level(fit)[joint] for fit in (judge.bare, plain.fit, rich.fit))
     found, gained = (float(judge.independent[joint] @ np.log(before / level)) for before in (bare, without))
-    return bool(judge.is_open(plain.fit)[joint]) or gained < SEEN * found
+    seen = bool(judge.is_open(plain.fit)[joint]) and not _is_sided(rich.fit, joint)
+    return seen or gained < SEEN * found
+
+
+def _is_sided(fit: Fit, joint: int) -> bool:
+    """Whether a term of the joint has numbers that are far from equal, which simpler laws have equal."""
+    return any(
+        abs(named[one] - named[other]) > SIDED * (abs(named[one]) + abs(named[other])) / 2
+        for term, values in zip(fit.terms, fit.values(), strict=False)
+        if term.candidate.joint == joint
+        for named in [dict(zip((p.name for p in term.candidate.parameters), values, strict=True))]
+        for one, other in (pair for pair in term.candidate.effect.sets_apart if not isinstance(pair, str))
+    )
 
 
 def scatter(bank: Bank, fit: Fit, term: Atom) -> float:
