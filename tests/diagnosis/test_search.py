@@ -4,9 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis.columns import STEP, Curved, Given, Shifted, candidate, judge, shifted, signals
+from effects.arm import address, arm
 from scipy.signal import lfilter
 
-from torchrl_athletic.diagnosis.screen import Bank
+from torchrl_athletic.diagnosis.screen import Bank, Candidate
 from torchrl_athletic.diagnosis.search import (
     ALL,
     BEAM,
@@ -17,6 +18,7 @@ from torchrl_athletic.diagnosis.search import (
     Judge,
     _invariant,
     _is_bent,
+    _is_sided,
     _merge,
     _simplest,
     _simplify,
@@ -28,7 +30,7 @@ from torchrl_athletic.diagnosis.search import (
     search,
     singles,
 )
-from torchrl_athletic.effects import Fingerprint, Parameter
+from torchrl_athletic.effects import AsymmetricFriction, CoulombFriction, Fingerprint, Parameter
 
 N = 1000
 
@@ -406,6 +408,24 @@ def test_friction_that_differs_by_direction_is_no_bearing_that_differs_from_its_
     assert weigh.within_misfit(simple.fit, more.fit)
     assert weigh.closes(simple.fit, more.fit) < ALL
     assert _is_bent(weigh, simple, more, 0) == bent
+
+
+@pytest.mark.parametrize(
+    ("dry", "viscous", "expected"),
+    [
+        ((1.0, 1.0), (0.1, 0.1), False),
+        ((1.3, 0.7), (0.1, 0.1), True),
+        ((1.0, 1.0), (0.002, 0.001), False),  # by a factor of two, of nothing
+        ((1.0, 1.0), (1.0, 0.2), True),
+    ],
+)
+def test_friction_as_a_whole_has_to_differ_by_direction(dry, viscous, expected):
+    effect = AsymmetricFriction()
+    law = Candidate(effect, 1, "elbow", effect.parameters(arm(), address(), 1))
+    assert [p.name.split("_")[0] for p in law.parameters] == ["coulomb", "coulomb", "viscous", "viscous"]
+    assert _is_sided(law, np.array([*dry, *viscous])) is expected
+    stiff = CoulombFriction()
+    assert not _is_sided(Candidate(stiff, 1, "elbow", stiff.parameters(arm(), address(), 1)), np.array([1.0, 0.0]))
 
 
 def test_a_stand_in_for_two_effects_is_given_up_for_the_two():

@@ -276,12 +276,14 @@ def _is_plain(candidate: Candidate, values: Array, samples: Array) -> bool:
     beside_it = {n: max((abs(of[m][0]) for m in of if m != n and units[m] == units[n]), default=0.0) for n in of}
 
     def is_seen(what: str | tuple[str, str]) -> bool:
-        if isinstance(what, str):
-            apart, least = of[what][1] - given[what], ALIKE * beside_it[what]
+        if isinstance(what, str):  # by the interval that is stated with it
+            ends = widened(float(of[what][0]), *np.quantile(of[what][1], [0.025, 0.975]))
+            low, high = np.array(ends) - given[what]
+            least = ALIKE * beside_it[what]
         else:
             (one, drawn), (other, beside) = of[what[0]], of[what[1]]
-            apart, least = drawn - beside, ALIKE * max(abs(one), abs(other))
-        low, high = np.quantile(apart, [0.025, 0.975])
+            low, high = np.quantile(drawn - beside, [0.025, 0.975])
+            least = ALIKE * max(abs(one), abs(other))
         return bool(low > least or high < -least)
 
     contrasts = candidate.effect.sets_apart
@@ -330,7 +332,7 @@ def _sentence(candidate: Candidate, named: Mapping[str, float], grounds: Grounds
     if grounds.plain:
         return f"{said} Of what makes it more than a simpler law nothing is seen."
     return (
-        f"{said} With it the simulation is still far from the recordings: the law may be another."
+        f"{said} With it the simulation is still far from the recordings: some law is another, perhaps this one."
         if grounds.far
         else said
     )

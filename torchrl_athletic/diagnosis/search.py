@@ -45,8 +45,8 @@ RICHER = 0.25
 ALL = 0.95
 """The same from which on it explains all: a bearing that differs from a formula is no other formula to the noise."""
 SIDED = 0.2
-"""Relative difference of two numbers of a law that are equal in simpler ones, such as of friction's two directions: a
-bearing that differs from its formula does so alike both ways."""
+"""Relative difference of what simpler laws have equal, such as friction's two directions: a bearing that differs from
+its formula does so alike both ways."""
 SEEN = 0.05
 """The same, or of the evidence, from which on the simulation is asked whether the richer law is the true one."""
 INVARIANT = 0.4
@@ -621,19 +621,20 @@ def _is_bent(judge: Judge, plain: Scored, rich: Scored, joint: int) -> bool:
         return False
     bare, without, level = (judge.level(fit)[joint] for fit in (judge.bare, plain.fit, rich.fit))
     found, gained = (float(judge.independent[joint] @ np.log(before / level)) for before in (bare, without))
-    seen = bool(judge.is_open(plain.fit)[joint]) and not _is_sided(rich.fit, joint)
-    return seen or gained < SEEN * found
-
-
-def _is_sided(fit: Fit, joint: int) -> bool:
-    """Whether a term of the joint has numbers that are far from equal, which simpler laws have equal."""
-    return any(
-        abs(named[one] - named[other]) > SIDED * (abs(named[one]) + abs(named[other])) / 2
-        for term, values in zip(fit.terms, fit.values(), strict=False)
-        if term.candidate.joint == joint
-        for named in [dict(zip((p.name for p in term.candidate.parameters), values, strict=True))]
-        for one, other in (pair for pair in term.candidate.effect.sets_apart if not isinstance(pair, str))
+    known = keys(plain.fit.terms)
+    sided = any(
+        _is_sided(term.candidate, values)
+        for term, values in zip(rich.fit.terms, rich.fit.values(), strict=False)
+        if term.candidate.joint == joint and term.candidate.key not in known
     )
+    return (bool(judge.is_open(plain.fit)[joint]) and not sided) or gained < SEEN * found
+
+
+def _is_sided(candidate: Candidate, values: Array) -> bool:
+    """Whether numbers that simpler laws have equal are far from it, all of them together, in units of their scales."""
+    of = {p.name: value / p.scale for p, value in zip(candidate.parameters, values, strict=True)}
+    pairs = [(of[pair[0]], of[pair[1]]) for pair in candidate.effect.sets_apart if not isinstance(pair, str)]
+    return bool(sum(abs(a - b) for a, b in pairs) > SIDED * sum(abs(a) + abs(b) for a, b in pairs) / 2)
 
 
 def scatter(bank: Bank, fit: Fit, term: Atom) -> float:

@@ -76,8 +76,8 @@ class Effect(ABC):
     """Effects that together are this one but for what makes it special; they win unless it explains a quarter more."""
     sets_apart: ClassVar[tuple[str | tuple[str, str], ...]] = ()
     """Parameters without which it is a simpler law: one that has the given model's value, or two that are equal. Where
-    the recordings show none of this, its name is not supported, however well it fits. For laws that are linear in them,
-    where the bootstrap is to be trusted."""
+    the recordings show none of this, its name is not supported, however well it fits: the interval that is stated with
+    the one reaches the given value, or two that are equal do not differ by their bootstrap."""
     experiments: ClassVar[Mapping[str, str]] = {}
     """Rival -> the experiment that separates the two; ``{joint}`` is filled in."""
 

@@ -144,6 +144,7 @@ class Backlash(_Transmission):
     equation = "τ = K (x - clip(x, ±g/2)), x = θ - q"
     source = "Nordin, Gutman 2002, doi:10.1016/S0005-1098(02)00047-X, section 2"
     excludes = frozenset({"compliance"})
+    sets_apart = ("gap",)
     chunk = (2.0, 1.0)
     experiments: ClassVar[Mapping[str, str]] = {
         "compliance": "load {joint} at several torque levels, and bias it to one side so that the play stays closed: "
