@@ -19,14 +19,12 @@ from torch import nn
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import Takes, replay_env
-from torchrl_athletic.identification import Simulator, digest_of, on_a_fit
+from torchrl_athletic.identification import Simulator, digest_of, name_of_uan, on_a_fit
 from torchrl_athletic.networks import uan
 from torchrl_athletic.recordings import read_recordings
 from torchrl_athletic.robots import from_mjcf, z1
 
 ROWS = {("ppo", "cpu"): 256, ("ppo", "cuda"): 4096, ("gradient", "cpu"): 128, ("gradient", "cuda"): 512}
-NAMED = {("gradient", "arm"): "", ("gradient", "joint"): "", ("ppo", "arm"): "_ppo", ("ppo", "joint"): "_ppo_credit"}
-"""What a simulator's method is called by, so that tables keep them apart; the gradient knows no credit."""
 
 
 @dataclass(frozen=True)
@@ -67,12 +65,7 @@ def main(cfg: Config) -> Simulator:
     torch.set_float32_matmul_precision("high")
     recordings = training.for_training(read_recordings(cfg.recordings))
     robot = training.with_gains_of(z1() if cfg.robot == "z1" else from_mjcf(cfg.robot), recordings)
-    told = (
-        "uan"
-        + NAMED[cfg.method, cfg.credit]
-        + {"errors": ""}.get(cfg.knows, f"_{cfg.knows}")
-        + "_memory" * bool(cfg.memory)
-    )
+    told = name_of_uan(cfg.method, cfg.credit, cfg.knows, bool(cfg.memory))
     given = Simulator(told, robot) if cfg.model is None else on_a_fit(cfg.model, told, robot, cfg.inertia_only)
     pieces, windows = training.set_aside(recordings, seconds=cfg.window)
     takes = training.takes_of(pieces, robot)

@@ -14,6 +14,7 @@ from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
 from torchrl_athletic.diagnosis.diagnose import BEHIND, ModelError, _decide, _others, load_model
 from torchrl_athletic.diagnosis.gates import Evidence
+from torchrl_athletic.diagnosis.report.words import grounds_words
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import RecordingError
@@ -100,6 +101,18 @@ def test_what_was_left_out_is_named_with_its_number(diagnosis):
     assert best.parameters["damping"].value == pytest.approx(0.2, rel=0.05)
     assert diagnosis.answer.verdict == "explained"
     assert diagnosis.answer.fit["heldout"].after < 0.1 * diagnosis.answer.fit["heldout"].before
+
+
+@pytest.mark.parametrize(("name", "far"), [("viscous_friction", True), ("coulomb_friction", False)])
+def test_beside_a_simulation_that_is_still_far_off_no_name_has_more_than_one_half(name, far):
+    train, heldout = recordings([0, 1], frictionloss=0.1), recordings([2], frictionloss=0.1)
+    only = [effect for effect in CATALOGUE if effect.name == name]  # what a robot hides may not be in it
+    (found,) = diagnose(MODEL, train, heldout, catalogue=only).answer.findings
+    assert found.effect == name
+    assert found.grounds["far"] is far
+    assert (found.probability > 0.5) is not far
+    assert ("some law is another" in found.sentence) is far
+    assert any("no name there has more than one half" in said for said in grounds_words(found)) is far
 
 
 def test_the_json_keeps_the_contract(diagnosis, output):

@@ -11,6 +11,7 @@ import torch
 from identification.arms import XML, commands, recorded, robot
 
 from torchrl_athletic.identification import Simulator
+from torchrl_athletic.identification.comparison import NAMES
 from torchrl_athletic.networks import Sizes, sizes_of
 from torchrl_athletic.recordings import write_recording
 from torchrl_athletic.training import CSVTable
@@ -55,11 +56,18 @@ def short(inputs, output, **changes):
     return replace(config, **{"evaluate_every": 2, "iterations": 3, "window": 0.3} | changes)
 
 
-@pytest.mark.parametrize("method", ["gradient", "ppo"])
-def test_it_leaves_a_simulator_a_curve_and_what_it_was_made_of(inputs, tmp_path, method):
-    made = recipe.main(short(inputs, tmp_path, method=method))
+@pytest.mark.parametrize(
+    ("way", "name"),
+    [
+        (dict(method="gradient"), "UAN"),
+        (dict(method="ppo"), "UAN by PPO, credit by joint"),
+        (dict(method="ppo", credit="arm"), "UAN by PPO"),
+    ],
+)
+def test_it_leaves_a_simulator_a_curve_and_what_it_was_made_of(inputs, tmp_path, way, name):
+    made = recipe.main(short(inputs, tmp_path, **way))
     loaded = Simulator.load(tmp_path, robot())
-    assert (loaded.name, loaded.kind) == ({"gradient": "uan", "ppo": "uan_ppo_credit"}[method], "correction")
+    assert (NAMES[loaded.name], loaded.kind) == (name, "correction")
     errors = torch.randn(5, 2, 40)
     torch.testing.assert_close(loaded.net(errors), made.net(errors))
     rows = CSVTable(tmp_path / "progress.csv").rows

@@ -14,13 +14,11 @@ from torchrl_athletic.identification.open_loop import Rollout, open_loop, score
 from torchrl_athletic.identification.simulator import Simulator
 from torchrl_athletic.recordings import Recording
 
-NAMES = {
+_NAMES = {
     "default": "Default",
     "cem": "CEM",
     "actuator_net": "Actuator Net",
     "uan": "UAN",
-    "uan_ppo": "UAN by PPO",
-    "uan_ppo_credit": "UAN by PPO, credit by joint",
     "uan_joint": "UAN, told the joint",
     "uan_arm": "UAN, told joint and arm",
     "uan_memory": "UAN with memory",
@@ -37,14 +35,16 @@ NAMES = {
     "diagnosed_uan_memory": "Diagnosed + UAN with memory",
     "diagnosed_uan_arm_memory": "Diagnosed + UAN with memory, told joint and arm",
 }
+_TAUGHT = {"": "", "_ppo": " by PPO", "_ppo_credit": " by PPO, credit by joint"}
+NAMES = {m + by: name + how for m, name in _NAMES.items() for by, how in _TAUGHT.items() if not by or "uan" in m}
 """Methods in the order of tables and figures; others follow under their own names."""
 COLOURS = {
     "default": "#457B9D",
     "cem": "#E07A5F",
     "actuator_net": "#52936C",
     "uan": "#C45552",
-    "uan_ppo": "#E9C46A",
-    "uan_ppo_credit": "#C9A227",
+    "uan_ppo": "#A3B18A",
+    "uan_ppo_credit": "#606C38",
     "uan_joint": "#F2B134",
     "uan_arm": "#8C2F39",
     "uan_memory": "#D4A373",
@@ -135,6 +135,23 @@ def deviation(values: Sequence[float]) -> float:
         (1.0, 0.0)
     """
     return float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+
+
+def name_of_uan(method: str, credit: str = "joint", knows: str = "errors", memory: bool = False) -> str:
+    """What a UAN's simulator is called by in :data:`NAMES`, so that tables keep the ways of training apart.
+
+    Args:
+        method: ``"gradient"`` or ``"ppo"``.
+        credit: Of PPO, ``"arm"`` as in the paper or ``"joint"``; the gradient knows none.
+        knows: What the net is told: ``"errors"``, ``"joint"`` or ``"arm"``.
+        memory: Whether it is shown where its joint turned.
+
+    Example:
+        >>> NAMES[name_of_uan("ppo", "arm")], NAMES[name_of_uan("gradient", knows="arm", memory=True)]
+        ('UAN by PPO', 'UAN with memory, told joint and arm')
+    """
+    told = "uan" + ("" if knows == "errors" else f"_{knows}") + "_memory" * memory
+    return told if method == "gradient" else told + {"arm": "_ppo", "joint": "_ppo_credit"}[credit]
 
 
 def figure(
