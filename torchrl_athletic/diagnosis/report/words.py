@@ -93,8 +93,10 @@ def grounds_words(finding: Finding) -> list[str]:
     if "sure" in g:
         words.append(f"Its numbers lie {g['sure']:.2g} standard deviations from the given model's.")
     if g.get("far"):
+        at = finding.joint or "some joint"
         words.append(
-            "The simulation with all that is named is still far from the recordings: so it has one half at most."
+            f"With all that is named the simulation of {at} is still far from the recordings: no name there has more than "
+            "one half."
         )
     return words
 
