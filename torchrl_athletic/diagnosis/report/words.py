@@ -95,8 +95,8 @@ def grounds_words(finding: Finding) -> list[str]:
     if g.get("far"):
         at = finding.joint or "some joint"
         words.append(
-            f"With all that is named the simulation of {at} is still far from the recordings: no name there has more than "
-            "one half."
+            f"With all that is named the simulation of {at} is still far from the recordings: no name there has "
+            "more than one half."
         )
     return words
 
