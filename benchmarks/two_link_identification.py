@@ -71,7 +71,6 @@ TORQUE = 0.5
 """Unit of a net's torque, about that of the commands [N·m]."""
 OUTLIER = 0.3
 """Errors far beyond it count by their logarithm [rad]."""
-UNSEEDED = ("default", "diagnosed")
 GROUPS = {"swing-up": "swing-up", "open-loop sines on the elbow": "elbow alone"}
 
 
@@ -109,7 +108,7 @@ class Case:
         """What its net is trained on top of, if that is fitted itself."""
         if self.method.startswith("inertia_uan"):
             return Case("cem", self.seconds, self.seed)
-        return Case("diagnosed", self.seconds, 0) if self.method.startswith("diagnosed_uan") else None
+        return Case("diagnosed", self.seconds, self.seed) if self.method.startswith("diagnosed_uan") else None
 
 
 def main(cfg: Config) -> None:
@@ -145,7 +144,7 @@ def cases_of(cfg: Config) -> Iterator[Case]:
         if method == "default":
             continue
         counted = cfg.seeds if seconds == max(cfg.seconds) else cfg.seeds[: cfg.seeds_with_less]
-        if seed in (cfg.seeds[:1] if method in UNSEEDED else counted):
+        if seed in counted:
             yield Case(method, seconds, seed)
     if "default" in cfg.methods:
         yield Case("default", 0.0, 0)
@@ -186,7 +185,8 @@ def identify(case: Case, cfg: Config) -> None:
     elif case.method == "actuator_net":
         simulator = identify_actuator_net(robot, fit, ActuatorNetTraining(batch=1024, epochs=100), seed=case.seed)
     elif case.method == "diagnosed":
-        simulator = identify_diagnosed(robot, fit, refine=search(case), output=cfg.output / case.name / "diagnosis")
+        report = cfg.output / case.name / "diagnosis"
+        simulator = identify_diagnosed(robot, fit, refine=search(case), seed=case.seed, output=report)
     elif "uan" in case.method:
         if case.given is not None:
             simulator = Simulator.load(cfg.output / case.given.name, robot)
