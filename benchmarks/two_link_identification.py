@@ -33,6 +33,7 @@ from torchrl_athletic.identification import (
     Rollout,
     Simulator,
     compare,
+    every_seed,
     figure,
     identify_actuator_net,
     identify_cem,
@@ -127,7 +128,7 @@ def main(cfg: Config) -> None:
     whole = [r for c, of in results.items() if c.seconds == most or c.method == "default" for r in of]
     everything = [{"seconds": c.seconds, **r.to_json()} for c, of in results.items() for r in of]
     (cfg.output / "two_link.json").write_text(json.dumps(everything, indent=1))
-    text = table(whole) + "\n" + efficiency_table(results, cfg.seconds)
+    text = table(whole) + "\n" + every_seed(whole, "0.5 s") + "\n" + efficiency_table(results, cfg.seconds)
     (cfg.output / "two_link.md").write_text(text)
     first = {c.method: s for c, s in reversed(found.items()) if c.seconds in (most, 0.0)}
     figure(whole, overlays(first, groups), cfg.output / "two_link.svg", window="0.5 s", seconds=4.0)

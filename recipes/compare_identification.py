@@ -21,6 +21,7 @@ import tyro
 from tqdm import tqdm
 
 from torchrl_athletic.identification import Result, Rollout, Simulator, compare, digest_of, figure, open_loop, table
+from torchrl_athletic.identification.comparison import every_seed
 from torchrl_athletic.recordings import Recording, read_recordings
 from torchrl_athletic.robots import from_mjcf, z1
 from torchrl_athletic.training import with_gains_of
@@ -58,7 +59,7 @@ def main(cfg: Config) -> None:
         results += scored(folder, simulator, groups, (None, *cfg.windows))
     cfg.output.mkdir(parents=True, exist_ok=True)
     (cfg.output / "comparison.json").write_text(json.dumps([r.to_json() for r in results], indent=1))
-    (cfg.output / "comparison.md").write_text(table(results))
+    (cfg.output / "comparison.md").write_text(table(results) + "\n" + every_seed(results))
     figure(results, examples(list(judged.values()), groups), cfg.output / "comparison.svg")
     print(table(results))
     print("numbers, table and figure:", cfg.output)

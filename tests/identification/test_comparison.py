@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from identification.arms import commands, recorded, robot
 
-from torchrl_athletic.identification import Simulator, compare, figure, open_loop, table
+from torchrl_athletic.identification import Simulator, compare, every_seed, figure, open_loop, table
 from torchrl_athletic.identification.cem import correction_of
 
 ROBOT = robot()
@@ -35,6 +35,14 @@ def test_the_table_gives_the_mean_over_seeds_and_the_share_of_the_baseline(resul
     assert lines[2].startswith("| Default | 2.00e-02 (1.000) |")
     assert lines[3].startswith("| Diagnosed | 2.00e-03 ± 1.4e-03 (0.100) |")
     assert lines[3].endswith("| 0, 1 |")
+
+
+def test_every_seed_is_listed(results) -> None:
+    mse = {("default", 0): 0.02, ("diagnosed", 0): 0.001, ("diagnosed", 1): 0.003}
+    shuffled = [replace(r, mse=mse[r.method, r.seed]) for r in reversed(results)]
+    lines = every_seed(shuffled, "0.5 s").splitlines()
+    assert lines[0] == "| each seed | steps, 0.5 s |"
+    assert lines[2:] == ["| Default | 2.00e-02 |", "| Diagnosed | 1.00e-03, 3.00e-03 |"]
 
 
 def test_what_diverged_is_said(results) -> None:

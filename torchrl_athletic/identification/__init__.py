@@ -5,7 +5,7 @@ They explain a mismatch by numbers alone, which is what ``diagnosis`` is measure
 
 from torchrl_athletic.identification.actuator_net import ActuatorNetTraining, identify_actuator_net
 from torchrl_athletic.identification.cem import CEM, identify_cem
-from torchrl_athletic.identification.comparison import Result, compare, figure, name_of_uan, table
+from torchrl_athletic.identification.comparison import Result, compare, every_seed, figure, name_of_uan, table
 from torchrl_athletic.identification.diagnosed import identify_diagnosed
 from torchrl_athletic.identification.open_loop import OpenLoopScore, Rollout, open_loop, score
 from torchrl_athletic.identification.randomization import ARM_RANGES, randomized
@@ -22,6 +22,7 @@ __all__ = [
     "Simulator",
     "compare",
     "digest_of",
+    "every_seed",
     "figure",
     "identify_actuator_net",
     "identify_cem",

@@ -125,6 +125,17 @@ def table(results: Sequence[Result], baseline: str = "default") -> str:
     return "\n".join(lines) + "\n"
 
 
+def every_seed(results: Sequence[Result], window: str = "whole") -> str:
+    """Each seed's mean squared error [rad²] in Markdown, of the rollouts of one window, in the order of the seeds."""
+    methods, columns = _methods(results), [column for column in _columns(results) if column[1] == window]
+    head = ["each seed", *(", ".join(column) for column in columns)]
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for method in methods:
+        cells = [", ".join(f"{mse:.2e}" for mse in _values(results, method, column)) for column in columns]
+        lines.append("| " + " | ".join([NAMES.get(method, method), *cells]) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def deviation(values: Sequence[float]) -> float:
     """Standard deviation between seeds, estimated from these few: squares are divided by one less than their number.
 
@@ -258,7 +269,9 @@ def _columns(results: Sequence[Result]) -> list[tuple[str, str]]:
 
 
 def _values(results: Sequence[Result], method: str, column: tuple[str, str]) -> list[float]:
-    return [r.mse for r in results if r.method == method and (r.group, r.window) == column]
+    """In the order of the seeds."""
+    found = (r for r in results if r.method == method and (r.group, r.window) == column)
+    return [r.mse for r in sorted(found, key=lambda r: r.seed)]
 
 
 def _mean(results: Sequence[Result], method: str, column: tuple[str, str]) -> float:
