@@ -111,7 +111,7 @@ def draw(folder: Path) -> None:
         j, shown = np.ptp(take.command, axis=0).argmax(), abs(take.time - 0.5 * take.duration) < 2.0
         axes.plot(take.time[shown], take.command[shown, j], color="0.6")
         axes.plot(take.time[shown], take.position[shown, j])
-        axes.set(title=kind, ylabel=f"{take.joint_names[j]} [rad]", xlabel="time [s]")
+        axes.set(title=f"{kind}: target grey, measured blue", ylabel=f"{take.joint_names[j]} [rad]", xlabel="time [s]")
     figure.savefig(folder / "takes.png", dpi=110)
 
 

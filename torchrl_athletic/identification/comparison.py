@@ -229,7 +229,7 @@ def _bars(axes: Any, results: Sequence[Result], methods: Sequence[str], column: 
     axes.set_title(f"{column[0]} ({'whole takes' if column[1] == 'whole' else column[1]})", fontsize=9)
     if first:
         axes.set_ylabel("mean squared error [rad²]", fontsize=8)
-    axes.tick_params(labelsize=7)
+    axes.tick_params(which="both", labelsize=7)
     axes.grid(axis="y", which="major", linewidth=0.3)
 
 
