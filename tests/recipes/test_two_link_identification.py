@@ -95,3 +95,14 @@ def test_a_methods_name_says_what_its_net_is_told(method, joints, odd, memory):
     assert (sizes.joints, sizes.odd, sizes.memory, sizes.state) == (joints, odd, memory, "_arm" in method)
     assert found.net[-1].unit.unique().tolist() == [benchmark.TORQUE]
     assert found.notes["data_seconds"] == pytest.approx(0.595, abs=0.01)
+
+
+@pytest.mark.usefixtures("real_recordings")
+def test_the_benchmark_scores_tabulates_and_draws(tmp_path, capsys):
+    cfg = benchmark.Config(tmp_path, seconds=(60.0,), methods=("default",), score_only=True)
+    benchmark.identify(benchmark.Case("default", 0.0, 0), cfg)
+    benchmark.main(cfg)
+    text = (tmp_path / "two_link.md").read_text()
+    assert text in capsys.readouterr().out
+    assert "| Default | 3.17e-01 | 1.38e-01 |" in text  # as committed: nothing is drawn at random
+    assert {p.name for p in tmp_path.glob("*.svg")} == {"two_link.svg", "two_link_efficiency.svg"}
