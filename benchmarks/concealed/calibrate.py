@@ -16,6 +16,7 @@ import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ sys.path.append(str(Path(__file__).parents[2]))
 from benchmarks.concealed.cases import CLASS_OF
 from benchmarks.concealed.run import COUNTS, program_digest
 from benchmarks.concealed.score import RIGHT, Row, known_parameters, load, reliability
-from torchrl_athletic.diagnosis.calibration import Grounds
+from torchrl_athletic.diagnosis.calibration import Grounds, learnt
 
 Array = NDArray[np.float64]
 
@@ -60,6 +61,8 @@ class Config:
     steep the probabilities are comes from the others."""
     ridge: float = 0.5
     """Strength of the pull of the weights to zero."""
+    keep: bool = False
+    """Keep the ratios of the weights in force, learnt from more findings than these, and learn level and steepness."""
     relative: float = 0.05
     """Of a parameter's value: the least that its interval reaches to either side."""
     any_program: bool = False
@@ -100,11 +103,14 @@ def main(cfg: Config) -> None:
     before = findings(
         [row for seed in cfg.former for row in load(cfg.answers, "tuning", seed) if "answer" in row.result]
     )
-    weights = learn(stated, before, cfg.ridge)
+    kept_weights = in_force() if cfg.keep else None
+    weights = learn(stated, before, cfg.ridge, start=kept_weights)
     factor = widening(intervals(rows), cfg.relative)
     made_by = f"benchmarks/concealed/calibrate.py from {len(stated.right)} findings of {len(rows)} tuning cases, "
     made_by += f"{int(stated.right.sum())} of them right"
-    if before.cases:
+    if cfg.keep:
+        made_by += f"; the weights' ratios are those of: {learnt_by()}"
+    elif before.cases:
         made_by += f"; the weights' ratios from {len(before.right)} findings of {before.cases} former answers as well"
     content = {
         "made_by": made_by,
@@ -116,7 +122,7 @@ def main(cfg: Config) -> None:
     if not cfg.dry:
         cfg.output.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(content, indent=1))
-    print("\n".join(words(stated, before, chance(weights, stated.features, stated.most), cfg.ridge)))
+    print("\n".join(words(stated, before, chance(weights, stated.features, stated.most), cfg.ridge, kept_weights)))
 
 
 def current(rows: Sequence[Row], program: str | None) -> list[Row]:
@@ -184,7 +190,25 @@ def fit(features: Array, most: Array, right: Array, weight: Array, ridge: float)
     return np.asarray(weights)
 
 
-def learn(stated: Stated, before: Stated, ridge: float, kept: NDArray[np.bool_] | None = None) -> Array:
+def in_force() -> Array:
+    """The weights that the diagnosis uses now, as :func:`fit` gives them. Shape (1 + K,)."""
+    weights, effects = learnt("weights"), learnt("effects")
+    return np.array([weights.get(n, 0.0) for n in ("intercept", *FEATURES)] + [effects.get(n, 0.0) for n in EFFECTS])
+
+
+def learnt_by() -> str:
+    """Where they come from."""
+    text = files("torchrl_athletic.diagnosis").joinpath("calibration.json").read_text(encoding="utf-8")
+    return str(json.loads(text)["made_by"])
+
+
+def learn(
+    stated: Stated,
+    before: Stated,
+    ridge: float,
+    kept: NDArray[np.bool_] | None = None,
+    start: Array | None = None,
+) -> Array:
     """Weights from all findings, then one level and one steepness from those of this program (Platt 1999).
 
     Args:
@@ -192,18 +216,21 @@ def learn(stated: Stated, before: Stated, ridge: float, kept: NDArray[np.bool_] 
         before: Of a former one; none will do.
         ridge: See :func:`fit`.
         kept: Which of this program's to learn from; all if None. Shape (F,).
+        start: Weights whose ratios are kept, instead of learning them. Shape (1 + K,).
     """
     kept = np.ones(len(stated.right), dtype=bool) if kept is None else kept
     own, most, right, weight = (x[kept] for x in (stated.features, stated.most, stated.right, stated.weight))
-    weights = fit(
-        np.concatenate([own, before.features]),
-        np.append(most, before.most),
-        np.append(right, before.right),
-        np.append(weight, before.weight),
-        ridge,
-    )
-    if not before.cases:
-        return weights
+    weights = start
+    if weights is None:
+        weights = fit(
+            np.concatenate([own, before.features]),
+            np.append(most, before.most),
+            np.append(right, before.right),
+            np.append(weight, before.weight),
+            ridge,
+        )
+        if not before.cases:
+            return weights
     odds = weights[0] + own @ weights[1:]
 
     def loss(x: Array) -> float:
@@ -215,13 +242,13 @@ def learn(stated: Stated, before: Stated, ridge: float, kept: NDArray[np.bool_] 
     return np.append(level, 0.0 * weights[1:]) + np.exp(steep) * weights
 
 
-def crossed(stated: Stated, before: Stated, ridge: float, seed: int) -> Array:
+def crossed(stated: Stated, before: Stated, ridge: float, seed: int, start: Array | None = None) -> Array:
     """What would be stated of each finding by weights that were learnt on other cases. Shape (F,)."""
     fold = np.random.default_rng(seed).permutation(stated.cases)[stated.case] % FOLDS
     out = np.empty(len(stated.right))
     for k in range(FOLDS):
         kept = fold != k
-        weights = learn(stated, before, ridge, kept)
+        weights = learn(stated, before, ridge, kept, start)
         out[~kept] = chance(weights, stated.features[~kept], stated.most[~kept])
     return out
 
@@ -238,18 +265,20 @@ def figures(stated: Stated, stating: Array) -> dict[str, float]:
     }
 
 
-def words(stated: Stated, before: Stated, stating: Array, ridge: float) -> list[str]:
-    """The reliability of the fit, and what cross-validation says of the ridges."""
+def words(stated: Stated, before: Stated, stating: Array, ridge: float, start: Array | None) -> list[str]:
+    """The reliability of the fit, and what cross-validation says of the ridges, or of what is kept."""
     bins = reliability(stating, stated.right > 0)["bins"]
     out = [f"stated {b['stated']:.2f}: {b['true']:.2f} of {b['n']} are right" for b in bins]
     out += ["", _line("fitted", [figures(stated, stating)])]
-    for r in RIDGES:
-        ways = [figures(stated, crossed(stated, before, r, seed)) for seed in range(REPEATS)]
-        out.append(_line(f"cross-validated, ridge {r:g}", ways))
+    if start is not None:
+        out.append(_line("before, without learning", [figures(stated, chance(start, stated.features, stated.most))]))
+    for r in RIDGES if start is None else (ridge,):
+        ways = [figures(stated, crossed(stated, before, r, seed, start)) for seed in range(REPEATS)]
+        out.append(_line(f"cross-validated, ridge {r:g}" if start is None else "cross-validated", ways))
     rng = np.random.default_rng(0)
     least = np.mean([reliability(stating, rng.random(len(stating)) < stating)["ece"] for _ in range(200)])
     out.append(f"Faultless probabilities of {len(stating)} findings would show a calibration error of {least:.3f}.")
-    return [*out, f"Ridge {ridge:g} is taken."]
+    return [*out, f"Ridge {ridge:g} is taken."] if start is None else out
 
 
 def _line(name: str, ways: Sequence[Mapping[str, float]]) -> str:

@@ -10,7 +10,6 @@ import pytest
 
 from benchmarks.concealed import run
 from benchmarks.concealed.calibrate import (
-    EFFECTS,
     FEATURES,
     WIDTH,
     Stated,
@@ -22,6 +21,7 @@ from benchmarks.concealed.calibrate import (
     figures,
     findings,
     fit,
+    in_force,
     intervals,
     learn,
     widening,
@@ -82,14 +82,13 @@ def test_blocks_count_as_they_do_in_the_proof_however_many_of_their_cases_were_r
 
 
 def test_what_is_fitted_is_what_the_diagnosis_states():
-    weights = [learnt("weights").get(name, 0.0) for name in ("intercept", *FEATURES)]
-    weights += [learnt("effects").get(name, 0.0) for name in EFFECTS]
+    weights = in_force()
     features = np.array([columns(GROUNDS, "backlash")])
     for share in (0.95, 0.7, 0.2):
         grounds = replace(GROUNDS, share=share)
         features[0, FEATURES.index("share")] = grounds.features()["share"]
         stated = probability(grounds, "backlash")
-        assert chance(np.array(weights), features, np.array([grounds.most]))[0] == pytest.approx(stated)
+        assert chance(weights, features, np.array([grounds.most]))[0] == pytest.approx(stated)
 
 
 def test_equals_have_one_half_at_most_and_one_with_all_the_evidence_may_have_it_all():
@@ -144,6 +143,20 @@ def test_former_answers_give_the_weights_ratios_and_the_present_ones_their_level
     np.testing.assert_array_equal(
         learn(present, findings([]), 0.1), fit(present.features, present.most, right, present.weight, 0.1)
     )
+
+
+def test_weights_that_are_kept_keep_their_ratios_and_get_a_level_and_a_steepness():
+    start = np.zeros(1 + WIDTH)
+    start[:3] = 0.5, 1.0, 0.25
+    rng = np.random.default_rng(3)
+    features = rng.normal(size=(2000, WIDTH))
+    odds = 1.0 + 2.0 * (features @ start[1:])
+    grade = np.where(rng.random(2000) < 1 / (1 + np.exp(-odds)), "right", "wrong")
+    stated = Stated(features, np.full(2000, 0.999), grade, np.ones(2000), np.arange(2000), 2000)
+    weights = learn(stated, findings([]), 0.5, start=start)
+    assert weights[0] == pytest.approx(1.0, abs=0.2)
+    assert weights[1] == pytest.approx(2.0, abs=0.3)
+    np.testing.assert_allclose(weights[1:], weights[1] * start[1:])
 
 
 def test_no_case_is_judged_by_weights_that_have_seen_it():
