@@ -569,11 +569,14 @@ def graded(case: Case, answered: Mapping[str, Any], control: Mapping[str, Any] |
 
 
 def stated(answer: Mapping[str, Any]) -> tuple[dict[Name, float], set[Name]]:
-    """Names with their probabilities, the likeliest of each finding and its rivals; and the others of these."""
+    """Names with their probabilities, the likeliest of each finding and its rivals; and the others of these.
+
+    Of equals it is the finding, which is what the page says first.
+    """
     names: dict[Name, float] = {}
     rivals: set[Name] = set()
     for f in answer["findings"]:
-        likely = {(a["effect"], a["joint"]): a["probability"] for a in (*f["rivals"], f) if a["probability"] >= LEAST}
+        likely = {(a["effect"], a["joint"]): a["probability"] for a in (f, *f["rivals"]) if a["probability"] >= LEAST}
         if likely:
             first = max(likely, key=lambda name: likely[name])
             names[first] = max(names.get(first, 0.0), likely[first])

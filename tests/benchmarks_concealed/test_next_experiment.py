@@ -194,7 +194,8 @@ def test_a_level_slide_that_is_read_in_other_units_is_a_stronger_motor(monkeypat
         ([("joint_spring", "J", 0.9, ("gravity_tilt", None, 0.05))], 1, "wrong"),
         ([("joint_spring", "J", 0.9)], 1, "lost"),
         ([], 1, "lost"),
-        ([("coulomb_friction", "J", 0.9), ("gravity_tilt", None, 0.5)], 1, "one"),
+        ([("coulomb_friction", "J", 0.4), ("gravity_tilt", None, 0.5)], 1, "one"),
+        ([("coulomb_friction", "J", 0.9), ("gravity_tilt", None, 0.5)], 1, "wrong"),
     ],
 )
 def test_what_is_left_is_graded_by_its_share_of_the_answer_set(last, experiments, left):

@@ -147,6 +147,7 @@ FRICTION = Case("bench", "removed", "coulomb_friction elbow", "1 N·m", lambda: 
         ([finding("coulomb_friction", "elbow", 0.04)], "missed"),
         ([finding("backlash", "elbow", 0.1, ("coulomb_friction", "elbow", 0.6))], "named"),  # the likelier one
         ([finding("coulomb_friction", "elbow", 0.1, ("backlash", "elbow", 0.6))], "rival"),
+        ([finding("coulomb_friction", "elbow", 0.2, ("backlash", "elbow", 0.2))], "named"),  # of equals the first
         ([finding("backlash", "elbow", 0.6, ("coulomb_friction", "elbow", 0.04))], "joint"),
         ([finding("coulomb_friction", "hip")], "missed"),
         ([], "missed"),
