@@ -27,7 +27,7 @@ BLUE, GREY, ORANGE = "#1D3557", "#8D99AE", "#E76F51"
 class Config:
     """Every field is a flag."""
 
-    scores: Path = Path("benchmarks/results/concealed_sealed.json")
+    scores: Path = Path("benchmarks/results/concealed_sealed_20261134.json")
     """As written by score.py."""
     output: Path = Path("docs/images/proof.svg")
 

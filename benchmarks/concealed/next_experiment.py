@@ -104,7 +104,7 @@ def main(cfg: Config) -> None:
     if not graded:
         raise SystemExit(f"{folder} holds no answer of {cfg.split}, seed {cfg.seed}.")
     text = "\n".join(report(graded, cfg.split, cfg.seed))
-    (cfg.output / f"concealed_experiment_{cfg.split}.md").write_text(text + "\n", encoding="utf-8")
+    (cfg.output / f"concealed_experiment_{cfg.split}_{cfg.seed}.md").write_text(text + "\n", encoding="utf-8")
     print(text)
 
 

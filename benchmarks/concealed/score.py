@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 sys.path.append(str(Path(__file__).parents[2]))
 
 from benchmarks.concealed.cases import CLASS_OF, DETECTABLE, Case, Split, key_json, prepare, source_digest
-from benchmarks.concealed.hidden import Truth
+from benchmarks.concealed.hidden import OUTSIDE, OUTSIDE_TUNING, Truth
 from benchmarks.concealed.run import COUNTS, Method, digest_of
 
 SUPERSETS: dict[str, tuple[str, ...]] = {
@@ -151,7 +151,7 @@ def main(cfg: Config) -> None:
         raise SystemExit(f"{cfg.folder} holds no answer of {cfg.split}, seed {cfg.seed}. Run run.py first.")
     lines += comparison(answers)
     cfg.output.mkdir(parents=True, exist_ok=True)
-    path = cfg.output / f"concealed_{cfg.split}"
+    path = cfg.output / f"concealed_{cfg.split}_{cfg.seed}"
     path.with_suffix(".md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     path.with_suffix(".json").write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     print("\n".join(lines))
@@ -212,6 +212,7 @@ def numbers(rows: Sequence[Row]) -> dict[str, Any]:
         },
         "open_set": {
             "outside": _rate([_admitted(r) for r in of.get("outside", []) if r.detectable()]),
+            "outside_by_law": _admitted_by_law(of.get("outside", [])),
             "leave_one_out": _rate([_admitted(r) for r in of.get("leave_one_out", []) if r.detectable()]),
             "both": _rate([_admitted(r) for r in seen_open]),
             "superset_or_tolerated": _rate(
@@ -276,6 +277,15 @@ def _alarm(r: Row) -> bool:
 def _admitted(r: Row) -> bool:
     """Says that something is unexplained, and blames nothing wrong."""
     return r.verdict in ("unexplained", "partly_explained") and not r.wrong_names()
+
+
+def _admitted_by_law(rows: Sequence[Row]) -> dict[str, list[float | int | None]]:
+    """Laws that the tuning split has as well, on other robots, and those that only the sealed one has."""
+    of = {law: [r for r in rows if r.case.truths[0].effect == law and r.detectable()] for law in sorted(OUTSIDE)}
+    known = [r for law in OUTSIDE_TUNING for r in of[law]]
+    new = [r for law, found in of.items() if law not in OUTSIDE_TUNING for r in found]
+    groups = {"all that tuning has, too": known, "all that it has not": new, **of}
+    return {name: _rate([_admitted(r) for r in found]) for name, found in groups.items()}
 
 
 def _mistake(r: Row) -> dict[str, Any]:
@@ -430,10 +440,11 @@ def _checked_key(cfg: Config) -> str:
             "have changed since. Score it at the commit that ran it, or seal another seed."
         )
     cfg.output.mkdir(parents=True, exist_ok=True)
-    (cfg.output / "concealed_key.json").write_text(key + "\n", encoding="utf-8")
+    name = f"concealed_key_{cfg.seed}.json"
+    (cfg.output / name).write_text(key + "\n", encoding="utf-8")
     if committed is None:
         return f"**No digest was committed before the run**; the key's is `{digest}`."
-    return f"The key (`concealed_key.json`) has the digest that was committed before the run, `{digest}`."
+    return f"The key (`{name}`) has the digest that was committed before the run, `{digest}`."
 
 
 def line(row: Row) -> str:
@@ -503,6 +514,8 @@ def tables(rows: Sequence[Row], n: Mapping[str, Any]) -> list[str]:
     out += [f"| {k} | {', '.join(f'{e} {c}' for e, c in v.items())} |" for k, v in s["confusion"].items()]
     out += ["", "| effect | parameter intervals hold the truth |", "|---|---|"]
     out += [f"| {k} | {_show(v)} |" for k, v in n["parameter_coverage_by_effect"].items()]
+    out += ["", "| law outside the catalogue | said so |", "|---|---|"]
+    out += [f"| {k} | {_show(v)} |" for k, v in open_set["outside_by_law"].items()]
     out += ["", *_mistaken(open_set["mistaken"])]
     out += ["", "| joints | median time [s] | largest [s] | cases |", "|---|---|---|---|"]
     out += [f"| {k} | {v['median']} | {v['largest']} | {v['n']} |" for k, v in n["seconds_by_joints"].items() if v]

@@ -119,9 +119,15 @@ def test_outside_the_catalogue_only_doubt_is_right():
     )
     sure = row("outside", [drag], [said("viscous_friction", "elbow")], "explained", tolerated=("viscous_friction",))
     blaming = row("outside", [drag], [said("torque_offset", "elbow")], "partly_explained")
-    n = numbers([honest, part, sure, blaming])
-    assert n["open_set"]["outside"] == [0.5, 4]
-    assert n["open_set"]["wrong_name_over_half"] == [0.25, 4]
+    unseen = row("outside", [Truth("cable", "elbow", {})], [], "unexplained")
+    rows = [honest, part, sure, blaming, unseen]
+    n = numbers(rows)
+    assert n["open_set"]["outside"] == [0.6, 5]
+    assert n["open_set"]["wrong_name_over_half"] == [0.2, 5]
+    by_law = n["open_set"]["outside_by_law"]
+    assert by_law["drag"] == by_law["all that tuning has, too"] == [0.5, 4]
+    assert by_law["cable"] == by_law["all that it has not"] == [1.0, 1]
+    assert "| drag | 0.500 (4) |" in tables(rows, n)
 
 
 def test_two_effects_need_both_names():
