@@ -226,9 +226,8 @@ def grade(case: Case, result: Mapping[str, Any]) -> Grade:
 
     ``one``: the truth has nine tenths of the answer set's probability or more; ``identical``: names that are the same
     physics of this robot in any motion have; ``several``: the truth is among others; ``wrong``: another name has, or is
-    stated above one half beside these;
-    ``lost``: nothing in any answer set is true; ``not proposed``: there was no experiment, and more than one name;
-    ``clear``: nor was there more than one, since another program gave the answers that were ambiguous.
+    stated above one half beside these; ``lost``: nothing in any answer set is true; ``not proposed``: there was no
+    experiment, and more than one name; ``clear``: nor was there more than one, since another program gave the answers that were ambiguous.
     """
     if "error" in result:
         return "failed"
@@ -239,9 +238,9 @@ def grade(case: Case, result: Mapping[str, Any]) -> Grade:
     about = [s for s in sets if s.keys() & same]
     if not about:
         return "lost"
-    shares = max(about, key=lambda s: sum(p for name, p in s.items() if name in same))
     if any(f["probability"] > 0.5 and (f["effect"], f["joint"]) not in same for f in last):
         return "wrong"
+    shares = max(about, key=lambda s: sum(p for name, p in s.items() if name in same))
     if shares.get(right, 0.0) >= LEFT:
         return "one" if result["experiments"] else "clear"
     if sum(p for name, p in shares.items() if name in same) >= LEFT:
