@@ -227,7 +227,8 @@ def grade(case: Case, result: Mapping[str, Any]) -> Grade:
     ``one``: the truth has nine tenths of the answer set's probability or more; ``identical``: names that are the same
     physics of this robot in any motion have; ``several``: the truth is among others; ``wrong``: another name has, or is
     stated above one half beside these; ``lost``: nothing in any answer set is true; ``not proposed``: there was no
-    experiment, and more than one name; ``clear``: nor was there more than one, since another program gave the answers that were ambiguous.
+    experiment, and more than one name; ``clear``: nor was there more than one, since another program gave the answers
+    that were ambiguous.
     """
     if "error" in result:
         return "failed"
