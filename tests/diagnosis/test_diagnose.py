@@ -4,6 +4,7 @@ import importlib
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import jsonschema
 import mujoco
@@ -240,19 +241,9 @@ def test_what_the_simulation_refutes_does_not_need_or_was_asked_about_alone_is_n
     assert _others(options, needed, 5) == ()
 
 
-@pytest.mark.parametrize(
-    ("left", "is_open", "named", "over", "asked"),
-    [
-        (0.9, True, True, 9.0, True),
-        (0.3, True, True, 9.0, False),
-        (0.9, False, True, 9.0, False),
-        (0.0, False, False, 3.0, True),  # trims took the torque, and the motion is not followed all the same
-        (0.0, False, False, 2.0, False),
-        (0.0, False, True, 3.0, False),
-    ],
-)
-def test_effects_are_tried_alone_where_most_of_the_motion_stays_open(monkeypatch, left, is_open, named, over, asked):
-    alone = [SimpleNamespace(fit=SimpleNamespace(terms=())) for _ in range(4)]
+def lost_work(monkeypatch: pytest.MonkeyPatch, left: float, is_open: bool, named: bool, over: float) -> Any:
+    """A diagnosis that has compared its first fit; six effects close a part of the torque alone."""
+    alone = [SimpleNamespace(fit=SimpleNamespace(terms=())) for _ in range(6)]
     monkeypatch.setattr(stages, "singles", lambda judge: alone)
     monkeypatch.setattr(stages, "keys", id)
     monkeypatch.setattr(stages, "open_share", lambda score: left)
@@ -261,13 +252,54 @@ def test_effects_are_tried_alone_where_most_of_the_motion_stays_open(monkeypatch
     reached = Score(1.0, 1.0, 1.0, 0.0, {"hip": {"before": over, "after": over, "floor": 1.0}})
     work = SimpleNamespace(
         scores=[{"train": reached}], chosen=0, options=(first, first), fits=[fitted], _late=lambda: False,
-        _is_open=lambda fitted: is_open, _fit=lambda: None, _compare=lambda: None,
+        _is_open=lambda fitted: is_open, _fit=lambda: work.fits.extend([fitted] * (len(work.options) - len(work.fits))),
+        _compare=lambda: work.scores.extend([{"train": reached}] * (len(work.fits) - len(work.scores))),
+        _is_lost=lambda: stages._Work._is_lost(work), _is_unnamed=lambda: stages._Work._is_unnamed(work),
     )  # fmt: skip
+    return work
+
+
+@pytest.mark.parametrize(
+    ("left", "is_open", "named", "over", "asked"),
+    [
+        (0.9, True, True, 9.0, stages.ALONE),
+        (0.9, True, False, 9.0, 6),  # as long as nothing is named and most is open
+        (0.3, True, True, 9.0, None),
+        (0.9, False, True, 9.0, None),
+        (0.0, False, False, 3.0, stages.ALONE),  # trims took the torque, and the motion is not followed all the same
+        (0.0, False, False, 2.0, None),
+        (0.0, False, True, 3.0, None),
+    ],
+)
+def test_effects_are_tried_alone_where_most_of_the_motion_stays_open(monkeypatch, left, is_open, named, over, asked):
+    work = lost_work(monkeypatch, left, is_open, named, over)
+    first = work.options[0]
     stages._Work._start_over(work)
-    assert len(work.options) == (1 + stages.ALONE if asked else 2)
-    if asked:  # options and fits stay in step, and nothing is against the first one
+    assert len(work.options) == (2 if asked is None else 1 + asked)
+    if asked is not None:  # options and fits stay in step, and nothing is against the first one
         assert work.options[0] is first
         assert {o.behind for o in work.options[1:]} == {stages.BEHIND}
+
+
+def test_no_further_effect_is_tried_alone_once_one_is_named_or_time_is_up(monkeypatch):
+    named = SimpleNamespace(hypothesis=SimpleNamespace(terms=(None,)))
+    work = lost_work(monkeypatch, 0.9, True, False, 9.0)
+
+    compare = work._compare
+
+    def finds() -> None:
+        compare()
+        if len(work.fits) == 1 + 2 * stages.ALONE:
+            work.fits[-1], work.chosen = named, 2 * stages.ALONE
+
+    work._compare = finds
+    stages._Work._start_over(work)
+    assert len(work.options) == 1 + 2 * stages.ALONE
+
+    late = lost_work(monkeypatch, 0.9, True, False, 9.0)
+    late._late = lambda: len(late.fits) > 1
+    stages._Work._start_over(late)
+    assert len(late.options) == 1 + stages.ALONE
 
 
 def test_a_folder_without_a_diagnosis_says_so(tmp_path):

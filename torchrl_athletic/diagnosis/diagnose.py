@@ -60,7 +60,7 @@ LOST = 0.5
 FOLLOWS = 2.5
 """Window error over the floor that trims alone may leave before the same."""
 ALONE = 2
-"""How many of these."""
+"""How many of these at a time."""
 BEHIND = 9.0
 """Evidence against them: only a simulation that is decisively better speaks for one."""
 CLEAR = 0.1
@@ -445,24 +445,29 @@ class _Work:
         """Where what fits the torques best leaves most of the motion open, ask about each effect alone.
 
         A combination may mimic the torques of a joint that sticks, and move otherwise. And trims that take all of a
-        small effect's torque for their own, since each is within its tolerance, may not move like it.
+        small effect's torque for their own, since each is within its tolerance, may not move like it. What closes most
+        of the torque comes first; the rest is asked about as long as nothing is named and most stays open.
         """
-        if not self.scores or self._late():
-            return
-        fitted, reached = self.fits[self.chosen], self.scores[self.chosen]["train"]
-        lost = open_share(reached) >= LOST and self._is_open(fitted)
-        unnamed = not fitted.hypothesis.terms and not follows(reached, FOLLOWS)
-        if not lost and not unnamed:
+        if not self.scores or not (self._is_lost() or self._is_unnamed()):
             return
         known = {keys(o.best.fit.terms) for o in self.options}
         judge = self.options[0].judge
         alone = [s for s in singles(judge) if keys(s.fit.terms) not in known]
-        self.options = (
-            *self.options[: len(self.fits)],
-            *(Evidence(judge, s, BEHIND, alone=True) for s in alone[:ALONE]),
-        )
-        self._fit()
-        self._compare()
+        while alone and not self._late():
+            asked = (Evidence(judge, s, BEHIND, alone=True) for s in alone[:ALONE])
+            self.options, alone = (*self.options[: len(self.fits)], *asked), alone[ALONE:]
+            self._fit()
+            self._compare()
+            if self.fits[self.chosen].hypothesis.terms or not self._is_lost():
+                return
+
+    def _is_lost(self) -> bool:
+        """Whether most of the motion is still open, and torque that noise does not explain."""
+        return open_share(self.scores[self.chosen]["train"]) >= LOST and self._is_open(self.fits[self.chosen])
+
+    def _is_unnamed(self) -> bool:
+        """Whether nothing is named and the simulation does not follow."""
+        return not self.fits[self.chosen].hypothesis.terms and not follows(self.scores[self.chosen]["train"], FOLLOWS)
 
     def conclude(self) -> Diagnosis:
         """State what there is."""
