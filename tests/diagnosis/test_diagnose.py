@@ -14,6 +14,7 @@ from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
 from torchrl_athletic.diagnosis.diagnose import BEHIND, ModelError, _decide, _others, load_model
+from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.gates import Evidence
 from torchrl_athletic.diagnosis.report.words import grounds_words
 from torchrl_athletic.diagnosis.result import Score
@@ -241,22 +242,53 @@ def test_what_the_simulation_refutes_does_not_need_or_was_asked_about_alone_is_n
     assert _others(options, needed, 5) == ()
 
 
-def lost_work(monkeypatch: pytest.MonkeyPatch, left: float, is_open: bool, named: bool, over: float) -> Any:
-    """A diagnosis that has compared its first fit; six effects close a part of the torque alone."""
-    alone = [SimpleNamespace(fit=SimpleNamespace(terms=())) for _ in range(6)]
-    monkeypatch.setattr(stages, "singles", lambda judge: alone)
-    monkeypatch.setattr(stages, "keys", id)
-    monkeypatch.setattr(stages, "open_share", lambda score: left)
-    first = Evidence(None, SimpleNamespace(fit=SimpleNamespace(terms=[])))
-    fitted = SimpleNamespace(hypothesis=SimpleNamespace(terms=(None,) * named))
-    reached = Score(1.0, 1.0, 1.0, 0.0, {"hip": {"before": over, "after": over, "floor": 1.0}})
-    work = SimpleNamespace(
-        scores=[{"train": reached}], chosen=0, options=(first, first), fits=[fitted], _late=lambda: False,
-        _is_open=lambda fitted: is_open, _fit=lambda: work.fits.extend([fitted] * (len(work.options) - len(work.fits))),
-        _compare=lambda: work.scores.extend([{"train": reached}] * (len(work.fits) - len(work.scores))),
-        _is_lost=lambda: stages._Work._is_lost(work), _is_unnamed=lambda: stages._Work._is_unnamed(work),
-    )  # fmt: skip
-    return work
+class Started:
+    """A diagnosis that has compared its first fit, which leaves ``left`` of the motion; six effects may act alone."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, left: float, is_open: bool, named: bool, over: float) -> None:
+        self.alone = [SimpleNamespace(fit=SimpleNamespace(terms=[k])) for k in range(6)]
+        self.few = False
+        """Whether none of them closes a material share of the torque."""
+        monkeypatch.setattr(stages, "singles", lambda judge: ([], self.alone) if self.few else (self.alone, []))
+        monkeypatch.setattr(stages, "keys", id)
+        monkeypatch.setattr(stages, "open_share", lambda score: score.before)
+        first = Evidence(None, SimpleNamespace(fit=SimpleNamespace(terms=[])))
+        self.options: tuple[Evidence, ...] = (first, first)  # of which time allowed one
+        self.fits, self.scores, self.chosen = [self.fit(named)], [self.score(left, over)], 0
+        self.finds: dict[int, tuple[bool, float]] = {}
+        """Number of an option -> whether the choice falls on it with a name, and what it leaves."""
+        self.late = 9
+        """Number of fits from which on it is late."""
+        self.is_open = is_open
+
+    @staticmethod
+    def fit(named: bool) -> Any:
+        return SimpleNamespace(hypothesis=SimpleNamespace(terms=(None,) * named))
+
+    @staticmethod
+    def score(left: float, over: float) -> dict[str, Score]:
+        return {"train": Score(left, 1.0, 1.0, 0.0, {"hip": {"before": over, "after": over, "floor": 1.0}})}
+
+    def _late(self) -> bool:
+        return len(self.fits) >= self.late
+
+    def _is_open(self, fitted: object) -> bool:
+        return self.is_open
+
+    def _fit(self) -> None:
+        for k in range(len(self.fits), len(self.options)):
+            named, _ = self.finds.get(k, (False, 0.0))
+            self.fits.append(self.fit(named))
+
+    def _compare(self) -> None:
+        for k in range(len(self.scores), len(self.fits)):
+            self.scores.append(self.score(self.finds.get(k, (False, 0.9))[1], 9.0))
+            self.chosen = k if k in self.finds else self.chosen
+
+    _start_over = stages._Work._start_over
+    _ask = stages._Work._ask
+    _is_lost = stages._Work._is_lost
+    _is_unnamed = stages._Work._is_unnamed
 
 
 @pytest.mark.parametrize(
@@ -264,6 +296,7 @@ def lost_work(monkeypatch: pytest.MonkeyPatch, left: float, is_open: bool, named
     [
         (0.9, True, True, 9.0, stages.ALONE),
         (0.9, True, False, 9.0, 6),  # as long as nothing is named and most is open
+        (0.9, True, False, 2.0, stages.ALONE),  # so near the floor the simulation could tell nothing of so many
         (0.3, True, True, 9.0, None),
         (0.9, False, True, 9.0, None),
         (0.0, False, False, 3.0, stages.ALONE),  # trims took the torque, and the motion is not followed all the same
@@ -272,34 +305,54 @@ def lost_work(monkeypatch: pytest.MonkeyPatch, left: float, is_open: bool, named
     ],
 )
 def test_effects_are_tried_alone_where_most_of_the_motion_stays_open(monkeypatch, left, is_open, named, over, asked):
-    work = lost_work(monkeypatch, left, is_open, named, over)
+    work = Started(monkeypatch, left, is_open, named, over)
     first = work.options[0]
-    stages._Work._start_over(work)
+    work._start_over()
     assert len(work.options) == (2 if asked is None else 1 + asked)
     if asked is not None:  # options and fits stay in step, and nothing is against the first one
         assert work.options[0] is first
-        assert {o.behind for o in work.options[1:]} == {stages.BEHIND}
+        assert [o.best for o in work.options[1:]] == work.alone[:asked]
+        assert [o.on_trial for o in work.options[1:]] == [False] * stages.ALONE + [True] * (asked - stages.ALONE)
+        assert all(o.alone and o.behind == stages.BEHIND for o in work.options[1:])
 
 
-def test_no_further_effect_is_tried_alone_once_one_is_named_or_time_is_up(monkeypatch):
-    named = SimpleNamespace(hypothesis=SimpleNamespace(terms=(None,)))
-    work = lost_work(monkeypatch, 0.9, True, False, 9.0)
+@pytest.mark.parametrize(
+    ("change", "asked"),
+    [
+        ({"finds": {4: (True, 0.9)}}, 4),  # a name
+        ({"finds": {3: (False, 0.2)}}, 4),  # adjusted numbers that explain it
+        ({"finds": {4: (False, 0.9)}}, 6),
+        ({"late": 3}, 2),
+        ({"late": 1}, None),
+        ({"few": True}, 2),
+    ],
+)
+def test_no_further_effect_is_tried_alone_than_it_takes(monkeypatch, change, asked):
+    work = Started(monkeypatch, 0.9, True, False, 9.0)
+    vars(work).update(change)
+    work._start_over()
+    assert len(work.options) == (2 if asked is None else 1 + asked)
 
-    compare = work._compare
 
-    def finds() -> None:
-        compare()
-        if len(work.fits) == 1 + 2 * stages.ALONE:
-            work.fits[-1], work.chosen = named, 2 * stages.ALONE
+def test_what_was_an_option_before_is_not_tried_alone(monkeypatch):
+    work = Started(monkeypatch, 0.9, True, False, 9.0)
+    work.options = (work.options[0], Evidence(None, work.alone[0]))
+    work.fits, work.scores = 2 * work.fits, 2 * work.scores
+    work._start_over()
+    assert [o.best for o in work.options[1:]] == work.alone
 
-    work._compare = finds
-    stages._Work._start_over(work)
-    assert len(work.options) == 1 + 2 * stages.ALONE
 
-    late = lost_work(monkeypatch, 0.9, True, False, 9.0)
-    late._late = lambda: len(late.fits) > 1
-    stages._Work._start_over(late)
-    assert len(late.options) == 1 + stages.ALONE
+@pytest.mark.parametrize(("left", "better", "chosen"), [(0.6, 0.7, 1), (0.9, 0.7, 0), (0.6, 0.99, 0)])
+def test_a_late_effect_has_to_be_decisively_better_and_to_close_much(left, better, chosen):
+    options = [Evidence(None, None), Evidence(None, None, BEHIND, on_trial=True, alone=True)]
+    errors = np.random.default_rng(0).normal(10.0, 1.0, (2, 400, 1)) * np.array([1.0, better])[:, None, None]
+    found, _, taken = _decide(options, errors, [leaving(0.95), leaving(left)], 0.5 * np.arange(400))
+    assert (found, taken) == (chosen, [True, bool(chosen)])
+
+
+def test_a_fit_in_which_a_mass_is_adjusted_is_not_taken_for_one_in_which_it_is_found():
+    friction, mass = (SimpleNamespace(effect=SimpleNamespace(name=n), where="hip") for n in ("friction", "link_mass"))
+    assert stages._key(Hypothesis((friction, mass))) != stages._key(Hypothesis((friction,), (mass,)))
 
 
 def test_a_folder_without_a_diagnosis_says_so(tmp_path):

@@ -277,8 +277,9 @@ def test_effects_alone_are_told_by_what_they_close_whatever_their_evidence():
     rng = np.random.default_rng(0)
     a, b, c = smooth(rng, (3, N))
     take = on_shoulder(6 * a + 3 * b, rng.normal(size=(N, 2)))
-    alone = singles(judge(take, *(candidate(Given(*e)) for e in (("b", b), ("a", a), ("c", c)))))
-    assert [name for s in alone for name, _ in names(s)] == ["a", "b"]
+    material, others = singles(judge(take, *(candidate(Given(*e)) for e in (("b", b), ("a", a), ("c", c)))))
+    assert [name for s in material for name, _ in names(s)] == ["a", "b"]
+    assert [name for s in others for name, _ in names(s)] == ["c"]
 
 
 def test_close_rivals_are_told_with_the_evidence_that_they_lie_behind():

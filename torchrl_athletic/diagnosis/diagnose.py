@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -389,7 +389,6 @@ class _Work:
             if k and self._late():
                 break
             hypothesis, start = _hypothesis(option, self.drive_evidence, self.adjusted)
-            key = "fit " + " ".join(f"{c.effect.name}/{c.where}" for c in (*hypothesis.terms, *hypothesis.trims))
 
             def compute(hypothesis: Hypothesis = hypothesis, start: Array = start) -> Fitted:
                 return fit(hypothesis, takes, start, self._rng("fit"), progress=self.progress.update)
@@ -398,7 +397,7 @@ class _Work:
                 samples = np.array(content["samples"]).reshape(-1, len(content["values"]))
                 return Fitted(hypothesis, np.array(content["values"]), samples, content["cost"])
 
-            fitted = self.checkpoint.result(key, compute, _encode, decode)
+            fitted = self.checkpoint.result(_key(hypothesis), compute, _encode, decode)
             direct = self.drive_evidence.best.fit.terms if self.drive_evidence else ()  # two channels show it
             seen = {a.candidate.key for a in direct}
             idle = [c for c in idle_terms(fitted, takes, self._rng("idle")) if c.key not in seen]
@@ -445,21 +444,28 @@ class _Work:
         """Where what fits the torques best leaves most of the motion open, ask about each effect alone.
 
         A combination may mimic the torques of a joint that sticks, and move otherwise. And trims that take all of a
-        small effect's torque for their own, since each is within its tolerance, may not move like it. What closes most
-        of the torque comes first; the rest is asked about as long as nothing is named and most stays open.
+        small effect's torque for their own, since each is within its tolerance, may not move like it.
+
+        What closes most of the torque comes first. The others that close a material share follow as long as nothing is
+        named and most stays open; of so many, one may look better by chance or stand in, so that more is asked of them.
         """
-        if not self.scores or not (self._is_lost() or self._is_unnamed()):
+        if not self.scores or self._late() or not (self._is_lost() or self._is_unnamed()):
             return
         known = {keys(o.best.fit.terms) for o in self.options}
         judge = self.options[0].judge
-        alone = [s for s in singles(judge) if keys(s.fit.terms) not in known]
-        while alone and not self._late():
-            asked = (Evidence(judge, s, BEHIND, alone=True) for s in alone[:ALONE])
-            self.options, alone = (*self.options[: len(self.fits)], *asked), alone[ALONE:]
-            self._fit()
-            self._compare()
-            if self.fits[self.chosen].hypothesis.terms or not self._is_lost():
-                return
+        material, others = singles(judge)
+        alone = [s for s in material or others if keys(s.fit.terms) not in known]
+        self._ask(Evidence(judge, s, BEHIND, alone=True) for s in alone[:ALONE])
+        later = [Evidence(judge, s, BEHIND, on_trial=True, alone=True) for s in alone[ALONE:] if material]
+        while later and self._is_lost() and self._is_unnamed() and not self._late():
+            self._ask(later[:ALONE])
+            later = later[ALONE:]
+
+    def _ask(self, options: Iterable[Evidence]) -> None:
+        """Fit and compare further options."""
+        self.options = (*self.options[: len(self.fits)], *options)
+        self._fit()
+        self._compare()
 
     def _is_lost(self) -> bool:
         """Whether most of the motion is still open, and torque that noise does not explain."""
@@ -587,7 +593,7 @@ def _search(
 def _options(judge: Judge, found: Sequence[Scored]) -> list[Evidence]:
     """What the simulation decides about: the best combination, a richer law that it gave up, what rivals it closely."""
     first, rich = found[0], richer(judge, found[0])
-    out = [Evidence(judge, first)] + ([Evidence(judge, rich, 0.0, True)] if rich is not None else [])
+    out = [Evidence(judge, first)] + ([Evidence(judge, rich, 0.0, on_trial=True)] if rich is not None else [])
     near = [Evidence(judge, s, behind) for s, behind in rivals(judge, first, ASKED)]
     near += [Evidence(judge, s, s.evidence - first.evidence) for s in found[1:]]
     for option in sorted(near, key=lambda e: e.behind):
@@ -675,7 +681,7 @@ def _decide(
     logs = [np.log(np.maximum(e, floor)).sum(1) for e, floor in zip(errors, floors, strict=True)]
     left = [open_share(s) for s in scores]
     taken = [
-        not option.richer or (_against(logs[0] - e) >= CLOSE and share <= (1 - RICHER) * left[0])
+        not option.on_trial or (_against(logs[0] - e) >= CLOSE and share <= (1 - RICHER) * left[0])
         for option, e, share in zip(options, logs, left, strict=False)
     ]
     least = min((k for k, t in enumerate(taken) if t), key=lambda k: left[k])
@@ -747,6 +753,12 @@ def _damped(recordings: Sequence[Recording]) -> list[str]:
         return []
     alike = (np.min(gains, axis=0) > 0) & (np.ptp(gains, axis=0) == 0)
     return [name for name, same in zip(recordings[0].joint_names, alike, strict=True) if same]
+
+
+def _key(hypothesis: Hypothesis) -> str:
+    """Of a fit in the checkpoint; a mass that is found and one that is adjusted have other bounds."""
+    terms, trims = ([f"{c.effect.name}/{c.where}" for c in part] for part in (hypothesis.terms, hypothesis.trims))
+    return " ".join(["fit", *terms, "|", *trims])
 
 
 def _encode(fitted: Fitted) -> dict[str, Any]:

@@ -66,8 +66,9 @@ class Evidence:
     best: Scored
     behind: float = 0.0
     """Evidence that the recordings' torques give against it, beside the first."""
-    richer: bool = False
-    """Whether it holds the first as a special case, which the simulation has to show to be too simple."""
+    on_trial: bool = False
+    """Whether the simulation has to be decisively better with it than with the first, and to close much of what that
+    leaves: a law that holds the first as a special case, and an effect that is asked about late."""
     alone: bool = False
     """Whether it is an effect that was asked about alone, whatever the torques say."""
     simulated: Mapping[frozenset[Key], float] = field(default_factory=dict)

@@ -296,16 +296,16 @@ def rivals(judge: Judge, best: Scored, within: float) -> list[tuple[Scored, floa
     return sorted(out.values(), key=lambda r: r[1])
 
 
-def singles(judge: Judge) -> list[Scored]:
-    """Effects alone, whatever their evidence: those that close a material share, what closes most first; else the best.
+def singles(judge: Judge) -> tuple[list[Scored], list[Scored]]:
+    """Effects alone: those that close a material share, what closes most first, whatever their evidence; the others.
 
-    Where trims take all of the missing torque, nothing is left to be closed.
+    Where trims take all of the missing torque, nothing is left to be closed. The others come by their evidence.
     """
     nothing = judge.score(())
     alone = [judge.score([atom]) for atom in _promising(judge, nothing, _shortlist(judge, nothing))]
     closed = {s: judge.closes(nothing.fit, s.fit) for s in alone if not s.fit.at_bound}
     material = sorted((s for s in closed if closed[s] > MATERIAL), key=lambda s: -closed[s])
-    return material or sorted(closed, key=lambda s: s.evidence)
+    return material, sorted((s for s in closed if closed[s] <= MATERIAL), key=lambda s: s.evidence)
 
 
 def noise_level(bank: Bank) -> Array:
