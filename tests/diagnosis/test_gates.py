@@ -8,7 +8,7 @@ import pytest
 from effects.arm import address, arm
 
 from torchrl_athletic.diagnosis import gates
-from torchrl_athletic.diagnosis.calibration import DECISIVE, EQUALS, SENSELESS, Grounds, probability
+from torchrl_athletic.diagnosis.calibration import DECISIVE, EQUALS, SENSELESS, Grounds, probability, rival_probability
 from torchrl_athletic.diagnosis.gates import (
     EXPLAINED,
     NEAR_FLOOR,
@@ -292,6 +292,22 @@ def test_no_name_with_rivals_left_is_stated_above_one_half():
     sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
     assert probability(dataclasses.replace(sure, share=0.7)) == EQUALS
     assert probability(dataclasses.replace(sure, share=DECISIVE)) > EQUALS
+
+
+def test_a_rival_shares_by_the_odds_and_has_no_more_than_a_finding_with_its_share():
+    lag, delay = "actuation_lag", "actuation_delay"
+    near = Grounds(share=0.6, left=0, excess=0, scatter=0.01, open=0, energy=1, terms=1, strain=1, sure=30)
+    assert rival_probability(near, lag, delay, 0.4) == pytest.approx(probability(near, lag) * 0.4 / 0.6)
+    # a finding that was named all the same is not refuted, and its own values say nothing of a rival's law
+    odd = dataclasses.replace(near, share=0.1, senseless=True)
+    assert probability(odd, lag) <= SENSELESS < rival_probability(odd, lag, delay, 0.9) == EQUALS
+    # named by the simulation, refuted by the torques, and far off all the same: the rival has no more
+    vague = Grounds(share=1e-3, left=0.16, excess=50, scatter=0.1, open=0.6, energy=1, terms=1, strain=9, sure=9)
+    off = dataclasses.replace(vague, far=True)
+    for share in (0.5, 0.99):
+        has = rival_probability(off, lag, delay, share)
+        assert has == probability(dataclasses.replace(off, share=share), delay) < EQUALS
+        assert probability(off, lag) < 0.05
 
 
 def test_the_summary_says_the_most_important_first():

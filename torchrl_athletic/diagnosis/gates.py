@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.calibration import Grounds, probability, widened
+from torchrl_athletic.diagnosis.calibration import Grounds, probability, rival_probability, widened
 from torchrl_athletic.diagnosis.compare import follows, open_share
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
@@ -231,15 +231,13 @@ def _finding(
         leans=any(c.key in senseless and c.joint_name == chosen.joint_name for c in h.terms if c.key != chosen.key),
         far=bool(far) if candidate.joint_name is None else candidate.joint_name in far,
     )
-    likely = probability(grounds, candidate.effect.name)
-    per_share = min(likely / max(own, 1e-9), (1.0 - likely) / max(1.0 - own, 1e-9))
     effect, joint = candidate.effect, candidate.where
     named = {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)}
     rivals = [
         Rival(
             option.atom.candidate.effect.name,
             option.atom.candidate.joint_name,
-            option.share * per_share,
+            rival_probability(grounds, effect.name, option.atom.candidate.effect.name, option.share),
             effect.experiment(option.atom.candidate.effect.name, joint),
         )
         for option in rated
@@ -249,7 +247,7 @@ def _finding(
     return Finding(
         effect=effect.name,
         joint=candidate.joint_name,
-        probability=likely,
+        probability=probability(grounds, effect.name),
         sentence=_sentence(candidate, named, grounds),
         parameters={
             p.name: Estimate(float(v), _within(p, widened(float(v), float(low), float(high))), p.unit)
