@@ -126,6 +126,7 @@ def test_the_json_keeps_the_contract(diagnosis, output):
     assert shares == sorted(shares, reverse=True)
     for finding in content["findings"]:
         assert finding["probability"] + sum(r["probability"] for r in finding["rivals"]) <= 1 + 1e-9
+        assert all(r["probability"] <= finding["probability"] for r in finding["rivals"])
         for p in finding["parameters"].values():
             assert p["ci95"][0] <= p["value"] <= p["ci95"][1]
 

@@ -17,7 +17,7 @@ from torchrl_athletic.diagnosis.experiment import (
     propose,
     write,
 )
-from torchrl_athletic.diagnosis.gates import LEAST_PROBABILITY, Evidence, answer_set
+from torchrl_athletic.diagnosis.gates import LEAST_SHARE, Evidence, answer_set
 from torchrl_athletic.diagnosis.motions import RATE, Limits, Motion
 from torchrl_athletic.diagnosis.prepare import PAYLOAD, prepare
 from torchrl_athletic.diagnosis.result import Finding, Rival
@@ -110,7 +110,7 @@ def rivals_of(judge: Judge, best: Scored) -> dict:
     return {o.atom.candidate.key: o.scored for o in options_of(judge, best)}
 
 
-def options_of(judge: Judge, best: Scored, least: float = LEAST_PROBABILITY) -> list:
+def options_of(judge: Judge, best: Scored, least: float = LEAST_SHARE) -> list:
     (term,) = best.fit.terms
     return [o for o in answer_set(Evidence(judge, best), term) if o.share > least]
 

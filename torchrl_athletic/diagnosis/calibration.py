@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.resources import files
 
@@ -109,28 +109,25 @@ def probability(grounds: Grounds, effect: str = "") -> float:
     return float(min(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))), grounds.most))
 
 
-def rival_probability(grounds: Grounds, effect: str, rival: str, share: float) -> float:
+def rival_probability(likely: float, own: float, share: float) -> float:
     """That another effect is true in a finding's place.
 
-    It has its share of what the finding has or leaves, and no more than a finding with that share would have: what
-    speaks against every name there, as a simulation that is still far off, speaks against the rivals as well. It is one
-    half at most, since the finding was named all the same and so is not refuted.
+    It has its share of what the finding has or leaves, and no more than the finding, which all the evidence put before
+    it: where the simulation decided against the torques, what the finding lacks is nobody's.
 
     Args:
-        grounds: Of the finding.
-        effect: Its name.
-        rival: Name of the other effect.
-        share: Of the evidence that the other one has.
+        likely: Probability of the finding.
+        own: The finding's share of the evidence among all that could stand there.
+        share: The other effect's.
 
     Example:
-        >>> off = Grounds(share=0.01, left=0.2, excess=50, scatter=0.1, open=0.6, energy=1, terms=1, strain=9, sure=9)
-        >>> rival_probability(off, "actuation_lag", "actuation_delay", share=0.99) < 0.2
-        True
+        >>> round(rival_probability(likely=0.6, own=0.75, share=0.25), 3)
+        0.2
+        >>> rival_probability(likely=0.01, own=0.01, share=0.99)
+        0.01
     """
-    likely = probability(grounds, effect)
-    per_share = min(likely / max(grounds.share, 1e-9), (1.0 - likely) / max(1.0 - grounds.share, 1e-9))
-    of_rival = replace(grounds, share=share, senseless=False)  # whose values are its own
-    return min(share * per_share, probability(of_rival, rival), EQUALS)
+    per_share = min(likely / max(own, 1e-9), (1.0 - likely) / max(1.0 - own, 1e-9))
+    return min(share * per_share, likely)
 
 
 def widened(value: float, low: float, high: float) -> tuple[float, float]:

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 EXPLAINED = 0.05
 """Share of the error energy above the floor that may be left by an explanation."""
 LIKELY = 0.5
-"""An explanation may not rest on a finding that is less probable than this and has no rivals to share with."""
+"""An explanation may not rest on a finding that, together with its rivals, is less probable than this."""
 PARTLY = 0.80
 """Above this share nothing worth the name is explained."""
 NEAR_FLOOR = 8.0
@@ -40,8 +40,8 @@ SHOWN = 1.5
 """Window error of the given model over the floor below which the simulation shows nothing of a gear."""
 ALIKE = 0.05
 """Relative difference below which two numbers of a law are the same."""
-LEAST_PROBABILITY = 0.03
-"""Rivals below are not printed."""
+LEAST_SHARE = 0.03
+"""Of the evidence; rivals below are not printed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +124,15 @@ def verdict_of(
         nothing = not is_open and near  # within the tolerances of the trims
         return ("nothing_missing", 0.0) if nothing else ("unexplained", share)
     torque_left = max((float(part.left().max(initial=0.0)) for part in evidence), default=0.0)
-    likely = all((f.probability > LIKELY or f.rivals) and not f.grounds.get("senseless") for f in findings)
+    likely = all(_of_all(f) > LIKELY and not f.grounds.get("senseless") for f in findings)
     if near and share <= EXPLAINED and torque_left <= 2 * EXPLAINED and likely:
         return "explained", share
     return ("partly_explained" if share <= PARTLY else "unexplained"), share
+
+
+def _of_all(finding: Finding) -> float:
+    """That a finding or one of its rivals is true."""
+    return finding.probability + sum(rival.probability for rival in finding.rivals)
 
 
 def answer_set(part: Evidence, term: Atom) -> list[StandIn]:
@@ -231,23 +236,24 @@ def _finding(
         leans=any(c.key in senseless and c.joint_name == chosen.joint_name for c in h.terms if c.key != chosen.key),
         far=bool(far) if candidate.joint_name is None else candidate.joint_name in far,
     )
+    likely = probability(grounds, candidate.effect.name)
     effect, joint = candidate.effect, candidate.where
     named = {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)}
     rivals = [
         Rival(
             option.atom.candidate.effect.name,
             option.atom.candidate.joint_name,
-            rival_probability(grounds, effect.name, option.atom.candidate.effect.name, option.share),
+            rival_probability(likely, own, option.share),
             effect.experiment(option.atom.candidate.effect.name, joint),
         )
         for option in rated
-        if option.atom.candidate.key != candidate.key and option.share > LEAST_PROBABILITY
+        if option.atom.candidate.key != candidate.key and option.share > LEAST_SHARE
     ]
     explained = bank.prediction(part.best.fit, term)
     return Finding(
         effect=effect.name,
         joint=candidate.joint_name,
-        probability=probability(grounds, effect.name),
+        probability=likely,
         sentence=_sentence(candidate, named, grounds),
         parameters={
             p.name: Estimate(float(v), _within(p, widened(float(v), float(low), float(high))), p.unit)
