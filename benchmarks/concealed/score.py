@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import subprocess
 import sys
 from collections import Counter
@@ -28,6 +29,7 @@ from benchmarks.concealed.cases import CLASS_OF, DETECTABLE, Case, Split, key_js
 from benchmarks.concealed.hidden import OUTSIDE, OUTSIDE_TUNING, Truth
 from benchmarks.concealed.run import COUNTS, Method, digest_of
 
+RESULTS = Path("benchmarks/results")
 SUPERSETS: dict[str, tuple[str, ...]] = {
     "coulomb_friction": ("stribeck_friction", "load_dependent_friction", "asymmetric_friction"),
     "viscous_friction": ("asymmetric_friction",),
@@ -55,7 +57,7 @@ class Config:
     seed: int = 0
     folder: Path = Path("outputs/concealed")
     """As written by run.py."""
-    output: Path = Path("benchmarks/results")
+    output: Path = RESULTS
     rows: bool = False
     """Print every case with its truth and its answer."""
 
@@ -430,21 +432,41 @@ def _answered_by(rows: Sequence[Row]) -> str:
 
 
 def _checked_key(cfg: Config) -> str:
-    """Write the key out, and check that its digest is the committed one."""
-    key = key_json("sealed", cfg.seed, COUNTS)
-    digest = hashlib.sha256(key.encode()).hexdigest()
-    committed = digest_of(cfg.seed)
-    if committed not in (None, digest):
+    """Check that the key's digest is the committed one, and write the key out.
+
+    Another machine's sine may round a drawn number the other way. There the published key has to have the committed
+    digest, and what is drawn to be the same but for rounding.
+    """
+    key, committed = key_json("sealed", cfg.seed, COUNTS), digest_of(cfg.seed)
+    name, digest = f"concealed_key_{cfg.seed}.json", hashlib.sha256(key.encode()).hexdigest()
+    if committed in (None, digest):
+        cfg.output.mkdir(parents=True, exist_ok=True)
+        (cfg.output / name).write_text(key + "\n", encoding="utf-8")
+        if committed is None:
+            return f"**No digest was committed before the run**; the key's is `{digest}`."
+        return f"The key (`{name}`) has the digest that was committed before the run, `{digest}`."
+    published = (RESULTS / name).read_text(encoding="utf-8").strip() if (RESULTS / name).exists() else "null"
+    is_published = hashlib.sha256(published.encode()).hexdigest() == committed
+    if not is_published or not same_but_rounding(json.loads(key), json.loads(published)):
         raise SystemExit(
             f"The key of seed {cfg.seed} has the digest {digest} now, {committed} was committed: cases or generator "
             "have changed since. Score it at the commit that ran it, or seal another seed."
         )
-    cfg.output.mkdir(parents=True, exist_ok=True)
-    name = f"concealed_key_{cfg.seed}.json"
-    (cfg.output / name).write_text(key + "\n", encoding="utf-8")
-    if committed is None:
-        return f"**No digest was committed before the run**; the key's is `{digest}`."
-    return f"The key (`{name}`) has the digest that was committed before the run, `{digest}`."
+    return (
+        f"The key (`{name}`) has the digest that was committed before the run, `{committed}`; what is drawn here "
+        "differs from it by rounding alone."
+    )
+
+
+def same_but_rounding(drawn: object, published: object) -> bool:
+    """Whether two keys, as read from JSON, are equal, numbers within 1e-12 of their size."""
+    if isinstance(drawn, float) and isinstance(published, float):
+        return math.isclose(drawn, published, rel_tol=1e-12)
+    if isinstance(drawn, dict) and isinstance(published, dict):
+        return drawn.keys() == published.keys() and all(same_but_rounding(v, published[k]) for k, v in drawn.items())
+    if isinstance(drawn, list) and isinstance(published, list):
+        return len(drawn) == len(published) and all(map(same_but_rounding, drawn, published))
+    return drawn == published
 
 
 def line(row: Row) -> str:

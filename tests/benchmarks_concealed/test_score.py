@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 from benchmarks.concealed.cases import Case
 from benchmarks.concealed.hidden import Truth
-from benchmarks.concealed.score import Row, comparison, known_parameters, numbers, tables
+from benchmarks.concealed.score import Row, comparison, known_parameters, numbers, same_but_rounding, tables
 
 FRICTION = Truth("coulomb_friction", "elbow", {"torque": 1.0})
 OFFSET = Truth("torque_offset", "wrist", {"torque": 0.5})
@@ -206,3 +207,16 @@ def test_six_joints_that_took_long_and_another_excitation_have_figures_of_their_
     assert n["six_joints_over_120_s"] == [0.5, 2]
     assert n["single"]["heldout_excitation"] == [1.0, 1]
     assert n["single"]["name"] == [0.3333, 3]
+
+
+def test_a_key_that_another_machine_draws_differs_by_rounding_alone():
+    """One host's sine gave 0.11763082106302336 where the committed key has ...337; another distance is another case."""
+    text = '{"cases": [{"truths": [{"distance": 0.11763082106302337}], "index": 3, "effect": "backlash"}]}'
+    key = json.loads(text)
+    rounded = json.loads(text.replace("302337", "302336"))
+    assert rounded != key
+    assert same_but_rounding(rounded, key)
+    others = (("0.11763", "0.11764"), ("backlash", "compliance"), ('"index": 3', '"index": 4'), ('"index": 3, ', ""))
+    for old, new in others:
+        assert not same_but_rounding(json.loads(text.replace(old, new)), key)
+    assert not same_but_rounding({"cases": []}, key)
