@@ -8,7 +8,7 @@ import pytest
 from diagnosis.plants import pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
-from torchrl_athletic.diagnosis.corrected_xml import DRIVE, NATIVE, corrected_xml
+from torchrl_athletic.diagnosis.corrected_xml import DRIVE, NATIVE, PASSIVE, corrected_xml
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate
 from torchrl_athletic.effects import CATALOGUE, JointAddress, Plant
@@ -109,6 +109,7 @@ def test_mjcf_alone_moves_as_the_corrected_simulation_when_it_can_say_all(name, 
 
 
 DRIVE_TERMS = {name: MEMORY_TERMS[name] for name in DRIVE}
+PASSIVE_TERMS = {name: MEMORY_TERMS[name] for name in PASSIVE}
 MOTOR = '<motor joint="pendulum" gear="2" ctrlrange="-1 1"/>'
 SERVO = '<position joint="pendulum" kp="6" kv="0.4"/>'
 
@@ -128,14 +129,19 @@ def by_actuator(xml: str, command: np.ndarray, start: float, rate: float = 100.0
 
 @pytest.mark.parametrize(
     "names",
-    [*((name,) for name in sorted(DRIVE)), *(tuple(n for n in sorted(DRIVE) if n != left) for left in DRIVE[1:3])],
+    [
+        *((name,) for name in (*sorted(DRIVE), *PASSIVE)),
+        *(tuple(n for n in sorted(DRIVE) if n != left) for left in DRIVE[1:3]),
+        ("torque_ripple", "torque_scale", "hysteresis"),
+    ],
     ids="-".join,
 )
 def test_a_motor_of_mjcf_moves_the_robot_as_the_corrected_drive_does(names):
     given = pendulum().replace('<motor joint="pendulum"/>', MOTOR)
-    simulation = corrected({name: DRIVE_TERMS[name] for name in names}, xml=given)
+    simulation = corrected({name: (DRIVE_TERMS | PASSIVE_TERMS)[name] for name in names}, xml=given)
     xml = corrected_xml(given, simulation, "torques")
     assert "not expressed" not in xml
+    assert mujoco.MjModel.from_xml_string(xml).nu == 1
     torque = smooth_torque(3.0)
     torque[:10] = 0.0  # what a line holds before is nothing to MuJoCo, and the first command to a replay
     r = record(given, torque, start=0.3, noise=0.0)
@@ -221,6 +227,76 @@ def test_a_lag_adds_no_state_to_a_model_whose_keyframes_hold_some():
     assert mujoco.MjModel.from_xml_string(xml).key_act.tolist() == [[0.5]]
 
 
+@pytest.mark.parametrize("limits", ['actuatorfrcrange="-0.6 0.4"', ""])
+def test_a_range_of_the_motor_does_not_limit_the_friction_beside_it(limits):
+    given = pendulum(joint=limits).replace('<motor joint="pendulum"/>', MOTOR)
+    model = mujoco.MjModel.from_xml_string(corrected_xml(given, corrected({"hysteresis": [0.9, 0.01]}, xml=given)))
+    data = mujoco.MjData(model)
+    data.ctrl[0] = 5.0
+    for _ in range(200):  # turned by hand, against its weight too
+        data.qvel[0] = 1.0
+        mujoco.mj_step(model, data)
+    assert data.qfrc_actuator[0] == pytest.approx((0.4 if limits else 2.0) - 0.9, abs=1e-6)
+    assert from_mjcf(corrected_xml(given, corrected({"hysteresis": [0.9, 0.01]}, xml=given)), torque_limit=3.0).kp == (
+        0,
+    )
+
+
+@pytest.mark.parametrize(
+    "more",
+    ['<motor joint="pendulum"/><motor joint="pendulum"/>', '<motor name="pendulum_hysteresis" joint="pendulum"/>'],
+)
+def test_friction_that_a_range_of_two_motors_would_limit_or_whose_name_is_in_use_stays_in_json(more):
+    given = pendulum(joint='actuatorfrcrange="-1 1"').replace('<motor joint="pendulum"/>', more)
+    xml = corrected_xml(given, corrected({"hysteresis": [0.1, 0.05]}, xml=given))
+    assert "not expressed here, see corrected.json: hysteresis of pendulum" in xml
+
+
+GEOMETRY = """
+<mujoco><compiler {compiler}/><worldbody><body name="stand"><geom size=".05"/>
+  <body name="link"><joint name="pendulum" axis="0 -1 0"/><geom type="capsule" size=".02" fromto="0 0 0 0 0 -.4"/>
+    <body name="tool" pos="0 0 -.4"><geom size=".03"/></body></body></body></worldbody></mujoco>"""
+ROUND = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+URDF = f"""
+<robot name="arm">
+  <link name="stand"><inertial><mass value="9"/>{ROUND}</link>
+  <link name="stage"><inertial><mass value="3"/>{ROUND}</link>
+  <link name="link"><inertial><origin xyz="0 0 -0.2"/><mass value="0.5"/>{ROUND}</link>
+  <joint name="held" type="fixed"><parent link="stand"/><child link="stage"/></joint>
+  <joint name="pendulum" type="continuous"><parent link="stage"/><child link="link"/><axis xyz="0 1 0"/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        *(
+            GEOMETRY.format(compiler=c)
+            for c in (
+                'fusestatic="true"',
+                'inertiafromgeom="true"',
+                'inertiafromgeom="true" fusestatic="true"',
+                'boundmass="0.2" boundinertia="0.001"',
+            )
+        ),
+        URDF,
+    ],
+    ids=["fused", "geometry", "both", "bounds", "urdf"],
+)
+def test_a_mass_reaches_its_own_link_past_whatever_the_compiler_does(given):
+    model = mujoco.MjModel.from_xml_string(given)
+    xml = corrected_xml(given, corrected({"link_mass": [0.77]}, xml=given))
+    heavier = mujoco.MjModel.from_xml_string(xml)
+    body = int(model.joint("pendulum").bodyid[0])
+    wanted = model.body_mass.copy()
+    wanted[body] = 0.77
+    assert [heavier.body(i).name for i in range(heavier.nbody)] == [model.body(i).name for i in range(model.nbody)]
+    np.testing.assert_allclose(heavier.body_mass, wanted, rtol=1e-5)
+    assert heavier.body_inertia[body] == pytest.approx(
+        model.body_inertia[body] * 0.77 / model.body_mass[body], rel=1e-4
+    )
+
+
 def test_dry_friction_brings_its_stiffness_into_mjcf():
     model = mujoco.MjModel.from_xml_string(corrected_xml(pendulum(), corrected({"coulomb_friction": [0.1, 0.0]})))
     assert model.dof_frictionloss == pytest.approx([0.1])
@@ -271,8 +347,9 @@ def test_what_mjcf_cannot_say_or_not_wholly_is_named_in_a_comment():
     given = pendulum().replace('<motor joint="pendulum"/>', "")
     xml = corrected_xml(given, corrected({**NATIVE_TERMS, **PART_TERMS, **MEMORY_TERMS}, xml=given))
     head = xml[: xml.index("-->")]
-    for said, terms in (("not expressed", MEMORY_TERMS), ("in part only", PART_TERMS)):
-        assert {n for n in EFFECTS if f"{said} here, see corrected.json: {n} of pendulum" in head} == set(terms)
+    left = set(MEMORY_TERMS) - {"hysteresis"}  # two gears at one joint are none, and a ripple may come before a limit
+    for said, terms in (("not expressed", left), ("in part only", set(PART_TERMS))):
+        assert {n for n in EFFECTS if f"{said} here, see corrected.json: {n} of pendulum" in head} == terms
     assert set(NATIVE_TERMS) == NATIVE
     assert {*NATIVE, *PART_TERMS, *MEMORY_TERMS} == set(EFFECTS)
     mujoco.MjModel.from_xml_string(xml)

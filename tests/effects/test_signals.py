@@ -260,6 +260,12 @@ def test_a_motors_range_counts_its_gear():
         ('<motor joint="hinge" ctrlrange="-9 9"/><motor joint="hinge" gear="2" ctrlrange="-1 2"/>', (-11.0, 13.0)),
         ('<motor joint="hinge" ctrlrange="-9 9"/><motor joint="hinge"/>', (-np.inf, np.inf)),
         ('<position joint="hinge" kp="5" ctrlrange="-1 1"/>', (-np.inf, np.inf)),
+        (
+            '<dcmotor joint="hinge" input="none" motorconst="0" resistance="1" cogging="1 7 0"/>'
+            '<motor joint="hinge" ctrlrange="-2 3"/>',
+            (-2.0, 3.0),
+        ),
+        ('<pid joint="hinge" input="pos vel ff" kp="5" forcerange="-4 4"/>', (-4.0, 4.0)),
     ],
 )
 def test_the_torque_range_is_what_all_motors_of_a_joint_can_give(motors, expected):
@@ -381,6 +387,14 @@ def test_joints_may_be_recorded_in_another_order_than_the_models():
 def test_joints_that_do_not_match_are_refused_by_name(names, advice):
     with pytest.raises(RecordingError, match=advice):
         JointAddress.of(pendulum(), names, "log.npz")
+
+
+def test_the_link_behind_a_gear_of_a_corrected_model_sends_back_to_the_given_one():
+    model = mujoco.MjModel.from_xml_string(
+        PENDULUM.replace("<body", '<body><joint name="hinge_link"/><geom size="0.1"/></body><body', 1)
+    )
+    with pytest.raises(RecordingError, match=r"'hinge_link' moves .* diagnose the model that was given"):
+        JointAddress.of(model, ("hinge",))
 
 
 def test_a_free_body_is_no_joint():

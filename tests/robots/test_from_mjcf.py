@@ -5,6 +5,7 @@ import pickle
 import pytest
 
 from torchrl_athletic.envs import TorqueEnv
+from torchrl_athletic.physics.joints import driven_joints
 from torchrl_athletic.robots import b2z1, from_mjcf, z1
 from torchrl_athletic.robots.benches import pendulum, two_link_arm
 
@@ -58,3 +59,10 @@ def test_a_motor_without_a_limit_and_an_unknown_keyframe_are_refused():
         from_mjcf(SERVO.replace('forcerange="-5 5"', ""))
     with pytest.raises(ValueError, match="no keyframe 'jump'"):
         from_mjcf(pendulum(), keyframe="jump")
+
+
+def test_friction_and_cogging_without_an_input_drive_no_joint():
+    passive = '<dcmotor joint="b" input="none" motorconst="0" resistance="1" lugre="9 0 1 1 .1"/>'
+    robot = from_mjcf(SERVO.replace("<actuator>", "<actuator>" + passive))
+    assert (robot.joint_names, robot.kp, robot.torque_limit) == (("a", "b"), (7.0, 9.0), (5.0, 2.0))
+    assert driven_joints(robot.model()) == ("a", "b")

@@ -8,9 +8,12 @@ from typing import Any, Literal, TypeAlias
 import mujoco
 import numpy as np
 
-from torchrl_athletic.diagnosis.corrected import Simulation
+from torchrl_athletic.diagnosis.corrected import Array, Simulation
+from torchrl_athletic.diagnosis.corrected_gears import write_gears
 from torchrl_athletic.diagnosis.screen import Candidate, Key
 from torchrl_athletic.effects import JointAddress, Plant
+from torchrl_athletic.effects.presliding import Bristle
+from torchrl_athletic.effects.torque import wave_number
 
 Commands: TypeAlias = Literal["torques", "targets"]
 
@@ -21,19 +24,23 @@ def corrected_xml(xml: str, simulation: Simulation, commands: Commands | None = 
     Friction loss with its softness, damping, armature, stiffness and spring reference of joints; mass, centre of mass
     and inertia of links, payloads included; gravity. Where one actuator without a state of its own drives a joint:
     offset and limit of its torque; of a motor scale and lag, too; and the delay, where the actuator takes what was
-    recorded as the command. This package drives joints past actuators, by ``corrected.json``, so that none acts twice.
+    recorded as the command. Ripple and hysteresis are the cogging and the LuGre friction of a ``dcmotor`` without an
+    input, soft gears and play a :mod:`second hinge <torchrl_athletic.diagnosis.corrected_gears>`. This package drives
+    joints past actuators, by ``corrected.json``, so that none acts twice.
 
-    What is not said (limits by speed, gears, encoders, gains, most laws of friction) is listed in a comment and stands
-    in ``corrected.json``. An effect that is said in part, such as the breakaway torque of Stribeck friction, stands in
+    What is not said (limits by speed, encoders, gains, most laws of friction) is listed in a comment and stands in
+    ``corrected.json``. An effect that is said in part, such as the breakaway torque of Stribeck friction, stands in
     both.
 
     Args:
         xml: The given model.
         simulation: The corrected one.
         commands: Whether torques or position targets were recorded as commands; None leaves delays out.
-        drive: Whether actuators are corrected as well; a chain of transforms takes the place of that.
+        drive: Whether actuators and gears are corrected as well; a chain of transforms takes the place of that.
     """
     spec = mujoco.MjSpec.from_string(xml)
+    spec.compile()  # fuses what fusestatic fuses, so that bodies are those of the model
+    _state_inertia(spec, simulation.model)
     plant = _plant(simulation)
     said: set[Key] = set()
     for j, name in enumerate(simulation.joint_names):
@@ -44,12 +51,22 @@ def corrected_xml(xml: str, simulation: Simulation, commands: Commands | None = 
         _write_link(spec.bodies[body], plant, body)
     if "opt.gravity" in plant.fields:
         spec.option.gravity = plant.fields["opt.gravity"][0]
+    links: dict[str, str] = {}
+    if drive:
+        links = write_gears(spec, plant, simulation.joint_names)
+        said |= {(effect, name) for name in links for effect in GEARS}
+        for j, name in enumerate(simulation.joint_names):
+            passive = _write_passive(spec, plant, j, (name, links.get(name)), _drive_of(simulation, name))
+            said |= {(effect, name) for effect in passive}
     spec.compile()
     note = "".join(
         f"\n  {'in part only' if _plant(simulation, c).fields else 'not expressed'} here, see corrected.json: "
         f"{c.effect.name} of {c.where}"
         for c in (*simulation.hypothesis.terms, *simulation.hypothesis.trims)
         if c.effect.name not in NATIVE and c.key not in said
+    )
+    note += "".join(
+        f"\n  {motor} is the motor's joint, which the encoder reads; {link} the link's" for motor, link in links.items()
     )
     return f"<!-- corrected by torchrl_athletic{note.replace('--', '- -')} -->\n{spec.to_xml()}"
 
@@ -71,6 +88,10 @@ NATIVE = frozenset(
 """Effects that MJCF can say of any model."""
 DRIVE = ("torque_scale", "torque_offset", "torque_saturation", "actuation_lag", "actuation_delay")
 """Effects that it can say of an actuator."""
+PASSIVE = ("torque_ripple", "hysteresis")
+"""Effects that it can say of a motor that takes no input."""
+GEARS = ("compliance", "backlash")
+"""Effects that it can say with a hinge for the motor and one for the link."""
 
 
 def _plant(simulation: Simulation, only: Candidate | None = None) -> Plant:
@@ -100,20 +121,21 @@ def _write_joint(joint: Any, plant: Plant, j: int, degrees: bool) -> None:
         joint.springref = np.degrees(rest) if turns and degrees else rest
 
 
-def _drive_of(simulation: Simulation, joint: str) -> dict[str, float]:
-    """Effect -> value, of those that a joint's actuator may say."""
+def _drive_of(simulation: Simulation, joint: str) -> dict[str, Array]:
+    """Effect -> values, of those that actuators of a joint may say."""
     h = simulation.hypothesis
-    own = (c for c in (*h.terms, *h.trims) if c.joint_name == joint and c.effect.name in DRIVE)
-    return {c.effect.name: float(h.values_of(c, simulation.values)[0]) for c in own}
+    own = (c for c in (*h.terms, *h.trims) if c.joint_name == joint and c.effect.name in (*DRIVE, *PASSIVE))
+    return {c.effect.name: h.values_of(c, simulation.values) for c in own}
 
 
-def _write_drive(spec: mujoco.MjSpec, name: str, of: Mapping[str, float], commands: Commands | None) -> set[str]:
+def _write_drive(spec: mujoco.MjSpec, name: str, effects: Mapping[str, Array], commands: Commands | None) -> set[str]:
     """Put a drive's effects into the joint's actuator, if there is one that can take them. Returns those it took."""
-    own = [a for a in spec.actuators if a.target == name and a.trntype == mujoco.mjtTrn.mjTRN_JOINT]
+    own = _actuators_of(spec, name)
     takes = _commands_of(own[0]) if len(own) == 1 else None
     if takes is None:
         return set()
     (actuator,), said = own, set()
+    of = {effect: float(values[0]) for effect, values in effects.items()}
     if takes == "torques" and ("torque_offset" in of or "torque_scale" in of):
         _keep_range(actuator)
     if "torque_offset" in of:
@@ -127,7 +149,7 @@ def _write_drive(spec: mujoco.MjSpec, name: str, of: Mapping[str, float], comman
     if "torque_saturation" in of and plain:
         if _limit(spec.joint(name), of["torque_saturation"] * of.get("torque_scale", 1.0)):
             said.add("torque_saturation")
-    if "actuation_lag" in of and takes == "torques" and not any(len(key.act) for key in spec.keys):
+    if "actuation_lag" in of and takes == "torques" and not _key_has_activations(spec):
         actuator.dyntype, actuator.dynprm[0] = mujoco.mjtDyn.mjDYN_FILTEREXACT, of["actuation_lag"]
         said.add("actuation_lag")
     if "actuation_delay" in of and takes == commands:
@@ -135,6 +157,67 @@ def _write_drive(spec: mujoco.MjSpec, name: str, of: Mapping[str, float], comman
         actuator.nsample = max(1, int(np.ceil(actuator.delay / spec.option.timestep)))
         said.add("actuation_delay")
     return said
+
+
+def _write_passive(
+    spec: mujoco.MjSpec, plant: Plant, j: int, names: tuple[str, str | None], effects: Mapping[str, Array]
+) -> set[str]:
+    """Add motors without an input that say a joint's ripple and hysteresis. Returns those that they say.
+
+    ``names``: of the joint that is driven, and of its link, if a gear parts them.
+    """
+    name, link = names
+    said = set()
+    if "torque_ripple" in effects and "torque_saturation" not in effects:  # which may come after it
+        sine, cosine, periods = effects["torque_ripple"]
+        scale = effects["torque_scale"][0] if "torque_scale" in effects else 1.0
+        waves = float(wave_number(periods, plant.model, plant.address, j))
+        cogging = [float(scale * np.hypot(sine, cosine)), waves, float(np.arctan2(cosine, sine))]
+        if _add_passive(spec, f"{name}_ripple", name, cogging=cogging):
+            said.add("torque_ripple")
+    if "hysteresis" in effects and not _key_has_activations(spec) and (link or _frees_range(spec, name)):
+        (bristle,) = (law for law in plant.laws if isinstance(law, Bristle) and law.relaxed and law.joint == j)
+        torque, width = float(bristle.level[0]), float(bristle.width[0])
+        if _add_passive(spec, f"{name}_hysteresis", link or name, lugre=[torque / width, 0.0, torque, torque, 1.0]):
+            said.add("hysteresis")
+    return said
+
+
+def _add_passive(spec: mujoco.MjSpec, name: str, joint: str, **law: list[float]) -> bool:
+    """Add a motor without an input, unless the name is in use. Whether it is there."""
+    if spec.actuator(name) is not None:
+        return False
+    actuator = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    without_input = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
+    actuator.set_to_dcmotor(motorconst=[0.0, 0.0], resistance=1.0, ctrlspec=without_input, **law)
+    return True
+
+
+def _actuators_of(spec: mujoco.MjSpec, joint: str) -> list[Any]:
+    return [a for a in spec.actuators if a.target == joint and a.trntype == mujoco.mjtTrn.mjTRN_JOINT]
+
+
+def _key_has_activations(spec: mujoco.MjSpec) -> bool:
+    """Whether another state of an actuator would make a keyframe's length wrong."""
+    return any(len(key.act) for key in spec.keys)
+
+
+def _frees_range(spec: mujoco.MjSpec, name: str) -> bool:
+    """Make a joint's range of force its only motor's, so that friction beside that is not limited. Whether it is."""
+    joint, own = spec.joint(name), _actuators_of(spec, name)
+    if joint.actfrclimited == mujoco.mjtLimited.mjLIMITED_FALSE or not np.ptp(joint.actfrcrange):
+        return True
+    if len(own) != 1 or not own[0].gear[0] or joint.actgravcomp:
+        return False
+    (actuator,) = own
+    low, high = np.sort(np.asarray(joint.actfrcrange) / actuator.gear[0])
+    if actuator.forcelimited != mujoco.mjtLimited.mjLIMITED_FALSE and np.ptp(actuator.forcerange):
+        low, high = max(low, actuator.forcerange[0]), min(high, actuator.forcerange[1])
+    if low >= high:
+        return False
+    actuator.forcerange, actuator.forcelimited = [low, high], mujoco.mjtLimited.mjLIMITED_TRUE
+    joint.actfrcrange, joint.actfrclimited = [0, 0], mujoco.mjtLimited.mjLIMITED_FALSE
+    return True
 
 
 def _commands_of(actuator: Any) -> Commands | None:
@@ -168,15 +251,33 @@ def _keep_range(actuator: Any) -> None:
     actuator.forcerange, actuator.forcelimited = [low, high], mujoco.mjtLimited.mjLIMITED_TRUE
 
 
+def _state_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Write every body's inertia down where the compiler would make it from geometry, bounds or a total mass."""
+    compiler = spec.compiler
+    from_geometry = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    if not from_geometry and max(compiler.boundmass, compiler.boundinertia, compiler.settotalmass) <= 0:
+        return
+    for body in range(1, model.nbody):
+        _set_inertia(spec.bodies[body], *(getattr(model, name)[body] for name in _INERTIAL))
+    compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    compiler.boundmass, compiler.boundinertia, compiler.settotalmass = 0.0, 0.0, -1.0
+
+
+_INERTIAL = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
+
+
 def _write_link(link: Any, plant: Plant, body: int) -> None:
     """Mass, centre of mass and principal moments, where they changed."""
-    names = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
-    given = [getattr(plant.model, name)[body] for name in names]
+    given = [getattr(plant.model, name)[body] for name in _INERTIAL]
     corrected = [
-        plant.fields[name][0, body] if name in plant.fields else value for name, value in zip(names, given, strict=True)
+        plant.fields[name][0, body] if name in plant.fields else value
+        for name, value in zip(_INERTIAL, given, strict=True)
     ]
-    if all(np.array_equal(c, g) for c, g in zip(corrected, given, strict=True)):
-        return
-    link.mass, link.ipos, link.iquat, link.inertia = float(corrected[0]), *corrected[1:]
+    if not all(np.array_equal(c, g) for c, g in zip(corrected, given, strict=True)):
+        _set_inertia(link, *corrected)
+
+
+def _set_inertia(link: Any, mass: Array, position: Array, orientation: Array, moments: Array) -> None:
+    link.mass, link.ipos, link.iquat, link.inertia = float(mass), position, orientation, moments
     link.fullinertia = [np.nan, 0, 0, 0, 0, 0]  # which would count instead
     link.explicitinertial = True

@@ -75,10 +75,10 @@ class JointAddress:
             )
         silent = sorted(set(known) - set(names))
         if silent:
-            raise RecordingError(
-                f"{source}: joint {silent[0]!r} moves in the model but was not recorded. Record it, or remove the "
-                "joint from the model where it was clamped."
-            )
+            mend = "Record it, or remove the joint from the model where it was clamped."
+            if silent[0].removesuffix("_link") in names:
+                mend = "It is the link behind a gear in a corrected.xml: diagnose the model that was given."
+            raise RecordingError(f"{source}: joint {silent[0]!r} moves in the model but was not recorded. {mend}")
         single = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
         if any(int(model.jnt_type[known[name]]) not in single for name in names):
             raise RecordingError(
@@ -551,7 +551,7 @@ def torque_range(model: mujoco.MjModel, address: JointAddress) -> tuple[Array, A
     for j, joint in enumerate(address.joint):
         drives = [
             i
-            for i in range(model.nu)
+            for i in map(int, np.flatnonzero(model.actuator_ctrlnum))  # without an input it is friction or cogging
             if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[i, 0] == joint
         ]
         if drives:  # several motors on one joint add up
@@ -568,11 +568,15 @@ def _motor_range(model: mujoco.MjModel, actuator: int) -> tuple[float, float]:
     low, high = -np.inf, np.inf
     if model.actuator_forcelimited[actuator]:
         low, high = model.actuator_forcerange[actuator]
-    plain = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
-    if model.actuator_ctrllimited[actuator] and plain:
-        ends = model.actuator_gainprm[actuator, 0] * model.actuator_ctrlrange[actuator]
+    kind = model.actuator_gaintype[actuator], model.actuator_biastype[actuator]
+    is_motor, control = (
+        kind == (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE),
+        model.actuator_ctrladr[actuator],
+    )
+    if is_motor and model.actuator_ctrllimited[control]:
+        ends = model.actuator_gainprm[actuator, 0] * model.actuator_ctrlrange[control]
         low, high = max(low, ends.min()), min(high, ends.max())
-    gear = model.actuator_gear[actuator, 0] or 1.0
+    gear = model.actuator_gear[model.actuator_outadr[actuator], 0] or 1.0
     ends = np.array([gear * low, gear * high])
     return float(ends.min()), float(ends.max())
 

@@ -331,7 +331,7 @@ class TorqueRipple(Effect):
         return self.fingerprints(s, joint, [fixed])[0]
 
     def fingerprints(self, s: Signals, joint: int, grid: Sequence[Mapping[str, float]]) -> list[Fingerprint]:
-        waves = _wave_number(np.array([fixed["periods"] for fixed in grid]), s.model, s.address, joint)
+        waves = wave_number(np.array([fixed["periods"] for fixed in grid]), s.model, s.address, joint)
         phase = s.fine_position[:, joint, None] * waves
         sine, cosine = s.project(np.sin(phase)), s.project(np.cos(phase))
         return [
@@ -341,7 +341,7 @@ class TorqueRipple(Effect):
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         sine, cosine, periods = values.T
-        wave = _wave_number(periods, plant.model, plant.address, joint)
+        wave = wave_number(periods, plant.model, plant.address, joint)
 
         def rippled(now: Now) -> Array:
             torque, phase = now.torque.copy(), wave * now.position[:, joint]
@@ -417,7 +417,8 @@ def _spectral_peaks(takes: Sequence[Signals], joint: int, travel: float, count: 
     return [float(wave[k]) for k in sorted(peak, key=lambda k: -power[k])[:count]]
 
 
-def _wave_number(periods: Array, model: mujoco.MjModel, address: JointAddress, joint: int) -> Array:
+def wave_number(periods: Array, model: mujoco.MjModel, address: JointAddress, joint: int) -> Array:
+    """Of so many periods a revolution, or a metre [rad/rad, rad/m]."""
     return 2 * np.pi * periods if is_slide(model, address, joint) else periods
 
 

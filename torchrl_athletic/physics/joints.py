@@ -15,8 +15,11 @@ Columns = slice | Tensor
 
 
 def driven_joints(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Hinges and slides in the order of the actuators that turn them; all of them if no actuator acts on a joint."""
-    on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    """Hinges and slides in the order of the actuators that turn them; all of them if no actuator acts on a joint.
+
+    An actuator without an input is friction or cogging, and turns none.
+    """
+    on_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_ctrlnum > 0)
     driven = [name for j in model.actuator_trnid[on_joint, 0] if (name := model.joint(int(j)).name) in _known(model)]
     return tuple(dict.fromkeys(driven)) or tuple(_known(model))
 

@@ -62,7 +62,7 @@ def from_mjcf(
     model = build().compile()
     actuators, joints = _driven(model)
     names = tuple(model.joint(j).name for j in joints)
-    limits = _torque_limits(model, joints) if torque_limit is None else _each(torque_limit, len(joints))
+    limits = _torque_limits(model, actuators, joints) if torque_limit is None else _each(torque_limit, len(joints))
     for joint, limit in zip(names, limits, strict=True):
         if not np.isfinite(limit):
             raise ValueError(
@@ -115,11 +115,11 @@ def _build(text_or_path: str, keyframe: str) -> mujoco.MjSpec:
 
 
 def _driven(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
-    """Actuators, and the joint of each; all hinges and slides where there are no actuators."""
-    if not model.nu:
+    """Actuators with an input, and the joint of each; all hinges and slides where there are none."""
+    actuators, joints = [int(i) for i in np.flatnonzero(model.actuator_ctrlnum)], []
+    if not actuators:
         return [], [j for j in range(model.njnt) if int(model.jnt_type[j]) in _SINGLE]
-    joints = []
-    for i in range(model.nu):
+    for i in actuators:
         joint = int(model.actuator_trnid[i, 0])
         if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT or int(model.jnt_type[joint]) not in _SINGLE:
             raise ValueError(
@@ -127,17 +127,17 @@ def _driven(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
                 "Remove it from the MJCF."
             )
         joints.append(joint)
-    return list(range(model.nu)), list(dict.fromkeys(joints))
+    return actuators, list(dict.fromkeys(joints))
 
 
-def _torque_limits(model: mujoco.MjModel, joints: list[int]) -> tuple[float, ...]:
+def _torque_limits(model: mujoco.MjModel, actuators: list[int], joints: list[int]) -> tuple[float, ...]:
     """The smallest of the ranges that the model states for a joint's force."""
     limits = []
     for joint in joints:
         ranges = [model.jnt_actfrcrange[joint]] if model.jnt_actfrclimited[joint] else []
-        for i in range(model.nu):
+        for i in actuators:
             if model.actuator_trnid[i, 0] == joint and model.actuator_forcelimited[i]:
-                ranges.append(abs(model.actuator_gear[i, 0]) * model.actuator_forcerange[i])
+                ranges.append(abs(model.actuator_gear[model.actuator_outadr[i], 0]) * model.actuator_forcerange[i])
         limits.append(float(min((np.abs(r).min() for r in ranges), default=np.inf)))
     return tuple(limits)
 
@@ -147,8 +147,8 @@ def _servo_gains(model: mujoco.MjModel, actuators: list[int], joints: int) -> tu
     if len(actuators) != joints:
         return (0.0,) * joints, (0.0,) * joints
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
-    kp = np.where(affine, -model.actuator_biasprm[:, 1], 0.0)
-    kd = np.where(affine, -model.actuator_biasprm[:, 2], 0.0)
+    kp = np.where(affine, -model.actuator_biasprm[:, 1], 0.0)[actuators]
+    kd = np.where(affine, -model.actuator_biasprm[:, 2], 0.0)[actuators]
     return tuple(map(float, kp)), tuple(map(float, kd))
 
 

@@ -1,0 +1,210 @@
+"""Soft gears and play in MJCF: the closed form of two inertias, and the diagnosis' own simulation."""
+
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis.plants import pendulum, record, slider, smooth_torque
+from diagnosis.test_corrected import EFFECTS, MOTOR, corrected
+
+from torchrl_athletic.diagnosis.corrected import Simulation
+from torchrl_athletic.diagnosis.corrected_xml import corrected_xml
+from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.effects import JointAddress
+
+ROTOR, LINK = 0.5, 2.0
+"""Of a slider without gravity [kg]."""
+
+
+def geared_slider(terms, step=0.002, joint=""):
+    given = slider(step, f'armature="{ROTOR}" {joint}')
+    return mujoco.MjModel.from_xml_string(corrected_xml(given, corrected(terms, name="carriage", xml=given)))
+
+
+def moved(model, motor, seconds, start=None, force=0.0):
+    """Motor's and link's positions and velocities from a start, under a constant force. Shape (T, 4)."""
+    data = mujoco.MjData(model)
+    at = [model.joint(name).qposadr[0] for name in (motor, f"{motor}_link")]
+    if start is not None:
+        data.qpos[at], data.qvel[at] = start[:2], start[2:]
+    data.ctrl[:] = force
+    out = []
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        out.append([*data.qpos[at], *data.qvel[at]])
+    return np.array(out)
+
+
+@pytest.mark.parametrize("step", [0.0005, 0.002, 0.005])
+@pytest.mark.parametrize("frequency", [3.0, 12.0, 30.0])
+def test_two_inertias_ring_as_their_closed_form_says_at_any_time_step(step, frequency):
+    reduced = 1 / (1 / ROTOR + 1 / LINK)
+    stiffness = reduced * (2 * np.pi * frequency) ** 2
+    damping = 2 * 0.05 * np.sqrt(stiffness * reduced)
+    model = geared_slider({"compliance": [stiffness, damping]}, step)
+    path = moved(model, "carriage", 12 / frequency, (0.01, 0.0, 0.0, 0.0))
+    bent = path[:, 0] - path[:, 1]
+    crossings = np.flatnonzero(np.diff(np.sign(bent)))
+    between = crossings + bent[crossings] / (bent[crossings] - bent[crossings + 1])
+    half_periods = np.diff(between) * step
+    assert 1 / (2 * half_periods.mean()) == pytest.approx(frequency * np.sqrt(1 - 0.05**2), rel=0.02)
+    decay = np.exp(-0.05 * 2 * np.pi * frequency * 4 / frequency)  # of four periods
+    peaks = [np.abs(bent[a:b]).max() for a, b in pairwise(crossings)]
+    assert peaks[8] / peaks[0] == pytest.approx(decay, rel=0.15)
+
+
+def test_a_constant_force_bends_the_gear_by_its_share_and_moves_both_as_one():
+    model = geared_slider({"compliance": [400.0, 20.0]})
+    path = moved(model, "carriage", 3.0, force=5.0)
+    assert path[-1, 2:] == pytest.approx([3.0 * 5.0 / (ROTOR + LINK)] * 2, rel=1e-3)
+    assert path[-1, 0] - path[-1, 1] == pytest.approx(5.0 * LINK / (ROTOR + LINK) / 400.0, rel=1e-3)
+
+
+def test_teeth_push_and_never_pull_and_pass_all_momentum_on():
+    gap = 0.004
+    model = geared_slider({"backlash": [gap, 2e4]}, 0.0005)
+    path = moved(model, "carriage", 2.0, (0.0, 0.0, 0.1, 0.0))
+    momentum = path[:, 2] * ROTOR + path[:, 3] * LINK
+    np.testing.assert_allclose(momentum, 0.1 * ROTOR, rtol=1e-5)
+    bent = path[:, 0] - path[:, 1]
+    apart = np.abs(bent[:-1]) < gap / 2 - 1e-4
+    rates = path[:, 2] - path[:, 3]
+    free = np.diff(rates)[apart]
+    assert np.abs(free).max() < 1e-9  # nothing acts between the teeth
+    energy = path[:, 2] ** 2 * ROTOR / 2 + path[:, 3] ** 2 * LINK / 2
+    assert energy.max() <= ROTOR * 0.1**2 / 2 * (1 + 1e-9)
+    assert np.abs(bent).max() < gap / 2 + 1e-3
+    assert bent.max() >= gap / 2  # they met on either side
+    assert bent.min() <= -gap / 2
+
+
+@pytest.mark.parametrize("step", [0.002, 0.01])
+def test_teeth_of_any_stiffness_stay_calm_at_a_coarse_step(step):
+    model = geared_slider({"backlash": [0.002, 7e5]}, step)
+    path = moved(model, "carriage", 2.0, force=3.0)
+    assert np.isfinite(path).all()
+    assert np.abs(path[:, 0] - path[:, 1]).max() < 0.001 + 2e-3
+    assert path[-1, 2:] == pytest.approx([2.0 * 3.0 / (ROTOR + LINK)] * 2, rel=0.02)
+
+
+@pytest.mark.parametrize("joint", ['damping="0.05"', 'damping="0.05" armature="0.01"'])
+@pytest.mark.parametrize(
+    ("terms", "tooth"),
+    [
+        ({"compliance": [40.0, 0.1]}, 0.0),
+        ({"compliance": [8.0, 0.02]}, 0.0),
+        ({"backlash": [0.03, 60.0]}, 0.015),  # the teeth on which the replay finds the link at the start
+        ({"compliance": [8.0, 0.02], "coulomb_friction": [0.05, 0.0], "reflected_inertia": [0.02]}, 0.0),
+        ({"compliance": [8.0, 0.02], "torque_ripple": [0.05, 0.02, 7.3], "torque_scale": [1.2]}, 0.0),
+        ({"compliance": [8.0, 0.02], "hysteresis": [0.1, 0.05], "actuation_lag": [0.02]}, 0.0),
+    ],
+    ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
+)
+def test_the_motor_moves_as_the_encoder_reads_in_the_diagnosis_own_simulation(joint, terms, tooth):
+    given = pendulum(0.0005, joint).replace('<motor joint="pendulum"/>', MOTOR)
+    simulation = corrected(terms, xml=given)
+    xml = corrected_xml(given, simulation, "torques")
+    assert "not expressed" not in xml
+    model = mujoco.MjModel.from_xml_string(xml)
+    assert (model.nu, model.nv) == (1, 2)
+    torque = smooth_torque(3.0)
+    torque[:10] = 0.0
+    r = record(given, torque, noise=0.0)
+    data, read = mujoco.MjData(model), []
+    motor, link = (model.joint(name).qposadr[0] for name in ("pendulum", "pendulum_link"))
+    data.qpos[link] = -tooth
+    for u in torque / 2:
+        read.append(data.qpos[motor].copy())
+        for _ in range(20):
+            data.ctrl[:] = u
+            mujoco.mj_step(model, data)
+    replayed = simulation.rollout(r, None)
+    np.testing.assert_allclose(np.array(read)[:, None], replayed, rtol=0, atol=2e-3)
+    assert np.abs(replayed - corrected({}, xml=given).rollout(r, None)).max() > 8e-3
+
+
+ARM = """
+<mujoco><compiler angle="radian"/><option timestep="0.002"/>
+  <default><joint damping="0.3" armature="0.02" frictionloss="0.1" stiffness="1"/>
+    <tendon stiffness="5" damping="2"/></default>
+  <worldbody><body name="base" pos="0 0 1"><freejoint/><geom size=".1"/>
+    <body name="link" pos="0 0 .1" euler="0.3 0 0"><joint name="pendulum" axis="0 1 0" range="-1 1" ref="0.2"
+      actuatorfrcrange="-4 4"/><geom type="capsule" size=".02" fromto="0 0 0 0 0 .4"/>
+      <body name="tip" pos="0 0 .4"><joint name="tip" axis="0 1 0"/><geom size=".05"/></body></body>
+    <body name="tail" pos="0 0 -.1"><joint name="tail" type="slide"/><geom size=".05"/></body></body></worldbody>
+  <actuator><position name="servo" joint="pendulum" kp="20"/><motor joint="tip"/></actuator>
+  <sensor><jointpos name="encoder" joint="pendulum"/><jointlimitfrc name="end" joint="pendulum"/></sensor>
+  <keyframe><key name="up" qpos="1 2 3 1 0 0 0 0.5 0.7 0.1" qvel="1 2 3 4 5 6 7 8 9" ctrl="0.1 0.2"/>
+    <key name="empty"/></keyframe>
+</mujoco>"""
+
+
+def parted_arm(xml=ARM):
+    """With a soft gear at the second of three joints, beneath a free base."""
+    model, names = mujoco.MjModel.from_xml_string(xml), ("tip", "pendulum", "tail")
+    soft = EFFECTS["compliance"]
+    gear = Candidate(soft, 1, "pendulum", soft.parameters(model, JointAddress.of(model, names), 1))
+    return corrected_xml(xml, Simulation(model, names, Hypothesis((gear,)), np.array([30.0, 0.1])))
+
+
+def test_the_motor_takes_the_drive_and_the_link_keeps_the_rest():
+    model = mujoco.MjModel.from_xml_string(parted_arm())
+    motor, link = model.joint("pendulum"), model.joint("pendulum_link")
+    parts = ("armature", "frictionloss")
+    assert [getattr(motor, name)[0] for name in parts] == pytest.approx([0.02, 0.0])
+    assert [getattr(link, name)[0] for name in parts] == pytest.approx([0.0, 0.1])
+    assert (np.ravel(motor.damping)[0], np.ravel(link.damping)[0]) == pytest.approx((0.0, 0.3))
+    assert (np.ravel(motor.stiffness)[0], np.ravel(link.stiffness)[0]) == pytest.approx((0.0, 1.0))
+    limited = model.jnt_limited, model.jnt_actfrclimited
+    assert [[bool(flags[j.id]) for j in (motor, link)] for flags in limited] == [[False, True], [True, False]]
+    assert model.jnt_actfrcrange[motor.id] == pytest.approx([-4, 4])
+    assert model.actuator("servo").trnid[0] == motor.id
+    assert (model.sensor("encoder").objid[0], model.sensor("end").objid[0]) == (motor.id, link.id)
+    assert model.nu == 2
+    assert model.tendon_stiffness[0] == model.tendon_damping[0] == 0
+    np.testing.assert_allclose(model.qpos0[[motor.qposadr[0], link.qposadr[0]]], 0.2)
+
+
+def test_keyframes_start_the_motor_where_the_link_is_and_keep_all_else():
+    before, after = (mujoco.MjModel.from_xml_string(x) for x in (ARM, parted_arm()))
+    states = []
+    for model in (before, after):
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, model.key("up").id)
+        mujoco.mj_forward(model, data)
+        states.append(data)
+    for name in ("base", "link", "tip", "tail"):
+        np.testing.assert_allclose(states[1].body(name).xpos, states[0].body(name).xpos, atol=1e-5)
+        np.testing.assert_allclose(states[1].body(name).xquat, states[0].body(name).xquat, atol=1e-5)
+        np.testing.assert_allclose(states[1].body(name).cvel, states[0].body(name).cvel, atol=1e-4)
+    assert states[1].joint("pendulum").qpos == pytest.approx([0.5])
+    assert states[1].joint("pendulum").qvel == states[0].joint("pendulum").qvel
+    np.testing.assert_array_equal(states[1].ctrl, states[0].ctrl)
+    np.testing.assert_allclose(after.key("empty").qpos, after.qpos0)
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        '<equality><joint joint1="pendulum" joint2="tip"/></equality>',
+        '<tendon><fixed name="cable"><joint joint="pendulum" coef="1"/></fixed></tendon>',
+        '<tendon><fixed name="pendulum_gear"><joint joint="tip" coef="1"/></fixed></tendon>',
+        '<option><flag equality="disable"/></option>',
+        '<option><flag constraint="disable"/></option>',
+    ],
+)
+def test_a_gear_stays_in_json_where_the_joint_is_coupled_or_nothing_could_couple_it(more):
+    given = ARM.replace("</mujoco>", more + "</mujoco>")
+    xml = parted_arm(given)
+    assert "not expressed here, see corrected.json: compliance of pendulum" in xml
+    assert mujoco.MjModel.from_xml_string(xml).nv == mujoco.MjModel.from_xml_string(given).nv
+    assert "its link" not in xml
+
+
+def test_a_chain_that_acts_the_drive_out_gets_no_gear():
+    given = pendulum()
+    xml = corrected_xml(given, corrected({"compliance": [30.0, 0.1]}, xml=given), drive=False)
+    assert mujoco.MjModel.from_xml_string(xml).nv == 1
+    assert "compliance of pendulum" in xml
