@@ -64,8 +64,8 @@ OF_THE_RECORDING = frozenset({"base_clock_shift", "clock_shift", "disturbance"})
 """Effects of one recording, which no robot has for good: how it was stamped, and what pushed it once."""
 
 NOT_ACTED_OUT: Mapping[str, str] = {
-    "backlash": "the motor needs an inertia and a position of its own, in a model with two joints for one",
-    "compliance": "the motor needs an inertia and a position of its own, in a model with two joints for one",
+    "backlash": "the motor needs an inertia and a position of its own; corrected.xml has them, for its own actuators",
+    "compliance": "the motor needs an inertia and a position of its own; corrected.xml has them, for its own actuators",
     "load_dependent_friction": "its bristles are damped by the inertia of the joint, which the chain does not know",
     "thermal_drift": "an episode would have to say how warm the joint is; train with both ends of the drift instead",
 }
