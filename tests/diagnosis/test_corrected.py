@@ -132,7 +132,8 @@ def by_actuator(xml: str, command: np.ndarray, start: float, rate: float = 100.0
     [
         *((name,) for name in (*sorted(DRIVE), *PASSIVE)),
         *(tuple(n for n in sorted(DRIVE) if n != left) for left in DRIVE[1:3]),
-        ("torque_ripple", "torque_scale", "hysteresis"),
+        ("torque_ripple", "torque_scale"),
+        ("torque_scale", "hysteresis"),
     ],
     ids="-".join,
 )
@@ -250,6 +251,57 @@ def test_friction_that_a_range_of_two_motors_would_limit_or_whose_name_is_in_use
     given = pendulum(joint='actuatorfrcrange="-1 1"').replace('<motor joint="pendulum"/>', more)
     xml = corrected_xml(given, corrected({"hysteresis": [0.1, 0.05]}, xml=given))
     assert "not expressed here, see corrected.json: hysteresis of pendulum" in xml
+
+
+HOSTILE = """<default><general gear="50" delay="0.01" nsample="5" damping="1" armature="2" forcerange="-.01 .01"
+  ctrlrange="-3 3"/><tendon margin="0.05" armature="5" stiffness="7" damping="3" range="-.1 .1"/></default>"""
+
+
+@pytest.mark.parametrize("terms", [{"hysteresis": [0.1, 0.05]}, {"torque_ripple": [0.3, 0.0, 7.0]}])
+def test_no_default_of_the_model_reaches_what_is_added(terms):
+    plain = pendulum().replace('<motor joint="pendulum"/>', "")
+    xmls = [
+        corrected_xml(given, corrected(terms, xml=given))
+        for given in (plain, plain.replace("<world", HOSTILE + "<world"))
+    ]
+    models = [mujoco.MjModel.from_xml_string(xml) for xml in xmls]
+    for name in ("gear", "forcelimited", "delay", "damping", "armature", "biasprm", "dynprm"):
+        one, other = (getattr(model, f"actuator_{name}") for model in models)
+        np.testing.assert_allclose(other, one, err_msg=name)
+
+
+@pytest.mark.parametrize("limits", ['ctrlrange="-1 1"', 'forcerange="-1 1"', 'ctrlrange="-9 9" forcerange="-1 1"'])
+def test_a_ripple_stays_within_the_range_of_the_motor(limits):
+    given = pendulum().replace('<motor joint="pendulum"/>', f'<motor joint="pendulum" {limits}/>')
+    simulation = corrected({"torque_ripple": [0.4, 0.0, 3.0]}, xml=given)
+    xml = corrected_xml(given, simulation, "torques")
+    assert "not expressed" not in xml
+    torque = smooth_torque(3.0, amplitude=1.6)
+    torque[:10] = 0.0
+    if "9" not in limits and "ctrl" in limits:
+        torque = torque.clip(-1, 1)  # beyond it there is no command
+    r = record(given, torque, start=0.3, noise=0.0)
+    moved = by_actuator(xml, torque, 0.3)
+    np.testing.assert_allclose(moved, simulation.rollout(r, None), rtol=0, atol=8e-3)
+    unlimited = corrected({"torque_ripple": [0.4, 0.0, 3.0]}, xml=pendulum())
+    assert np.abs(moved - by_actuator(corrected_xml(pendulum(), unlimited), torque, 0.3)).max() > 3e-2
+
+
+def test_a_range_cannot_limit_ripple_and_leave_friction_out_at_one_joint():
+    given = pendulum(joint='actuatorfrcrange="-1 1"')
+    xml = corrected_xml(given, corrected({"torque_ripple": [0.4, 0.0, 3.0], "hysteresis": [0.1, 0.05]}, xml=given))
+    assert "not expressed here, see corrected.json: torque_ripple of pendulum" in xml
+    assert "hysteresis of pendulum" not in xml
+
+
+@pytest.mark.parametrize("terms", [{"link_mass": [0.8]}, {"reflected_inertia": [0.4]}, {"compliance": [40.0, 0.1]}])
+def test_a_spring_given_by_its_frequency_stays_as_it_was_diagnosed(terms):
+    given = pendulum(joint='springdamper="0.3 1" armature="0.1"')
+    model = mujoco.MjModel.from_xml_string(given)
+    written = mujoco.MjModel.from_xml_string(corrected_xml(given, corrected(terms, xml=given)))
+    link = written.joint("pendulum_link" if "compliance" in terms else "pendulum").id
+    assert np.ravel(written.jnt_stiffness[link])[0] == pytest.approx(np.ravel(model.jnt_stiffness)[0], rel=1e-5)
+    assert np.ravel(written.dof_damping[link])[0] == pytest.approx(np.ravel(model.dof_damping)[0], rel=1e-5)
 
 
 GEOMETRY = """

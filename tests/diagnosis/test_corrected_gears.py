@@ -13,6 +13,7 @@ from torchrl_athletic.diagnosis.corrected_xml import corrected_xml
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import JointAddress
+from torchrl_athletic.robots import from_mjcf
 
 ROTOR, LINK = 0.5, 2.0
 """Of a slider without gravity [kg]."""
@@ -128,7 +129,7 @@ def test_the_motor_moves_as_the_encoder_reads_in_the_diagnosis_own_simulation(jo
 ARM = """
 <mujoco><compiler angle="radian"/><option timestep="0.002"/>
   <default><joint damping="0.3" armature="0.02" frictionloss="0.1" stiffness="1"/>
-    <tendon stiffness="5" damping="2"/></default>
+    <tendon stiffness="5" damping="2" margin="0.05" armature="5"/></default>
   <worldbody><body name="base" pos="0 0 1"><freejoint/><geom size=".1"/>
     <body name="link" pos="0 0 .1" euler="0.3 0 0"><joint name="pendulum" axis="0 1 0" range="-1 1" ref="0.2"
       actuatorfrcrange="-4 4"/><geom type="capsule" size=".02" fromto="0 0 0 0 0 .4"/>
@@ -163,7 +164,9 @@ def test_the_motor_takes_the_drive_and_the_link_keeps_the_rest():
     assert model.actuator("servo").trnid[0] == motor.id
     assert (model.sensor("encoder").objid[0], model.sensor("end").objid[0]) == (motor.id, link.id)
     assert model.nu == 2
-    assert model.tendon_stiffness[0] == model.tendon_damping[0] == 0
+    of_tendon = (model.tendon_stiffness, model.tendon_damping, model.tendon_margin, model.tendon_armature)
+    assert [float(np.ravel(x)[0]) for x in of_tendon] == [0.0] * 4
+    assert from_mjcf(parted_arm(), torque_limit=9.0).position_limit[0] == pytest.approx((-1.0, 1.0))
     np.testing.assert_allclose(model.qpos0[[motor.qposadr[0], link.qposadr[0]]], 0.2)
 
 
@@ -193,10 +196,13 @@ def test_keyframes_start_the_motor_where_the_link_is_and_keep_all_else():
         '<tendon><fixed name="pendulum_gear"><joint joint="tip" coef="1"/></fixed></tendon>',
         '<option><flag equality="disable"/></option>',
         '<option><flag constraint="disable"/></option>',
+        'actuatorgravcomp="true"',
     ],
 )
 def test_a_gear_stays_in_json_where_the_joint_is_coupled_or_nothing_could_couple_it(more):
     given = ARM.replace("</mujoco>", more + "</mujoco>")
+    if "=" in more and "<" not in more:
+        given = ARM.replace('<joint name="pendulum"', f'<joint name="pendulum" {more}')
     xml = parted_arm(given)
     assert "not expressed here, see corrected.json: compliance of pendulum" in xml
     assert mujoco.MjModel.from_xml_string(xml).nv == mujoco.MjModel.from_xml_string(given).nv

@@ -19,7 +19,7 @@ _NO_CONSTRAINTS = int(
 _BEARING = 1e-6
 """Mass of the body that bears a motor's hinge, of which only the armature counts, per the link's [1]."""
 _IMPEDANCES = (1e-4, 1 - 1e-4)
-"""Bounds of MuJoCo's ``solimp``."""
+"""At which MuJoCo clips ``solimp``."""
 _OF_THE_LINK = (
     mujoco.mjtSensor.mjSENS_JOINTLIMITPOS,
     mujoco.mjtSensor.mjSENS_JOINTLIMITVEL,
@@ -35,7 +35,8 @@ def write_gears(spec: mujoco.MjSpec, plant: Plant, names: tuple[str, ...]) -> di
     what the encoder reads. The link hangs at a new joint ``<name>_link``, with friction, damping, springs and limits.
     Between them acts a constraint on the tendon ``<name>_gear``: an equality as soft as the gear, or, with play, a
     limit on either side. Its impedance makes it the implicit spring that the diagnosis simulates,
-    :meth:`torchrl_athletic.effects.gear.Spring.torque`, so that no stiffness is too much for the time step.
+    :meth:`torchrl_athletic.effects.gear.Spring.torque`, so that its stiffness is never too much for the time step; what
+    damps or steers the lighter motor and link beside it may be.
 
     Args:
         spec: The model, all else written; edited in place. Keyframes start the motor where the link is.
@@ -44,7 +45,8 @@ def write_gears(spec: mujoco.MjSpec, plant: Plant, names: tuple[str, ...]) -> di
 
     Returns:
         Link's joint by name, of the gears that are written. Others are those of a joint that an equality or a tendon
-        names as well, and of a model without constraints, or with one of these names in use.
+        names as well, or whose motor compensates gravity, and of a model without constraints, or with one of these
+        names in use.
     """
     before, gears = spec.compile(), Counter(names[gear.joint] for gear in plant.gears)
     springs = {
@@ -84,6 +86,7 @@ def _is_free(spec: mujoco.MjSpec, model: mujoco.MjModel, name: str) -> bool:
     )
     return not (
         model.opt.disableflags & _NO_CONSTRAINTS
+        or model.jnt_actgravcomp[joint]
         or any(joint in ids for ids in users)
         or any(element is not None for element in taken)
     )
@@ -137,7 +140,11 @@ def _couple(spec: mujoco.MjSpec, name: str, spring: Spring) -> None:
         stiffness=[0, 0, 0],
         damping=[0, 0, 0],
         frictionloss=0,
+        armature=0,
+        margin=0,
         limited=mujoco.mjtLimited.mjLIMITED_FALSE,
+        actfrclimited=mujoco.mjtLimited.mjLIMITED_FALSE,
+        actfrcrange=[0, 0],
     )
     tendon.wrap_joint(name, 1.0)
     tendon.wrap_joint(f"{name}_link", -1.0)

@@ -13,6 +13,7 @@ from torchrl_athletic.diagnosis.corrected_gears import write_gears
 from torchrl_athletic.diagnosis.screen import Candidate, Key
 from torchrl_athletic.effects import JointAddress, Plant
 from torchrl_athletic.effects.presliding import Bristle
+from torchrl_athletic.effects.signals import torque_range
 from torchrl_athletic.effects.torque import wave_number
 
 Commands: TypeAlias = Literal["torques", "targets"]
@@ -107,6 +108,10 @@ def _plant(simulation: Simulation, only: Candidate | None = None) -> Plant:
 def _write_joint(joint: Any, plant: Plant, j: int, degrees: bool) -> None:
     """``degrees``: whether the model's angles are in degrees."""
     fields, dof, index = plant.fields, plant.address.dof[j], plant.address.joint[j]
+    if any(joint.springdamper):  # which would make both anew, from the inertia that is written
+        joint.springdamper = [0, 0]
+        joint.stiffness[0] = np.ravel(plant.model.jnt_stiffness[index])[0]
+        joint.damping[0] = np.ravel(plant.model.dof_damping[dof])[0]
     if "dof_frictionloss" in fields:
         joint.frictionloss = float(fields["dof_frictionloss"][0, dof])
         joint.solref_friction, joint.solimp_friction = fields["dof_solref"][0, dof], fields["dof_solimp"][0, dof]
@@ -168,18 +173,20 @@ def _write_passive(
     """
     name, link = names
     said = set()
-    if "torque_ripple" in effects and "torque_saturation" not in effects:  # which may come after it
+    if "hysteresis" in effects and not _key_has_activations(spec) and (link or _frees_range(spec, name)):
+        (bristle,) = (law for law in plant.laws if isinstance(law, Bristle) and law.relaxed and law.joint == j)
+        torque, width = float(bristle.level[0]), float(bristle.width[0])
+        if _add_passive(spec, f"{name}_hysteresis", link or name, lugre=[torque / width, 0.0, torque, torque, 1.0]):
+            said.add("hysteresis")
+    beside = link is None and "hysteresis" in said
+    mixed = "torque_saturation" in effects  # which may come after the ripple or before
+    if "torque_ripple" in effects and not mixed and _limits_ripple(spec, plant, j, name, beside):
         sine, cosine, periods = effects["torque_ripple"]
         scale = effects["torque_scale"][0] if "torque_scale" in effects else 1.0
         waves = float(wave_number(periods, plant.model, plant.address, j))
         cogging = [float(scale * np.hypot(sine, cosine)), waves, float(np.arctan2(cosine, sine))]
         if _add_passive(spec, f"{name}_ripple", name, cogging=cogging):
             said.add("torque_ripple")
-    if "hysteresis" in effects and not _key_has_activations(spec) and (link or _frees_range(spec, name)):
-        (bristle,) = (law for law in plant.laws if isinstance(law, Bristle) and law.relaxed and law.joint == j)
-        torque, width = float(bristle.level[0]), float(bristle.width[0])
-        if _add_passive(spec, f"{name}_hysteresis", link or name, lugre=[torque / width, 0.0, torque, torque, 1.0]):
-            said.add("hysteresis")
     return said
 
 
@@ -187,7 +194,23 @@ def _add_passive(spec: mujoco.MjSpec, name: str, joint: str, **law: list[float])
     """Add a motor without an input, unless the name is in use. Whether it is there."""
     if spec.actuator(name) is not None:
         return False
-    actuator = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    no = mujoco.mjtLimited.mjLIMITED_FALSE
+    actuator = spec.add_actuator(  # none of the model's defaults is meant for it
+        name=name,
+        target=joint,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        gear=[1, 0, 0, 0, 0, 0],
+        forcelimited=no,
+        forcerange=[0, 0],
+        ctrllimited=no,
+        ctrlrange=[0, 0],
+        actlimited=no,
+        actrange=[0, 0],
+        delay=0,
+        nsample=0,
+        armature=0,
+        damping=[0, 0, 0],
+    )
     without_input = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
     actuator.set_to_dcmotor(motorconst=[0.0, 0.0], resistance=1.0, ctrlspec=without_input, **law)
     return True
@@ -207,7 +230,7 @@ def _frees_range(spec: mujoco.MjSpec, name: str) -> bool:
     joint, own = spec.joint(name), _actuators_of(spec, name)
     if joint.actfrclimited == mujoco.mjtLimited.mjLIMITED_FALSE or not np.ptp(joint.actfrcrange):
         return True
-    if len(own) != 1 or not own[0].gear[0] or joint.actgravcomp:
+    if len(own) != 1 or not own[0].gear[0] or joint.actgravcomp or _has_other_transmissions(spec):
         return False
     (actuator,) = own
     low, high = np.sort(np.asarray(joint.actfrcrange) / actuator.gear[0])
@@ -218,6 +241,30 @@ def _frees_range(spec: mujoco.MjSpec, name: str) -> bool:
     actuator.forcerange, actuator.forcelimited = [low, high], mujoco.mjtLimited.mjLIMITED_TRUE
     joint.actfrcrange, joint.actfrclimited = [0, 0], mujoco.mjtLimited.mjLIMITED_FALSE
     return True
+
+
+def _limits_ripple(spec: mujoco.MjSpec, plant: Plant, j: int, name: str, beside: bool) -> bool:
+    """Make the range of a motor the joint's, so that it limits motor and ripple together. Whether it does.
+
+    ``beside``: whether friction acts at the joint, which the motor's range must not limit.
+    """
+    low, high = (float(limit[j]) for limit in torque_range(plant.model, plant.address))
+    if not np.isfinite([low, high]).any():
+        return True
+    own = _actuators_of(spec, name)
+    limited = [a for a in own if a.forcelimited != mujoco.mjtLimited.mjLIMITED_FALSE and np.ptp(a.forcerange)]
+    if beside or not np.isfinite([low, high]).all() or len(own) > 1 or _has_other_transmissions(spec):
+        return False
+    joint = spec.joint(name)
+    joint.actfrcrange, joint.actfrclimited = [low, high], mujoco.mjtLimited.mjLIMITED_TRUE
+    for actuator in limited:
+        actuator.forcerange, actuator.forcelimited = [0, 0], mujoco.mjtLimited.mjLIMITED_FALSE
+    return True
+
+
+def _has_other_transmissions(spec: mujoco.MjSpec) -> bool:
+    """Whether tendons, sites or bodies are driven, which may move any joint."""
+    return any(a.trntype != mujoco.mjtTrn.mjTRN_JOINT for a in spec.actuators)
 
 
 def _commands_of(actuator: Any) -> Commands | None:

@@ -569,10 +569,8 @@ def _motor_range(model: mujoco.MjModel, actuator: int) -> tuple[float, float]:
     if model.actuator_forcelimited[actuator]:
         low, high = model.actuator_forcerange[actuator]
     kind = model.actuator_gaintype[actuator], model.actuator_biastype[actuator]
-    is_motor, control = (
-        kind == (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE),
-        model.actuator_ctrladr[actuator],
-    )
+    is_motor = kind == (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE)
+    control = model.actuator_ctrladr[actuator]
     if is_motor and model.actuator_ctrllimited[control]:
         ends = model.actuator_gainprm[actuator, 0] * model.actuator_ctrlrange[control]
         low, high = max(low, ends.min()), min(high, ends.max())

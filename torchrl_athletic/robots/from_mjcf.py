@@ -71,6 +71,7 @@ def from_mjcf(
             )
     servo_kp, servo_kd = _servo_gains(model, actuators, len(joints))
     address = model.jnt_qposadr[joints]
+    links = [_link_of(model, joint) for joint in joints]
     return Robot(
         name=name or given.modelname,
         joint_names=names,
@@ -84,7 +85,7 @@ def from_mjcf(
         velocity_limit=_each(velocity_limit, len(joints)),
         position_limit=tuple(
             (float(low), float(high)) if limited else (-np.inf, np.inf)
-            for (low, high), limited in zip(model.jnt_range[joints], model.jnt_limited[joints], strict=True)
+            for (low, high), limited in zip(model.jnt_range[links], model.jnt_limited[links], strict=True)
         ),
         base=_base(model),
         sensors={key: tuple(members) for key, members in (sensors or {}).items()},
@@ -128,6 +129,12 @@ def _driven(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
             )
         joints.append(joint)
     return actuators, list(dict.fromkeys(joints))
+
+
+def _link_of(model: mujoco.MjModel, joint: int) -> int:
+    """The joint of the link that a motor drives: another than its own behind a gear that a diagnosis wrote."""
+    link = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"{model.joint(joint).name}_link")
+    return joint if link < 0 else link
 
 
 def _torque_limits(model: mujoco.MjModel, actuators: list[int], joints: list[int]) -> tuple[float, ...]:

@@ -467,6 +467,9 @@ def _in_model(model: Any, effect: str, joint: str | None, values: tuple[float, .
     if joint is None:
         return 0.0, 0.0
     at = model.joint(joint)
+    link = f"{joint}_link"  # behind a gear that corrected.xml has
+    if effect != "reflected_inertia" and link in {model.joint(i).name for i in range(model.njnt)}:
+        at = model.joint(link)
     dry = {
         "coulomb_friction": values[0],
         "asymmetric_friction": sum(values[:2]) / 2,
