@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 from diagnosis.plants import pendulum, record, slider, smooth_torque
 from diagnosis.test_corrected import EFFECTS, MOTOR, corrected
+from torchrl.envs import TransformedEnv
 
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.corrected_xml import corrected_xml
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import JointAddress
+from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.robots import from_mjcf
+from torchrl_athletic.transforms import CorrectedActuation
 
 ROTOR, LINK = 0.5, 2.0
 """Of a slider without gravity [kg]."""
@@ -214,3 +217,25 @@ def test_a_chain_that_acts_the_drive_out_gets_no_gear():
     xml = corrected_xml(given, corrected({"compliance": [30.0, 0.1]}, xml=given), drive=False)
     assert mujoco.MjModel.from_xml_string(xml).nv == 1
     assert "compliance of pendulum" in xml
+
+
+def test_the_rest_of_a_correction_acts_in_the_chain_beside_a_gear_that_the_model_has():
+    given = pendulum(joint='damping="0.05" armature="0.01"')
+    rest = {
+        "viscous_friction": [0.2],
+        "coulomb_friction": [0.05, 0.0],
+        "joint_spring": [0.3, 0.0],
+        "torque_offset": [0.1],
+    }
+    simulation = corrected({**rest, "compliance": [40.0, 0.1]}, xml=given)
+    content = simulation.to_json()
+    content["effects"] = [entry for entry in content["effects"] if entry["effect"] != "compliance"]
+    robot = from_mjcf(corrected_xml(given, simulation), torque_limit=5.0)
+    chain = CorrectedActuation(content, timestep=0.002, joint_names=robot.joint_names)
+    env = TransformedEnv(TorqueEnv(robot), chain)
+    td = env.rand_action(env.reset())
+    for _ in range(3000):
+        td = env.step_mdp(env.step(td.set("torque", td["torque"] * 0)))
+    at_rest = td["joint_position"].item()  # 0.1 N·m against weight and spring, within the dry friction
+    assert abs(0.5 * 9.81 * 0.4 * np.sin(at_rest) + 0.3 * at_rest - 0.1) < 0.06
+    assert abs(td["joint_velocity"].item()) < 1e-2
