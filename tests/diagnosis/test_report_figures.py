@@ -137,6 +137,8 @@ def test_recordings_kept_aside_are_shown_first():
 def test_the_summary_shows_the_joint_of_the_first_finding_and_says_the_finding():
     s = arm()
     figure = summary_figure(s.answer, s.maps, s.overlays)
+    title = figure.texts[0].get_text().replace("\n", " ")
+    assert s.answer.findings[0].sentence.startswith(title + ".") or title.endswith("…")  # no half sentence
     drawn = lines(figure)
     np.testing.assert_allclose(drawn["before-line"], s.maps[0].before)  # elbow against speed
     assert s.answer.findings[0].sentence == figure.texts[0].get_text().replace("\n", " ")

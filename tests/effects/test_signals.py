@@ -390,11 +390,11 @@ def test_joints_that_do_not_match_are_refused_by_name(names, advice):
 
 
 def test_the_link_behind_a_gear_of_a_corrected_model_sends_back_to_the_given_one():
-    model = mujoco.MjModel.from_xml_string(
-        PENDULUM.replace("<body", '<body><joint name="hinge_link"/><geom size="0.1"/></body><body', 1)
-    )
-    with pytest.raises(RecordingError, match=r"'hinge_link' moves .* diagnose the model that was given"):
-        JointAddress.of(model, ("hinge",))
+    link = PENDULUM.replace("<body", '<body><joint name="hinge_link"/><geom size="0.1"/></body><body', 1)
+    gear = '<tendon><fixed name="hinge_gear"><joint joint="hinge" coef="1"/></fixed></tendon></mujoco>'
+    for xml, advice in ((link.replace("</mujoco>", gear), "diagnose the model that was given"), (link, "Record it")):
+        with pytest.raises(RecordingError, match=rf"'hinge_link' moves .* {advice}"):
+            JointAddress.of(mujoco.MjModel.from_xml_string(xml), ("hinge",))
 
 
 def test_a_free_body_is_no_joint():

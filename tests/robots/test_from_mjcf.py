@@ -5,7 +5,7 @@ import pickle
 import pytest
 
 from torchrl_athletic.envs import TorqueEnv
-from torchrl_athletic.physics.joints import driven_joints
+from torchrl_athletic.physics.joints import driven_joints, link_joint
 from torchrl_athletic.robots import b2z1, from_mjcf, z1
 from torchrl_athletic.robots.benches import pendulum, two_link_arm
 
@@ -66,3 +66,10 @@ def test_friction_and_cogging_without_an_input_drive_no_joint():
     robot = from_mjcf(SERVO.replace("<actuator>", "<actuator>" + passive))
     assert (robot.joint_names, robot.kp, robot.torque_limit) == (("a", "b"), (7.0, 9.0), (5.0, 2.0))
     assert driven_joints(robot.model()) == ("a", "b")
+
+
+def test_a_joint_whose_name_ends_in_link_is_no_link_behind_a_gear():
+    both = SERVO.replace('name="a"', 'name="b_link"').replace('joint="a"', 'joint="b_link"')
+    robot = from_mjcf(both)
+    assert link_joint(robot.model(), "b") == "b"
+    assert robot.position_limit[robot.joint_names.index("b")] == pytest.approx((-1.0472, 1.0472), abs=1e-4)

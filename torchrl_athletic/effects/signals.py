@@ -25,6 +25,7 @@ from scipy.signal import welch
 from scipy.sparse import csr_array
 
 from torchrl_athletic.effects.base import BaseMotion, base_columns, base_motion, carried, free_joint
+from torchrl_athletic.physics.joints import link_joint
 from torchrl_athletic.recordings.noise import base_noise
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
@@ -76,7 +77,7 @@ class JointAddress:
         silent = sorted(set(known) - set(names))
         if silent:
             mend = "Record it, or remove the joint from the model where it was clamped."
-            if silent[0].removesuffix("_link") in names:
+            if silent[0] in {link_joint(model, name) for name in names}:
                 mend = "It is the link behind a gear in a corrected.xml: diagnose the model that was given."
             raise RecordingError(f"{source}: joint {silent[0]!r} moves in the model but was not recorded. {mend}")
         single = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))

@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from torchrl_athletic.physics.joints import link_joint
 from torchrl_athletic.robots.robot import Robot
 
 _SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -71,7 +72,7 @@ def from_mjcf(
             )
     servo_kp, servo_kd = _servo_gains(model, actuators, len(joints))
     address = model.jnt_qposadr[joints]
-    links = [_link_of(model, joint) for joint in joints]
+    links = [model.joint(link_joint(model, joint)).id for joint in names]
     return Robot(
         name=name or given.modelname,
         joint_names=names,
@@ -129,12 +130,6 @@ def _driven(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
             )
         joints.append(joint)
     return actuators, list(dict.fromkeys(joints))
-
-
-def _link_of(model: mujoco.MjModel, joint: int) -> int:
-    """The joint of the link that a motor drives: another than its own behind a gear that a diagnosis wrote."""
-    link = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"{model.joint(joint).name}_link")
-    return joint if link < 0 else link
 
 
 def _torque_limits(model: mujoco.MjModel, actuators: list[int], joints: list[int]) -> tuple[float, ...]:

@@ -17,6 +17,7 @@ from torchrl.envs.batched_envs import BatchedEnvBase
 
 from torchrl_athletic.functional import actuation, history
 from torchrl_athletic.functional import actuator_dynamics as dynamics
+from torchrl_athletic.physics.joints import link_joint
 from torchrl_athletic.transforms.actuation import PerJoint
 from torchrl_athletic.transforms.keys import beside
 from torchrl_athletic.transforms.stateful import StatefulTransform, base_env_of, unbounded_like
@@ -467,9 +468,8 @@ def _in_model(model: Any, effect: str, joint: str | None, values: tuple[float, .
     if joint is None:
         return 0.0, 0.0
     at = model.joint(joint)
-    link = f"{joint}_link"  # behind a gear that corrected.xml has
-    if effect != "reflected_inertia" and link in {model.joint(i).name for i in range(model.njnt)}:
-        at = model.joint(link)
+    if effect != "reflected_inertia":
+        at = model.joint(link_joint(model, joint))
     dry = {
         "coulomb_friction": values[0],
         "asymmetric_friction": sum(values[:2]) / 2,

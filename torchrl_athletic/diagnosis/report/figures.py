@@ -261,10 +261,11 @@ def summary_figure(answer: Answer, maps: Sequence[RegimeMap], overlays: Sequence
     regime_map = first_map(answer, maps, joint)
     overlay = telling_overlays([o for o in overlays if joint in o.joint_names])[0]
     headline = answer.findings[0].sentence if answer.findings else next(iter(answer.summary), answer.verdict)
+    title = textwrap.wrap(headline.partition(". ")[0].rstrip("."), 92, max_lines=2, placeholder=" …")
     with _styled():
         figure = _figure(12 * 72, 4.4 * 72)
         figure.set_facecolor("white")
-        figure.text(0.035, 0.875, "\n".join(textwrap.wrap(headline, 92)[:2]), size=15, weight="bold", va="center")
+        figure.text(0.035, 0.875, "\n".join(title), size=15, weight="bold", va="center")
         draw_regime(_axes(figure, 70, 490, 92, 48), regime_map)
         motion, error = _axes(figure, 440, 26, 92, 134), _axes(figure, 440, 26, 218, 48)
         draw_overlay(motion, error, overlay, joint, joint_units(answer, maps)[joint], telling_window(overlay))
