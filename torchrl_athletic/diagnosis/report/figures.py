@@ -261,7 +261,8 @@ def summary_figure(answer: Answer, maps: Sequence[RegimeMap], overlays: Sequence
     regime_map = first_map(answer, maps, joint)
     overlay = telling_overlays([o for o in overlays if joint in o.joint_names])[0]
     headline = answer.findings[0].sentence if answer.findings else next(iter(answer.summary), answer.verdict)
-    title = textwrap.wrap(headline.partition(". ")[0].rstrip("."), 92, max_lines=2, placeholder=" …")
+    first, _, more = headline.partition(". ")
+    title = textwrap.wrap(f"{first}." if more else first, 92, max_lines=2, placeholder=" …")
     with _styled():
         figure = _figure(12 * 72, 4.4 * 72)
         figure.set_facecolor("white")
