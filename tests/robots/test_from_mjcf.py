@@ -5,7 +5,8 @@ import pickle
 import pytest
 
 from torchrl_athletic.envs import TorqueEnv
-from torchrl_athletic.physics.joints import driven_joints, link_joint
+from torchrl_athletic.functional.gears import link_joint
+from torchrl_athletic.physics.joints import driven_joints
 from torchrl_athletic.robots import b2z1, from_mjcf, z1
 from torchrl_athletic.robots.benches import pendulum, two_link_arm
 

@@ -25,7 +25,7 @@ from scipy.signal import welch
 from scipy.sparse import csr_array
 
 from torchrl_athletic.effects.base import BaseMotion, base_columns, base_motion, carried, free_joint
-from torchrl_athletic.physics.joints import link_joint
+from torchrl_athletic.functional.gears import link_joint
 from torchrl_athletic.recordings.noise import base_noise
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 

@@ -24,16 +24,6 @@ def driven_joints(model: mujoco.MjModel) -> tuple[str, ...]:
     return tuple(dict.fromkeys(driven)) or tuple(_known(model))
 
 
-def link_joint(model: mujoco.MjModel, joint: str) -> str:
-    """The joint that a motor's link hangs at: ``<joint>_link`` behind a gear of a ``corrected.xml``, else its own.
-
-    The tendon ``<joint>_gear`` between them tells such a link from any joint of that name.
-    """
-    link, gear = f"{joint}_link", f"{joint}_gear"
-    kinds = ((mujoco.mjtObj.mjOBJ_JOINT, link), (mujoco.mjtObj.mjOBJ_TENDON, gear))
-    return link if all(mujoco.mj_name2id(model, kind, name) >= 0 for kind, name in kinds) else joint
-
-
 def joint_columns(model: mujoco.MjModel, names: Sequence[str]) -> tuple[Columns, Columns]:
     """Columns of the joints in ``qpos`` and in ``qvel``.
 

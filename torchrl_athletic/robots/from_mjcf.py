@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from torchrl_athletic.physics.joints import link_joint
+from torchrl_athletic.functional.gears import link_joint
 from torchrl_athletic.robots.robot import Robot
 
 _SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))

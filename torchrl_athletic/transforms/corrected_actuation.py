@@ -17,7 +17,7 @@ from torchrl.envs.batched_envs import BatchedEnvBase
 
 from torchrl_athletic.functional import actuation, history
 from torchrl_athletic.functional import actuator_dynamics as dynamics
-from torchrl_athletic.physics.joints import link_joint
+from torchrl_athletic.functional.gears import link_joint
 from torchrl_athletic.transforms.actuation import PerJoint
 from torchrl_athletic.transforms.keys import beside
 from torchrl_athletic.transforms.stateful import StatefulTransform, base_env_of, unbounded_like
