@@ -17,6 +17,7 @@ def actuation_chain(
     max_delay: int = 0,
     decimation: int = 4,
     seed: int = 0,
+    first_row: int = 0,
 ) -> list[Transform]:
     """The chain that runs at the physics rate, from the joint outwards, ready to be followed by other transforms.
 
@@ -31,6 +32,7 @@ def actuation_chain(
         max_delay: Greatest delay of the action, drawn per episode [physics steps].
         decimation: Physics steps per action.
         seed: Of the delays.
+        first_row: Number of the first row, for parts of a larger batch.
 
     Source:
         Fey et al. 2025, section II.
@@ -51,5 +53,5 @@ def actuation_chain(
     chain.append(TorqueSpeedClip(robot.torque_limit, robot.velocity_limit))
     chain.append(PDControl(robot.kp, robot.kd))
     if max_delay:
-        chain.append(ActionDelay(max_delay, before=robot.default_pose, seed=seed))
+        chain.append(ActionDelay(max_delay, before=robot.default_pose, seed=seed, first_row=first_row))
     return [*chain, Decimation(decimation)]

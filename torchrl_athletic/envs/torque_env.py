@@ -13,6 +13,8 @@ from torchrl.envs import EnvBase
 
 from torchrl_athletic.functional import rotations
 from torchrl_athletic.physics import BatchPhysics, Physics
+from torchrl_athletic.physics.data_fields import late_columns
+from torchrl_athletic.physics.ground import Clearance, ground_of
 from torchrl_athletic.robots import Robot
 
 _BASE = {"base_position", "base_quaternion", "base_linear_velocity", "base_angular_velocity", "projected_gravity"}
@@ -28,17 +30,21 @@ class TorqueEnv(EnvBase):
     Entries, float32 in SI units, J joints in the robot's order:
 
     - ``torque`` (N, J), the action, unlimited: :class:`~torchrl_athletic.transforms.TorqueSpeedClip` limits it;
-    - ``joint_position``, ``joint_velocity``, ``applied_torque`` (N, J);
+    - ``joint_position``, ``joint_velocity``, ``applied_torque``, ``joint_power``, torque times velocity [W] (N, J);
     - with a floating base, ``base_position``, ``base_quaternion`` (wxyz), in the world; ``base_linear_velocity``,
-      ``base_angular_velocity``, ``projected_gravity``, in the base's axes;
-    - the robot's ``sensors``: ``end_effector_position`` and so on, ``foot_force``.
+      ``base_angular_velocity``, ``projected_gravity``, in the base's axes; ``base_height``, over the ground around it,
+      whose bumps are rounded off over ``footprint`` (N, 1);
+    - the robot's ``sensors``: ``end_effector_position`` and so on, ``foot_force``; with ``foot_position``, also
+      ``foot_height`` over the ground below each foot (N, F).
 
     Observations describe the state after the step; forces are those that acted during it. ``next`` holds the true last
     observation of an episode. A step whose tensordict holds ``_substep`` shows joints and ``every_step`` only, and
-    ``_step`` is a mask of the rows that it advances (:class:`~torchrl_athletic.transforms.Decimation` uses both).
+    ``_step`` is a mask of the rows that it advances (:class:`~torchrl_athletic.transforms.Decimation` uses both, and
+    takes the mean of ``averaged_keys`` over the steps of an action).
 
     A reset puts the robot at its keyframe, or at ``reset_qpos`` (N, nq) and ``reset_qvel`` (N, nv) where the tensordict
-    given to this environment's reset holds them, as transforms do that choose where an episode starts.
+    given to this environment's reset holds them, as transforms do that choose where an episode starts. Where these put
+    a floating robot into the ground, it is lifted until nothing is.
 
     Args:
         robot: What to simulate.
@@ -49,7 +55,9 @@ class TorqueEnv(EnvBase):
         terminate: From what a step shows to whether the episode has failed, bool of shape (N, 1).
         fields: Of the model, to differ between environments, where ``physics`` is None.
         every_step: Of the robot's ``sensors``, those to show at every physics step, for transforms within
-            :class:`~torchrl_athletic.transforms.Decimation`. Refreshing them takes time.
+            :class:`~torchrl_athletic.transforms.Decimation`. Refreshing them takes time, but for those of touch and
+            acceleration, which each step computes.
+        footprint: Edge of the square around the base whose mean height is the ground below it [m].
 
     Raises:
         ValueError: If the physics drives other joints than the robot's, or the robot lacks one of the sensors.
@@ -72,6 +80,7 @@ class TorqueEnv(EnvBase):
         terminate: Callable[[TensorDictBase], Tensor] | None = None,
         fields: Sequence[str] = (),
         every_step: Sequence[str] = (),
+        footprint: float = 0.5,
     ) -> None:
         if missing := [name for name in every_step if name not in robot.sensors]:
             raise ValueError(
@@ -91,6 +100,13 @@ class TorqueEnv(EnvBase):
         self._base_qpos, self._base_dof = _free_joint(model, robot.base)
         self._sensors = {key: _columns(model, names, physics.device) for key, names in robot.sensors.items()}
         self._keyframe = model.key(robot.keyframe).id
+        late = set(late_columns(model).tolist())
+        self._late = {key: set(_numbers(columns)) <= late for key, (columns, _) in self._sensors.items()}
+        self.averaged_keys = ("joint_power", *(key for key in self.every_step if self._late[key]))
+        if self._base_qpos is not None:
+            self.ground = ground_of(model, robot.ground, physics.device)
+            self._ground_around = self.ground.averaged(footprint)
+            self._clearance = Clearance.of(model, robot.ground, physics.device)
         self._make_specs()
         self.set_seed(seed)
 
@@ -128,20 +144,27 @@ class TorqueEnv(EnvBase):
             starts = None if starts is None else starts.reshape(self.batch_size)
             qpos, qvel = tensordict.get("reset_qpos", None), tensordict.get("reset_qvel", None)
         self.physics.reset(starts, self._keyframe, qpos, qvel)
+        if self._base_qpos is not None and qpos is not None:
+            self._lift(starts)
         flag = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
         shown = self._observe(torch.zeros_like(self._copied(self.physics.joint_position)))
         return self._tensordict(shown, done=flag, terminated=flag.clone(), truncated=flag.clone())
+
+    def _lift(self, starts: Tensor | None) -> None:
+        """Raise the robots that start with something in the ground."""
+        depth = (-self._clearance(self.physics)).clamp(min=0)
+        self.physics.raise_up(depth if starts is None else torch.where(starts.unsqueeze(-1), depth, 0.0))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         torque = tensordict.get("torque")
         only_joints = "_substep" in tensordict.keys()
         self.physics.apply_torque(torque)
-        refresh = bool(self.every_step if only_joints else self._sensors)
+        refresh = any(not self._late[key] for key in (self.every_step if only_joints else self._sensors))
         self.physics.step(refresh=refresh, envs=tensordict.get("_step", None))
         failed = self.physics.diverged.unsqueeze(-1)
         flags = {"done": failed, "terminated": failed.clone(), "truncated": torch.zeros_like(failed)}
         reward = torch.zeros(*self.batch_size, 1, device=self.device)
-        observed = self._show_joints() | self._read(self.every_step) if only_joints else self._observe(torque)
+        observed = self._show_joints(torque) | self._read(self.every_step) if only_joints else self._observe(torque)
         shown = self._tensordict(observed, reward=reward, **flags)
         if self.terminate is not None and not only_joints:
             failed = failed | self.terminate(shown)
@@ -151,17 +174,29 @@ class TorqueEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         """Nothing here is random."""
 
-    def _show_joints(self) -> dict[str, Tensor]:
+    def _show_joints(self, torque: Tensor) -> dict[str, Tensor]:
+        velocity = self._copied(self.physics.joint_velocity)
         return {
             "joint_position": self._copied(self.physics.joint_position),
-            "joint_velocity": self._copied(self.physics.joint_velocity),
+            "joint_velocity": velocity,
+            "joint_power": torque.float() * velocity,
         }
 
     def _observe(self, torque: Tensor) -> dict[str, Tensor]:
-        shown = self._show_joints() | {"applied_torque": torque.float()}
+        shown = self._show_joints(torque) | {"applied_torque": torque.float()}
         if self._base_qpos is not None and not self._sensors.keys() >= _BASE:
             shown |= self._show_base()
-        return shown | self._read(self._sensors)
+        shown |= self._read(self._sensors)
+        return shown | (self._show_heights(shown) if self._base_qpos is not None else {})
+
+    def _show_heights(self, shown: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Over the ground."""
+        base = shown["base_position"]
+        heights = {"base_height": base[:, 2:] - self._ground_around.height(base[:, :2])}
+        if "foot_position" in shown:
+            feet = shown["foot_position"]
+            heights["foot_height"] = feet[..., 2] - self.ground.height(feet[..., :2]).squeeze(-1)
+        return heights
 
     def _read(self, keys: Collection[str]) -> dict[str, Tensor]:
         """Sensors as the physics last refreshed them."""
@@ -218,6 +253,10 @@ def _free_joint(model: mujoco.MjModel, base: str | None) -> tuple[slice | None, 
         raise ValueError(f"body {base!r} has no free joint, so it is no floating base. Set the robot's base to None.")
     position, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     return slice(position, position + 7), slice(dof, dof + 6)
+
+
+def _numbers(columns: slice | Tensor) -> list[int]:
+    return list(range(columns.start, columns.stop)) if isinstance(columns, slice) else columns.tolist()
 
 
 def _columns(

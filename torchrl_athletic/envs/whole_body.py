@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
-from torchrl.envs import CatTensors, Compose, StepCounter, Transform, TransformedEnv, UnaryTransform
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import ActionScaling, CatTensors, Compose, StepCounter, Transform, TransformedEnv, UnaryTransform
 
 from torchrl_athletic.envs.actuation_chain import actuation_chain
 from torchrl_athletic.envs.torque_env import TorqueEnv
-from torchrl_athletic.functional import rewards, rotations
-from torchrl_athletic.functional.commands import CommandRanges, pose_to_world
-from torchrl_athletic.functional.gait import TROT, foot_height
-from torchrl_athletic.robots import Robot
-from torchrl_athletic.robots.b2z1 import FOOT_RADIUS
+from torchrl_athletic.envs.whole_body_rewards import whole_body_rewards
+from torchrl_athletic.functional.commands import CommandRanges
+from torchrl_athletic.functional.phase import PhaseSchedule
+from torchrl_athletic.networks import pretrained
+from torchrl_athletic.robots import Robot, Terrain, b2z1
 from torchrl_athletic.transforms import (
+    B2Z1_PUSHES,
     ActionHistory,
     CommandSampler,
+    Decimation,
+    DomainRandomization,
+    EncoderOffset,
+    ExternalPush,
     GaitClock,
+    InitialState,
     ObservationHistory,
+    PoseError,
+    Push,
+    RandomizationRanges,
     RewardTerm,
     RewardTerms,
+    StartRanges,
     TaskPhase,
-    Term,
 )
 
 FRAME = (
@@ -41,166 +54,234 @@ Source:
     Fey et al. 2025, section II-B, observation space.
 """
 
+PRIVILEGED = (
+    "base_linear_velocity",
+    "base_angular_velocity",
+    "base_height",
+    "foot_height",
+    "foot_force",
+    "pose_error",
+    "true_joint_position",
+    "encoder_offset",
+    "randomization",
+    "push",
+)
+"""What the critic sees besides the newest frame, as far as the environment shows it. The paper does not say whether its
+critic knows more than the policy; that of its authors' earlier work does (Portela et al. 2024)."""
+
+ACTION_SCALE = {"leg": 0.25, "arm": 0.5, "gripper": 0.1}
+"""By how much an action of 1 moves the position targets of a group of joints [rad]. Legs and arm: Portela et al. 2024."""
+
+FALL_HEIGHT, FALL_UPRIGHT = 0.25, 0.5
+"""A robot whose base is lower over the ground [m], or tilted beyond 60° (cosine [1]), has fallen. The paper gives none."""
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """What differs from one episode to the next, and what happens within one. Defaults are the paper's pre-training.
+
+    The roughness of the ground is the robot's: ``b2z1(terrain=Terrain())``.
+
+    Source:
+        Fey et al. 2025, section II-B and table of domain randomisation.
+    """
+
+    randomization: RandomizationRanges | None = RandomizationRanges()  # noqa: RUF009  frozen
+    """Of links, ground and the legs' drives."""
+    pushes: tuple[Push, ...] = B2Z1_PUSHES
+    """At base, hips, feet and end effector."""
+    starts: StartRanges | None = StartRanges(base_position=(12.0, 12.0, 0.0))  # noqa: RUF009  frozen
+    """Around the default pose, spread over the terrain's tiles."""
+    encoder_offset: float = 0.05
+    """Greatest, either way [rad]."""
+    delay: int = 6
+    """Greatest delay of an action [physics steps]."""
+
+
+NO_DISTURBANCES = Disturbances(None, (), None, 0.0, 0)
+"""The same robot on the same ground, from the same pose, undisturbed."""
+
 
 def whole_body_env(
-    robot: Robot,
+    robot: Robot | None = None,
     *,
-    num_envs: int,
+    num_envs: int = 4096,
     device: torch.device | str = "cpu",
-    net: nn.Module | None = None,
+    net: nn.Module | str | None = "uan",
+    chain: Sequence[Transform] | None = None,
+    commands: CommandRanges | None = None,
+    schedule: PhaseSchedule | None = None,
+    terms: tuple[Mapping[str, RewardTerm], Mapping[str, float]] | None = None,
+    terminate: Callable[[TensorDictBase], Tensor] | None = None,
+    disturbances: Disturbances | None = None,
+    privileged: Sequence[NestedKey] = PRIVILEGED,
+    action_offset: Sequence[float] | None = None,
+    action_scale: Mapping[str, float] | Sequence[float] | float | None = None,
     arm_power: float | None = 300.0,
-    max_delay: int = 6,
     history: int = 10,
     max_steps: int = 1000,
     task_width: int = 4,
-    sensing: tuple[Transform, ...] = (),
-    extra: tuple[Transform, ...] = (),
+    extra: Sequence[Transform] = (),
     seed: int = 0,
+    first_row: int = 0,
 ) -> TransformedEnv:
     """Compose the paper's pre-training environment, at 50 Hz over physics at 200 Hz.
 
-    The policy reads ``observation``, the last ``history`` frames of :data:`FRAME`, and writes ``action``, position
-    targets [rad]. Each term of the reward is shown under ``reward_terms``.
+    Without arguments it is that environment: a B2 with a Z1 on rough ground, whose arm a shipped actuator net corrects,
+    with everything randomised that the paper randomises. Where the paper leaves a number open, docs/whole_body.md says
+    what was chosen and what others use.
+
+    The policy reads ``observation``, the last ``history`` frames of :data:`FRAME`, and writes ``action``: 0 is the
+    default pose. The critic reads ``privileged``, the newest frame and what no robot can sense. Each term of the reward
+    is shown under ``reward_terms``.
 
     Args:
-        robot: With legs and an arm, such as :func:`~torchrl_athletic.robots.b2z1`.
+        robot: With legs and an arm; None takes ``b2z1(terrain=Terrain(), cone="pyramidal")``.
         num_envs: N.
         device: ``"cpu"`` or ``"cuda"``.
-        net: Unsupervised Actuator Net of the arm.
+        net: Unsupervised Actuator Net of the arm, or the name of a shipped one; None leaves the arm's motors ideal.
+        chain: What stands between position targets and motors, from the joint outwards, in place of that with the net:
+            that of a :class:`~torchrl_athletic.identification.Simulator`, say. It delays actions itself.
+        commands: What is commanded.
+        schedule: Phases of a task; None shows zeros in their places.
+        terms: Of the reward, by name, and their scales; None takes :func:`whole_body_rewards`.
+        terminate: Whether an episode has failed; None takes :func:`fallen`.
+        disturbances: None takes the paper's; see :data:`NO_DISTURBANCES`.
+        privileged: What the critic sees besides a frame; names that the environment lacks are passed over.
+        action_offset: Position targets of the action zero [rad]; None takes the default pose.
+        action_scale: Of an action [rad], by group of joints, by joint, or for all; None takes :data:`ACTION_SCALE`.
         arm_power: Greatest power of the arm [W]. The paper gives no figure.
-        max_delay: Of the action [physics steps].
         history: Frames that the policy sees.
         max_steps: Length of an episode [policy steps]: 20 s.
-        task_width: Places kept for the embedding of tasks to come, zero here.
-        sensing: Transforms between the robot and the chain: an encoder's offset, say.
-        extra: More transforms, put before the observation: a reference trajectory, or
-            :class:`~torchrl_athletic.transforms.DomainRandomization`.
-        seed: Of commands and delays.
+        task_width: Places kept for the embedding of tasks to come.
+        extra: More transforms, after those that command: a reference trajectory, an object.
+        seed: Of all draws.
+        first_row: Number of the first row, for parts of a larger batch.
 
     Source:
         Fey et al. 2025, section II-B and appendix A.
 
     Example:
-        >>> from torchrl_athletic.robots import b2z1
-        >>> env = whole_body_env(b2z1(), num_envs=2)
-        >>> env.rollout(2)["observation"].shape
-        torch.Size([2, 2, 770])
+        >>> env = whole_body_env(num_envs=2)
+        >>> shown = env.rollout(2)
+        >>> shown["observation"].shape, shown["action"].shape
+        (torch.Size([2, 2, 770]), torch.Size([2, 2, 19]))
     """
-    commands = CommandRanges()
-    fields = {field for transform in (*sensing, *extra) for field in getattr(transform, "fields", ())}
-    base = TorqueEnv(robot, num_envs=num_envs, device=device, terminate=fallen, fields=sorted(fields))
-    dt = 4 * base.physics.timestep
-    return TransformedEnv(
+    robot = b2z1(terrain=Terrain(), cone="pyramidal") if robot is None else robot
+    commands = CommandRanges() if commands is None else commands
+    chance = Disturbances() if disturbances is None else disturbances
+    rows: dict[str, int] = {"seed": seed, "first_row": first_row}
+    if chain is None:
+        net = pretrained(net) if isinstance(net, str) else net
+        chain = actuation_chain(robot, net=net, arm_power=arm_power, max_delay=chance.delay, **rows)
+    dt = _policy_step(robot, chain)
+    sensing, starting = _sensing(chance, rows), _starting(chance, rows)
+    fields = {field for transform in (*chain, *starting, *extra) for field in getattr(transform, "fields", ())}
+    base = TorqueEnv(
+        robot,
+        num_envs=num_envs,
+        device=device,
+        terminate=fallen if terminate is None else terminate,
+        fields=sorted(fields),
+        every_step=[key for key in robot.sensors if key.endswith("_force")],
+    )
+    position = "true_joint_position" if sensing else "joint_position"
+    terms, scales = whole_body_rewards(robot, position) if terms is None else terms
+    env = TransformedEnv(
         base,
         Compose(
             *sensing,
-            *actuation_chain(robot, net=net, arm_power=arm_power, max_delay=max_delay, seed=seed),
+            *chain,
             StepCounter(max_steps),
-            CommandSampler(commands, dt, seed=seed + 1),
-            GaitClock(dt),
-            TaskPhase(None, dt, width=task_width),
-            ActionHistory(3, before=robot.default_pose),
+            *starting,
+            *([ExternalPush(chance.pushes, dt=dt, **rows)] if chance.pushes else []),
+            CommandSampler(commands, dt, **rows),
+            GaitClock(dt, **rows),
+            TaskPhase(schedule, dt, width=task_width, **rows),
             *extra,
-            RewardTerms(*whole_body_rewards(robot, commands)),
+            PoseError(commands.frame_height),
+            _scaling(robot, action_offset, action_scale),
+            ActionHistory(3, before=torch.zeros(len(robot.joint_names))),
+            RewardTerms(terms, scales, dt=dt),
             UnaryTransform(["action_history"], ["last_action"], fn=_newest),
             CatTensors(list(FRAME), "frame", del_keys=False, sort=False),
             ObservationHistory(["frame"], history, ["observation"], flatten=True),
         ),
     )
+    return env.append_transform(Privileged(_known(env, privileged)))
+
+
+def _policy_step(robot: Robot, chain: Sequence[Transform]) -> float:
+    """Time between two actions [s]."""
+    steps = [transform.steps for transform in chain if isinstance(transform, Decimation)]
+    return sum(steps) * float(robot.model().opt.timestep) if steps else float(robot.model().opt.timestep)
+
+
+def _sensing(chance: Disturbances, rows: Mapping[str, int]) -> list[Transform]:
+    """What stands between the joints and all that reads them."""
+    limit = chance.encoder_offset
+    return [EncoderOffset(-limit, limit, true_key="true_joint_position", **rows)] if limit else []
+
+
+def _starting(chance: Disturbances, rows: Mapping[str, int]) -> list[Transform]:
+    """What each episode starts with."""
+    starting: list[Transform] = [] if chance.starts is None else [InitialState(chance.starts, **rows)]
+    return starting + ([] if chance.randomization is None else [DomainRandomization(chance.randomization, **rows)])
+
+
+def _scaling(
+    robot: Robot, offset: Sequence[float] | None, scale: Mapping[str, float] | Sequence[float] | float | None
+) -> ActionScaling:
+    """From actions to position targets [rad]."""
+    count = len(robot.joint_names)
+    scale = ACTION_SCALE if scale is None else scale
+    if isinstance(scale, Mapping):
+        by_joint = {joint: value for group, value in scale.items() for joint in robot.joint_groups.get(group, ())}
+        if missing := [name for joint, name in enumerate(robot.joint_names) if joint not in by_joint]:
+            raise ValueError(
+                f"action_scale knows the groups {sorted(scale)} and so not {missing}, which would never move. Give a "
+                f"scale for each of {robot.name}'s groups, {sorted(robot.joint_groups)}, or for each joint."
+            )
+        scale = [by_joint[joint] for joint in range(count)]
+    return ActionScaling(
+        loc=torch.tensor(robot.default_pose if offset is None else offset, dtype=torch.float32),
+        scale=torch.as_tensor(scale, dtype=torch.float32).expand(count).clone(),
+    )
+
+
+class Privileged(Transform):
+    """Show the newest frame and other entries side by side, whatever their shapes. Shape (*B, D).
+
+    Args:
+        keys: Of the entries.
+        out_key: Where to show them.
+    """
+
+    def __init__(self, keys: Sequence[NestedKey], out_key: NestedKey = "privileged") -> None:
+        super().__init__(in_keys=["frame", *keys], out_keys=[out_key])
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        start = next_tensordict.batch_dims
+        parts = [next_tensordict.get(key).flatten(start).float() for key in self.in_keys]
+        return next_tensordict.set(self.out_keys[0], torch.cat(parts, -1))
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        batch = observation_spec.shape
+        width = sum(observation_spec[key].shape[len(batch) :].numel() for key in self.in_keys)
+        observation_spec[self.out_keys[0]] = Unbounded((*batch, width), device=observation_spec.device)
+        return observation_spec
+
+
+def _known(env: TransformedEnv, keys: Sequence[NestedKey]) -> list[NestedKey]:
+    return [key for key in keys if key in env.full_observation_spec.keys(True)]
 
 
 def fallen(tensordict: TensorDictBase) -> Tensor:
-    """Whether the base is low or far from upright. Shape (N, 1)."""
-    low = tensordict["base_position"][..., 2:] < 0.25
-    return low | (tensordict["projected_gravity"][..., 2:] > -0.5)
-
-
-def whole_body_rewards(robot: Robot, commands: CommandRanges) -> tuple[dict[str, RewardTerm], dict[str, float]]:
-    """Terms of the paper's table by name, and their scales.
-
-    Args:
-        robot: Gives the default pose and the ranges of the joints.
-        commands: Give the height of the frame in which poses are commanded.
-
-    Source:
-        Fey et al. 2025, appendix A, table of WBC rewards.
-    """
-    terms: dict[str, RewardTerm] = {
-        "ee_pose_tracking": PoseTracking(commands.frame_height),
-        "linear_velocity_tracking": _linear_velocity_tracking,
-        "angular_velocity_tracking": _angular_velocity_tracking,
-        "gait": Term(_gait, "gait_cycle", "foot_position", offset=torch.tensor(TROT)),
-        "foot_slip": Term(_slip, "gait_cycle", "foot_velocity", offset=torch.tensor(TROT)),
-        "foot_clearance": Term(_clearance, "gait_cycle", "foot_position", offset=torch.tensor(TROT)),
-        "mechanical_power": Term(rewards.mechanical_power, "applied_torque", "joint_velocity"),
-        "action_smoothness": Term(rewards.action_roughness, "action_history"),
-        "linear_velocity_z": lambda _, after: rewards.square(after["base_linear_velocity"][..., 2:]),
-        "angular_velocity_xy": lambda _, after: rewards.square(after["base_angular_velocity"][..., :2]),
-        "joint_deviation": Term(
-            rewards.absolute_error, "joint_position", target=torch.tensor(robot.default_pose, dtype=torch.float32)
-        ),
-        "collision": Term(_collision, "leg_force", "arm_force", "trunk_force"),
-        "joint_limits": Term(
-            rewards.beyond_limits, "joint_position", limits=torch.tensor(robot.position_limit, dtype=torch.float32)
-        ),
-        "contact_force": Term(rewards.square, "foot_force"),
-    }
-    return terms, dict(rewards.WBC_SCALES)
-
-
-class PoseTracking(nn.Module):
-    """Closeness of the end effector's keypoints to those of its command, which is given in a frame at the base.
-
-    Args:
-        frame_height: Of that frame above the ground [m].
-    """
-
-    def __init__(self, frame_height: float) -> None:
-        super().__init__()
-        self.frame_height = frame_height
-
-    def forward(self, _: TensorDictBase, after: TensorDictBase) -> Tensor:
-        goal = pose_to_world(
-            after["end_effector_command"], after["base_position"], after["base_quaternion"], self.frame_height
-        )
-        pose = after["end_effector_position"], after["end_effector_quaternion"]
-        return rewards.keypoint_tracking(_keypoints(*pose), rotations.keypoints(*goal))
-
-
-def _keypoints(position: Tensor, quaternion: Tensor) -> Tensor:
-    return rotations.keypoints(position, rotations.matrix(quaternion))
-
-
-def _linear_velocity_tracking(_: TensorDictBase, after: TensorDictBase) -> Tensor:
-    velocity, command = after["base_linear_velocity"][..., :2], after["base_velocity_command"][..., :2]
-    return rewards.gaussian(velocity, command, 4.0)
-
-
-def _angular_velocity_tracking(_: TensorDictBase, after: TensorDictBase) -> Tensor:
-    velocity, command = after["base_angular_velocity"][..., 2:], after["base_velocity_command"][..., 2:]
-    return rewards.gaussian(velocity, command, 4.0)
-
-
-def _gait(cycle: Tensor, foot_position: Tensor, offset: Tensor) -> Tensor:
-    return rewards.premature_contact(in_swing(cycle, offset), foot_position[..., 2])
-
-
-def _slip(cycle: Tensor, foot_velocity: Tensor, offset: Tensor) -> Tensor:
-    return rewards.foot_slip(~in_swing(cycle, offset), foot_velocity)
-
-
-def _clearance(cycle: Tensor, foot_position: Tensor, offset: Tensor) -> Tensor:
-    height = FOOT_RADIUS + foot_height(cycle, offset)
-    return rewards.foot_clearance(in_swing(cycle, offset), height, foot_position[..., 2])
-
-
-def in_swing(cycle: Tensor, offset: Tensor, duty: float = 0.5) -> Tensor:
-    """Whether each foot should be in the air: as :func:`~.gait.foot_height` has it. Bool, shape (*B, F)."""
-    return torch.remainder(cycle + offset, 1.0) >= duty
-
-
-def _collision(*forces: Tensor) -> Tensor:
-    return rewards.any_above(torch.cat(forces, -1))
+    """Whether the base is low over the ground or far from upright. Shape (N, 1)."""
+    return (tensordict["base_height"] < FALL_HEIGHT) | (tensordict["projected_gravity"][..., 2:] > -FALL_UPRIGHT)
 
 
 def _newest(history: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl_athletic.functional import rotations, streams
 
 Range = tuple[float, float]
+Place = tuple[float, float, float]
 VELOCITY, POSITION, QUATERNION = slice(0, 3), slice(3, 6), slice(6, 10)
 """Columns of a goal: base velocity, end effector's position and attitude (wxyz)."""
 
@@ -23,7 +24,10 @@ class CommandRanges:
     The paper gives the times and no ranges. Those of the velocity are round figures within what the robot can do. The
     box of positions is what the Z1 on a B2 reaches with some help of the legs; Fu et al. draw from a part of a sphere
     shell instead, 0.2 to 0.7 m about the arm's base for a smaller robot. A box is convex: the straight way from one of
-    its points to another lies in it, so that no command leads through the robot.
+    its points to another lies in it, so that no command leads through the robot. A gripper that points away from the
+    shoulder reaches low goals from above and high ones from below: with attitudes about this line of sight, 96 % of the
+    goals are within 2 cm and 2 degrees of what the arm can do on a base that moves by 0.1 m and tilts by 0.25 rad; with
+    attitudes about the base's heading, 74 % were (``benchmarks/command_reach.py``).
     """
 
     forward: Range = (-1.0, 1.0)
@@ -32,20 +36,23 @@ class CommandRanges:
     """To the left [m/s]."""
     yaw_rate: Range = (-1.0, 1.0)
     """Counter-clockwise [rad/s]."""
-    standstill_probability: float = 0.0
+    standstill_probability: float = 0.1
     """That a goal's velocity is 0 instead."""
-    x: Range = (0.45, 0.8)
+    x: Range = (0.5, 0.8)
     """Ahead of the base's origin [m]."""
     y: Range = (-0.3, 0.3)
     """To its left [m]."""
-    z: Range = (-0.25, 0.6)
+    z: Range = (-0.25, 0.5)
     """Above ``frame_height`` [m]."""
     roll: Range = (-math.pi / 4, math.pi / 4)
     """Of the end effector about its own x axis [rad]; last of the three turns in its own axes."""
-    pitch: Range = (-math.pi / 4, math.pi / 2)
-    """Nose down [rad]."""
-    yaw: Range = (-math.pi / 4, math.pi / 4)
-    """About the vertical, from the base's heading [rad]."""
+    pitch: Range = (-math.pi / 9, math.pi / 4)
+    """Nose down, from the line of sight [rad]."""
+    yaw: Range = (-math.pi / 6, math.pi / 6)
+    """About the vertical, from the line of sight [rad]."""
+    shoulder: Place | None = (0.15, 0.0, 0.25)
+    """Where lines of sight to goals begin, in the commands' frame [m]: above the Z1's on a standing B2. None looks ahead,
+    along the base's heading."""
     frame_height: float = 0.5
     """Of the commands' frame above the ground [m]. It follows the base's place and heading, and stays upright."""
     interval: float = 7.0
@@ -93,13 +100,16 @@ def sled_commands() -> CommandRanges:
     )
 
 
-def draw_goal(key: Tensor, bounds: Tensor, standstill_probability: float = 0.0) -> tuple[Tensor, Tensor]:
+def draw_goal(
+    key: Tensor, bounds: Tensor, standstill_probability: float = 0.0, shoulder: Place | None = None
+) -> tuple[Tensor, Tensor]:
     """A goal, and how long the way to it takes.
 
     Args:
         key: Of :func:`~.streams.stream`. Shape (*B,).
         bounds: Of :meth:`CommandRanges.bounds`. Shape (2, 11).
         standstill_probability: That the velocity is 0.
+        shoulder: Where the line of sight begins about which attitudes are drawn [m]; None for the heading.
 
     Returns:
         Goal: base velocity [m/s, m/s, rad/s], end effector's position [m] and quaternion (wxyz) in the commands' frame.
@@ -114,7 +124,24 @@ def draw_goal(key: Tensor, bounds: Tensor, standstill_probability: float = 0.0) 
     drawn = bounds[0] + (bounds[1] - bounds[0]) * unit[..., 1:]
     velocity, position, angles, duration = drawn.split((3, 3, 3, 2), -1)
     velocity = torch.where(unit[..., :1] < standstill_probability, torch.zeros_like(velocity), velocity)
+    if shoulder is not None:
+        angles = angles + line_of_sight(position, shoulder)
     return torch.cat((velocity, position, from_roll_pitch_yaw(angles)), -1), duration
+
+
+def line_of_sight(position: Tensor, shoulder: Place) -> Tensor:
+    """Roll, pitch and yaw of what points from the shoulder to a place [rad]. Shape (*B, 3).
+
+    Args:
+        position: In the commands' frame [m]. Shape (*B, 3).
+        shoulder: There too [m].
+
+    Example:
+        >>> line_of_sight(torch.tensor([1.0, 0.0, -1.0]), (0.0, 0.0, 0.0)).tolist()  # half a right angle down
+        [0.0, 0.7853981852531433, 0.0]
+    """
+    x, y, z = (position[..., k] - shoulder[k] for k in range(3))
+    return torch.stack((torch.zeros_like(x), torch.atan2(-z, torch.hypot(x, y)), torch.atan2(y, x)), -1)
 
 
 def blend_goals(start: Tensor, goal: Tensor, elapsed: Tensor, duration: Tensor) -> Tensor:
@@ -198,7 +225,12 @@ def line_ahead(position: Tensor, quaternion: Tensor) -> Tensor:
 
 
 def pose_to_frame(
-    position: Tensor, quaternion: Tensor, base_position: Tensor, base_quaternion: Tensor, frame_height: float
+    position: Tensor,
+    quaternion: Tensor,
+    base_position: Tensor,
+    base_quaternion: Tensor,
+    frame_height: float,
+    ground_height: Tensor | float = 0.0,
 ) -> Tensor:
     """A pose in the world as the commands' frame sees it; :func:`pose_to_world` undoes it.
 
@@ -209,18 +241,23 @@ def pose_to_frame(
         quaternion: wxyz. Shape (*B, 4).
         base_position: [m]. Shape (*B, 3).
         base_quaternion: Shape (*B, 4).
-        frame_height: [m], above a ground at z = 0.
+        frame_height: Above the ground [m].
+        ground_height: Of the ground under the base, in the world [m]. Shape (*B, 1) or ().
 
     Returns:
         Position and quaternion. Shape (*B, 7).
     """
     heading = rotations.yaw_quaternion(rotations.yaw(base_quaternion))
-    seen = rotations.rotate_inverse(heading, position - _origin(base_position, frame_height))
+    seen = rotations.rotate_inverse(heading, position - _origin(base_position, frame_height + ground_height))
     return torch.cat((seen, rotations.multiply(rotations.conjugate(heading), quaternion)), -1)
 
 
 def pose_to_world(
-    command: Tensor, base_position: Tensor, base_quaternion: Tensor, frame_height: float
+    command: Tensor,
+    base_position: Tensor,
+    base_quaternion: Tensor,
+    frame_height: float,
+    ground_height: Tensor | float = 0.0,
 ) -> tuple[Tensor, Tensor]:
     """Where an end-effector command is in the world, as rewards need it.
 
@@ -228,7 +265,8 @@ def pose_to_world(
         command: Position [m] and the first two columns of the rotation matrix, in the commands' frame. Shape (*B, 9).
         base_position: [m]. Shape (*B, 3).
         base_quaternion: Shape (*B, 4).
-        frame_height: [m], above a ground at z = 0.
+        frame_height: Above the ground [m].
+        ground_height: Of the ground under the base, in the world [m]. Shape (*B, 1) or ().
 
     Returns:
         Position [m], shape (*B, 3), and rotation matrix, shape (*B, 3, 3), as :func:`~.rotations.keypoints` takes them.
@@ -246,7 +284,7 @@ def pose_to_world(
     cosine, sine = heading.cos(), heading.sin()
     x, y, z = command.unflatten(-1, (3, 3)).unbind(-1)  # of the position and the two columns at once
     turned = torch.stack((cosine * x - sine * y, sine * x + cosine * y, z), -1)
-    position = _origin(base_position, frame_height) + turned[..., 0, :]
+    position = _origin(base_position, frame_height + ground_height) + turned[..., 0, :]
     return position, rotations.from_two_columns(turned[..., 1:, :].flatten(-2))
 
 
@@ -276,5 +314,5 @@ def _for_each(shares: Sequence[Tensor], widths: Sequence[int]) -> Tensor:
     return torch.cat([share.expand(*share.shape[:-1], width) for share, width in zip(shares, widths, strict=True)], -1)
 
 
-def _origin(base_position: Tensor, frame_height: float) -> Tensor:
-    return torch.cat((base_position[..., :2], torch.full_like(base_position[..., :1], frame_height)), -1)
+def _origin(base_position: Tensor, height: Tensor | float) -> Tensor:
+    return torch.cat((base_position[..., :2], torch.zeros_like(base_position[..., :1]) + height), -1)

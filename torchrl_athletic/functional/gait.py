@@ -49,6 +49,24 @@ def gait_phase(cycle: Tensor, cosine: bool = False) -> Tensor:
     return torch.cat((angle.sin(), angle.cos()), -1) if cosine else angle.sin()
 
 
+def in_swing(cycle: Tensor, offset: Tensor, duty: float = 0.5) -> Tensor:
+    """Whether each foot should be in the air, as :func:`foot_height` has it.
+
+    Args:
+        cycle: Share of the clock's cycle [1]. Shape (*B, 1).
+        offset: How far ahead of the clock each foot is [cycles]. Shape (F,).
+        duty: Share of the cycle for which a foot stands.
+
+    Returns:
+        Bool, shape (*B, F).
+
+    Example:
+        >>> in_swing(torch.tensor([0.25]), torch.tensor(TROT)).tolist()
+        [False, True, True, False]
+    """
+    return torch.remainder(cycle + offset, 1.0) >= duty
+
+
 def foot_height(cycle: Tensor, offset: Tensor, apex: Tensor | float = 0.1, duty: float = 0.5) -> Tensor:
     r"""Height above the ground that each foot should have: none in stance, one smooth arc in swing.
 

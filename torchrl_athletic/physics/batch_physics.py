@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchrl_athletic.physics.data_fields import check_computed
-from torchrl_athletic.physics.joints import driven_joints, joint_columns
+from torchrl_athletic.physics.joints import driven_joints, floating_heights, joint_columns
 from torchrl_athletic.physics.model_fields import has_constants, refuse_ignored_limits
 from torchrl_athletic.physics.protocol import CapacityError, Envs, Physics, Result, Values
 from torchrl_athletic.physics.rows import check_shape, env_ids, expand_to
@@ -84,6 +84,7 @@ class BatchPhysics(Physics):
         self._derived = False  # whether any output is copied out, so that there is a use in forward()
         self.joint_names = driven_joints(model) if joint_names is None else tuple(joint_names)
         self._joint_qpos, self._joint_dof = joint_columns(model, self.joint_names)
+        self._floating = floating_heights(model)
 
     @property
     def timestep(self) -> float:
@@ -145,16 +146,30 @@ class BatchPhysics(Physics):
         return self._fields[name]
 
     def set_field(self, name: str, value: Values, envs: Envs = None) -> None:
-        field, ids = self.field(name), self._ids(envs)
-        wanted = expand_to(field, value, name)[_rows(ids)]
-        refuse_ignored_limits(self.model, name, wanted, self.fields)
-        field[_rows(ids)] = wanted.to(field.dtype)
-        if has_constants(name):
+        self.set_fields({name: value}, envs)
+
+    def set_fields(self, values: Mapping[str, Values], envs: Envs = None) -> None:
+        ids = self._ids(envs)
+        rows = _rows(ids)
+        wanted = {name: expand_to(self.field(name), value, name)[rows] for name, value in values.items()}
+        for name, value in wanted.items():
+            refuse_ignored_limits(self.model, name, value, self.fields)
+            self.field(name)[rows] = value.to(self.field(name).dtype)
+        if any(has_constants(name) for name in wanted):
             self.batch.set_const(ids)
-        lost = field[_rows(ids)].double() != wanted.double()
-        if lost.any():
-            held, written = field[_rows(ids)][lost][0].item(), wanted[lost][0].item()
-            raise ValueError(f"{name} holds {held} where {written} was written: it is stored as {field.dtype}.")
+        for name, value in wanted.items():
+            held = self.field(name)[rows]
+            lost = held.double() != value.double()
+            if lost.any():
+                raise ValueError(
+                    f"{name} holds {held[lost][0].item()} where {value[lost][0].item()} was written: it is stored as "
+                    f"{held.dtype}."
+                )
+
+    def raise_up(self, height: Tensor) -> None:
+        self.qpos[:, self._floating] += height.to(self.dtype)
+        if self._derived:
+            self.batch.forward(env_ids(height.flatten() != 0, self.num_envs))
 
     def reset(
         self, envs: Envs = None, keyframe: int | str = -1, qpos: Values | None = None, qvel: Values | None = None

@@ -39,6 +39,12 @@ def joint_columns(model: mujoco.MjModel, names: Sequence[str]) -> tuple[Columns,
     return _columns(model.jnt_qposadr[joints]), _columns(model.jnt_dofadr[joints])
 
 
+def floating_heights(model: mujoco.MjModel) -> list[int]:
+    """Columns of ``qpos`` that hold the height of a body with a free joint."""
+    free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value
+    return [int(first) + 2 for first in model.jnt_qposadr[free]]
+
+
 def _known(model: mujoco.MjModel) -> list[str]:
     one_dof = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
     return [model.joint(j).name for j in range(model.njnt) if model.jnt_type[j] in one_dof and model.joint(j).name]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import mujoco
@@ -107,6 +107,23 @@ class Physics(Protocol):
         Raises:
             ValueError: If the field was not declared, or does not hold the values afterwards, or if the model's flags
                 would make the simulation ignore them.
+        """
+
+    def set_fields(self, values: Mapping[str, Values], envs: Envs = None) -> None:
+        """Write several of ``fields`` as :meth:`set_field` does, and compute what follows from all of them once.
+
+        Args:
+            values: By name.
+            envs: Mask or ids; the others are not touched.
+        """
+
+    def raise_up(self, height: Tensor) -> None:
+        """Lift all that floats freely, with everything that hangs on it.
+
+        Positions in the world that were looked at through :meth:`data` follow.
+
+        Args:
+            height: By how much [m]. Shape (N, 1).
         """
 
     def reset(

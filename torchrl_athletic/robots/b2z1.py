@@ -19,11 +19,11 @@ from torchrl_athletic.robots.arm import (
     add_round,
     add_sensor,
 )
-from torchrl_athletic.robots.inertial import Inertial, set_inertial
+from torchrl_athletic.robots.inertial import Inertial, Vector, set_inertial
 from torchrl_athletic.robots.robot import Joint, Robot, assemble
 from torchrl_athletic.robots.scene import Cone, add_keyframe, empty_scene
 from torchrl_athletic.robots.terrain import Terrain, add_terrain
-from torchrl_athletic.robots.tools import Tool, add_tool, tool_sensors
+from torchrl_athletic.robots.tools import Tool, add_tool, tool_bodies, tool_sensors
 
 LEGS = {"FR": (1, -1), "FL": (1, 1), "RR": (-1, -1), "RL": (-1, 1)}
 """Order of the legs as in the paper's reward tables, and on which side each is: front is +1, left is +1."""
@@ -112,7 +112,7 @@ SENSORS: dict[str, tuple[str, ...]] = {
     "foot_position": tuple(f"{leg}_foot_position" for leg in LEGS),
     "foot_velocity": tuple(f"{leg}_foot_velocity" for leg in LEGS),
     "foot_force": tuple(f"{leg}_foot_force" for leg in LEGS),
-    "leg_force": tuple(f"{leg}_knee_force" for leg in LEGS),
+    "leg_force": tuple(f"{leg}_{part}_force" for leg in LEGS for part in ("thigh", "shin")),
     "trunk_force": ("trunk_force",),
 }
 
@@ -164,6 +164,7 @@ def b2z1(
         base="base",
         keyframe="stand",
         ground=("floor",) if terrain is None else ("floor", "terrain"),
+        loads=(*(("payload",) if payload else ()), *tool_bodies(tool)),
     )
 
 
@@ -242,21 +243,29 @@ def _add_leg(spec: mujoco.MjSpec, base: mujoco.MjsBody, leg: str, front: int, le
     add_round(
         thigh, f"{leg}_thigh_motor", (0, -0.099 * left, 0), (0, 0.028 * left, 0), 0.0615, cylinder=True, rgba=_DARK
     )
-    add_round(thigh, f"{leg}_thigh", (-0.012, 0, -0.05), (-0.02, 0, -0.29), 0.042, rgba=_GREY)
+    add_round(thigh, f"{leg}_thigh", (-0.012, 0, -0.05), (-0.02, 0, -0.29), 0.042, rgba=_GREY, contype=GROUND)
     _add_ball(thigh, f"{leg}_knee", 0.03, -THIGH_LENGTH, _DARK)
+    _add_feeler(thigh, f"{leg}_thigh", (-0.012, 0, -0.05), (0, 0, -THIGH_LENGTH), 0.055)
 
     calf = thigh.add_body(name=f"{leg}_calf", pos=[0, 0, -THIGH_LENGTH])
     add_joint(calf, calf_joint)
-    add_round(calf, f"{leg}_calf", (0.004, 0, -0.03), (0.034, 0, -0.17), 0.018, rgba=_DARK)
-    add_round(calf, f"{leg}_shin", (0.034, 0, -0.17), (0.02, 0, -0.31), 0.02, rgba=_DARK)
+    add_round(calf, f"{leg}_calf", (0.004, 0, -0.03), (0.034, 0, -0.17), 0.018, rgba=_DARK, contype=GROUND)
+    add_round(calf, f"{leg}_shin", (0.034, 0, -0.17), (0.02, 0, -0.31), 0.02, rgba=_DARK, contype=GROUND)
     _add_ball(calf, f"{leg}_foot", FOOT_RADIUS, -CALF_LENGTH, _RUBBER)
+    _add_feeler(calf, f"{leg}_shin", (0.02, 0, 0), (0.02, 0, -0.288), 0.042)  # ends above where the foot touches
 
     for body, inertial in zip((hip, thigh, calf), across, strict=True):
         set_inertial(body, inertial)
     add_sensor(spec, "framepos", f"{leg}_foot", f"{leg}_foot_position")
     add_sensor(spec, "framelinvel", f"{leg}_foot", f"{leg}_foot_velocity")
-    add_sensor(spec, "touch", f"{leg}_foot", f"{leg}_foot_force")
-    add_sensor(spec, "touch", f"{leg}_knee", f"{leg}_knee_force")
+    for part in ("foot", "thigh", "shin"):
+        add_sensor(spec, "touch", f"{leg}_{part}", f"{leg}_{part}_force")
+
+
+def _add_feeler(body: mujoco.MjsBody, name: str, start: Vector, end: Vector, radius: float) -> None:
+    """A site around a part of a leg, whose touch sensor feels all that the part touches."""
+    capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+    body.add_site(name=name, type=capsule, fromto=[*start, *end], size=[radius, 0, 0], group=4)
 
 
 def _add_ball(body: mujoco.MjsBody, name: str, radius: float, height: float, rgba: tuple[float, ...]) -> None:

@@ -72,6 +72,8 @@ class Robot:
     """Name of the keyframe that holds the default state, at rest."""
     ground: tuple[str, ...] = ("floor",)
     """Names of the geoms to stand on, whose friction and softness rule in every contact with them."""
+    loads: tuple[str, ...] = ()
+    """Names of bodies that are no part of it: the tool in its hand, what lies in that, a payload."""
 
     def spec(self) -> mujoco.MjSpec:
         """Its description, new and yours to edit."""
@@ -91,6 +93,7 @@ def assemble(
     base: str | None,
     keyframe: str,
     ground: tuple[str, ...] = ("floor",),
+    loads: tuple[str, ...] = (),
 ) -> Robot:
     """Turn a table of joints into the columns of a :class:`Robot`."""
     groups: dict[str, tuple[int, ...]] = {}
@@ -112,4 +115,5 @@ def assemble(
         build=build,
         keyframe=keyframe,
         ground=ground,
+        loads=loads,
     )

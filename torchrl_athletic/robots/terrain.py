@@ -1,4 +1,4 @@
-"""Uneven ground."""
+"""Uneven and sloping ground."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ class Terrain:
     """[m]."""
     spacing: float = 0.1
     """Of neighbouring heights [m]."""
+    slope: float = 0.0
+    """By which the whole field rises along x [rad]; it is at height 0 in its middle."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -34,6 +36,8 @@ class Terrain:
                 f"roughness is {self.roughness} m, but heights are drawn from 0 up to a value between the two. "
                 "Give two numbers with 0 <= least <= largest."
             )
+        if not abs(self.slope) < np.pi / 2:
+            raise ValueError(f"slope is {self.slope} rad, which no field of heights has. Give less than pi / 2.")
         if self.tiles < 1 or not 0 < self.spacing <= self.tile_size:
             raise ValueError(
                 f"{self.tiles} tiles of {self.tile_size} m with heights every {self.spacing} m hold no heights. Take "
@@ -59,7 +63,9 @@ class Terrain:
         """
         n = round(self.tile_size / self.spacing)
         bound = np.kron(self.tile_roughness(), np.ones((n, n)))
-        return bound * np.random.default_rng([self.seed, 1]).uniform(size=bound.shape)
+        half = 0.5 * self.tiles * self.tile_size
+        rise = np.tan(self.slope) * np.linspace(-half, half, bound.shape[1])
+        return rise + bound * np.random.default_rng([self.seed, 1]).uniform(size=bound.shape)
 
 
 def add_terrain(spec: mujoco.MjSpec, terrain: Terrain) -> None:
@@ -87,4 +93,4 @@ def add_terrain(spec: mujoco.MjSpec, terrain: Terrain) -> None:
         friction=floor.friction,
         material=floor.material,
     )
-    floor.pos = [0, 0, -0.005]  # below the deepest dent, or feet would touch both
+    floor.pos = [0, 0, min(low, 0.0) - 0.005]  # below the deepest dent, or feet would touch both

@@ -80,6 +80,13 @@ def tool_sensors(tool: Tool | None) -> dict[str, tuple[str, ...]]:
     return BUCKET_SENSORS if isinstance(tool, Bucket) else {}
 
 
+def tool_bodies(tool: Tool | None) -> tuple[str, ...]:
+    """Names of the bodies that a tool adds."""
+    if isinstance(tool, Bucket):
+        return "bucket", "ball"
+    return ("dumbbell",) if isinstance(tool, Dumbbell) else ()
+
+
 def add_tool(spec: mujoco.MjSpec, tool: Tool | None, qpos: Sequence[float]) -> None:
     """Put a tool into the gripper. A ball comes last in the world, so that the robot's own ``qpos`` stays in front.
 
@@ -112,7 +119,8 @@ def with_bucket(robot: Robot, bucket: Bucket) -> Robot:
         0.3
     """
     sensors = {**robot.sensors, **EMPTY_BUCKET_SENSORS}
-    return replace(robot, build=_WithBucket(robot.build, bucket), sensors=sensors)
+    build = _WithBucket(robot.build, bucket)
+    return replace(robot, build=build, sensors=sensors, loads=(*robot.loads, "bucket"))
 
 
 @dataclass(frozen=True)

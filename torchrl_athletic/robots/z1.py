@@ -9,7 +9,7 @@ import mujoco
 from torchrl_athletic.robots.arm import ARM_JOINTS, ARM_SENSORS, add_arm, add_motors
 from torchrl_athletic.robots.robot import Robot, assemble
 from torchrl_athletic.robots.scene import Cone, add_keyframe, empty_scene
-from torchrl_athletic.robots.tools import Tool, add_tool, tool_sensors
+from torchrl_athletic.robots.tools import Tool, add_tool, tool_bodies, tool_sensors
 
 
 def z1(*, reinforced: bool = False, tool: Tool | None = None, cone: Cone = "elliptic") -> Robot:
@@ -36,6 +36,7 @@ def z1(*, reinforced: bool = False, tool: Tool | None = None, cone: Cone = "elli
         {**ARM_SENSORS, **tool_sensors(tool)},
         base=None,
         keyframe="default",
+        loads=tool_bodies(tool),
     )
 
 

@@ -126,6 +126,9 @@ def _of_parts(parts: Mapping[str, Any]) -> Checkpoint:
     return checkpoint
 
 
+_PHYSICS = ("qpos", "qvel", "time", "qacc_warmstart", "xfrc_applied")
+
+
 def env_state(env: EnvBase) -> dict[str, Any]:
     """What an environment holds beside its tensordict: the physics, and transforms' counts of episodes.
 
@@ -135,7 +138,7 @@ def env_state(env: EnvBase) -> dict[str, Any]:
     state: dict[str, Any] = {"buffers": {name: buffer.clone() for name, buffer in _unsaved_buffers(env).items()}}
     physics = getattr(base_env_of(env), "physics", None)
     if physics is not None:
-        state["physics"] = {name: physics.data(name).clone() for name in ("qpos", "qvel", "time", "qacc_warmstart")}
+        state["physics"] = {name: physics.data(name).clone() for name in _PHYSICS}
         state["fields"] = {name: physics.field(name).clone() for name in physics.fields}
     return state
 
@@ -156,9 +159,9 @@ def restore_env(env: EnvBase, current: TensorDict, state: dict[str, Any]) -> Ten
     if physics is None or "physics" not in state or current.batch_size != env.batch_size:
         return env.reset()
     physics.reset(qpos=state["physics"]["qpos"], qvel=state["physics"]["qvel"])
-    for name, value in state["fields"].items():
-        physics.set_field(name, value)
-    for name in ("time", "qacc_warmstart"):
+    if state["fields"]:
+        physics.set_fields(state["fields"])
+    for name in state["physics"].keys() - {"qpos", "qvel"}:
         physics.data(name).copy_(state["physics"][name])
     modules = dict(env.transform.named_modules()) if isinstance(env, TransformedEnv) else {}
     for name, value in state["buffers"].items():

@@ -24,6 +24,7 @@ from torchrl_athletic.transforms.gait_clock import GaitClock
 from torchrl_athletic.transforms.initial_state import InitialState, StartRanges
 from torchrl_athletic.transforms.limited_target import LimitedTarget
 from torchrl_athletic.transforms.observation_history import ObservationHistory
+from torchrl_athletic.transforms.pose_error import PoseError
 from torchrl_athletic.transforms.reference_trajectory import ReferenceTrajectory
 from torchrl_athletic.transforms.reward_terms import RewardTerm, RewardTerms, Term
 from torchrl_athletic.transforms.stateful import RandomTransform, StatefulTransform
@@ -46,6 +47,7 @@ __all__ = [
     "LimitedTarget",
     "ObservationHistory",
     "PDControl",
+    "PoseError",
     "PowerClip",
     "Push",
     "RandomTransform",

@@ -98,7 +98,7 @@ class PDControl(_Law):
                 f"PDControl found no {self.action_key!r}: there is no target to make a torque of. Give it data of the "
                 "policy's side, not torques; on an environment, name the policy's action with action_key=..."
             )
-        kp, kd = (_scaled(gain, tensordict, key) for gain, key in zip((self.kp, self.kd), self.scale_keys, strict=True))
+        kp, kd = (scaled(gain, tensordict, key) for gain, key in zip((self.kp, self.kd), self.scale_keys, strict=True))
         position, velocity = tensordict.get(self.position_key), tensordict.get(self.velocity_key)
         tensordict.set(self.torque_key, actuation.pd_torque(target, position, velocity, kp, kd))
         tensordict.set(self.target_key, target)
@@ -214,7 +214,7 @@ class TorqueSpeedClip(_Torque):
         self.velocity_key, self.scale_key = velocity_key, scale_key
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        limit = _scaled(self.torque_limit, tensordict, self.scale_key)
+        limit = scaled(self.torque_limit, tensordict, self.scale_key)
         torque, velocity = tensordict.get(self.torque_key), tensordict.get(self.velocity_key)
         tensordict.set(self.torque_key, actuation.clip_torque_speed(torque, velocity, limit, self.velocity_limit))
         return tensordict
@@ -505,6 +505,7 @@ def _per_joint(value: PerJoint) -> Tensor:
     return torch.as_tensor(value, dtype=torch.float32).clone()
 
 
-def _scaled(value: Tensor, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
+def scaled(value: Tensor, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
+    """The value, times the entry of the key where the tensordict has it."""
     scale = tensordict.get(key, None)
     return value if scale is None else value * scale

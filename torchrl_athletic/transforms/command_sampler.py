@@ -28,6 +28,8 @@ class CommandSampler(RandomTransform):
         ranges: What is drawn, and when.
         dt: Of a step at this place in the chain [s]: the policy's, if it stands outside :class:`~.Decimation`.
         base_keys: Pose of the base; None has it rest at the world's origin, as an arm's does.
+        height_key: Height of the base over the ground [m], shape (*B, 1), where the environment shows it: what the frame
+            stands on is then that much below the base. Else the ground is at z = 0.
         end_effector_keys: Pose of the end effector; None starts from the middle of the ranges, pointing ahead.
         velocity_key: Where to command: forward, lateral [m/s], yaw rate [rad/s]. Shape (*B, 3).
         pose_key: Where to command: position [m] and the first two columns of the rotation matrix. Shape (*B, 9).
@@ -62,6 +64,7 @@ class CommandSampler(RandomTransform):
         dt: float,
         *,
         base_keys: Pose | None = ("base_position", "base_quaternion"),
+        height_key: NestedKey = "base_height",
         end_effector_keys: Pose | None = ("end_effector_position", "end_effector_quaternion"),
         velocity_key: NestedKey = "base_velocity_command",
         pose_key: NestedKey = "end_effector_command",
@@ -80,7 +83,7 @@ class CommandSampler(RandomTransform):
             [], [velocity_key, pose_key, *memory_keys.values()], seed=seed, first_row=first_row, reset_key=reset_key
         )
         self.ranges, self.dt, self.keys = ranges, dt, memory_keys
-        self.base_keys, self.end_effector_keys = base_keys, end_effector_keys
+        self.base_keys, self.height_key, self.end_effector_keys = base_keys, height_key, end_effector_keys
         self.velocity_key, self.pose_key = velocity_key, pose_key
         self.interval_steps = max(1, round(ranges.interval / dt))
         self.register_buffer("bounds", ranges.bounds(), persistent=False)
@@ -88,7 +91,7 @@ class CommandSampler(RandomTransform):
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         start = self._present(key, tensordict_reset)
-        goal, duration = commands.draw_goal(key, self.bounds, self.ranges.standstill_probability)
+        goal, duration = self._goal(key)
         step = torch.zeros_like(key).unsqueeze(-1)
         memory = {"start": start, "goal": goal, "duration": duration, "stream": key.unsqueeze(-1), "step": step}
         if self.ranges.straighten:
@@ -119,6 +122,9 @@ class CommandSampler(RandomTransform):
             },
         }
 
+    def _goal(self, key: Tensor) -> tuple[Tensor, Tensor]:
+        return commands.draw_goal(key, self.bounds, self.ranges.standstill_probability, self.ranges.shoulder)
+
     def _blend(self, memory: dict[str, Tensor]) -> Tensor:
         elapsed = memory["step"] * self.dt
         return commands.blend_goals(memory["start"], memory["goal"], elapsed, memory["duration"])
@@ -126,7 +132,7 @@ class CommandSampler(RandomTransform):
     def _renewed(self, memory: dict[str, Tensor], command: Tensor, due: Tensor) -> dict[str, Tensor]:
         """New goals for the rows that are due, to be reached from what they are told now."""
         key = streams.advance(memory["stream"])
-        goal, duration = commands.draw_goal(key.squeeze(-1), self.bounds, self.ranges.standstill_probability)
+        goal, duration = self._goal(key.squeeze(-1))
         new = {"start": command, "goal": goal, "duration": duration, "stream": key, "step": torch.zeros_like(key)}
         return {name: torch.where(due, value, memory[name]) for name, value in new.items()}
 
@@ -150,7 +156,10 @@ class CommandSampler(RandomTransform):
             base = torch.zeros_like(position), rotations.yaw_quaternion(torch.zeros_like(position[..., :1]))
         else:
             base = self._base(tensordict)
-        pose = commands.pose_to_frame(position, quaternion, *base, self.ranges.frame_height)
+        ground: Tensor | float = 0.0
+        if self.base_keys is not None and (height := tensordict.get(self.height_key, None)) is not None:
+            ground = base[0][..., 2:] - height
+        pose = commands.pose_to_frame(position, quaternion, *base, self.ranges.frame_height, ground)
         return torch.cat((centre[..., VELOCITY], pose), -1)
 
     def _base(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:

@@ -18,7 +18,7 @@ from torchrl.envs.batched_envs import BatchedEnvBase
 from torchrl_athletic.functional import actuation, history
 from torchrl_athletic.functional import actuator_dynamics as dynamics
 from torchrl_athletic.functional.gears import link_joint
-from torchrl_athletic.transforms.actuation import PerJoint
+from torchrl_athletic.transforms.actuation import PerJoint, scaled
 from torchrl_athletic.transforms.keys import beside
 from torchrl_athletic.transforms.stateful import StatefulTransform, base_env_of, unbounded_like
 
@@ -112,6 +112,8 @@ class CorrectedActuation(StatefulTransform):
         velocity_key: [rad/s]. Shape (*B, J).
         target_key: Where to note the target that acts.
         scale_keys: As of :class:`PDControl`.
+        limit_scale_key: Entry that multiplies the motors' torques at standstill, those that the diagnosis found as well,
+            where the tensordict has it. Shape (*B, J) or (*B, 1).
         state_key: Begins the keys of what is remembered, as far as needed: ``_queue``, commands on their way, shape
             (*B, L, J); ``_lag``, the state of the lag, (*B, J); ``_wound`` and ``_last``, how far hysteresis has built
             up, 0 at the start, and where, (*B, J); ``_fresh``, whether an episode has yet to get its first command,
@@ -178,6 +180,7 @@ class CorrectedActuation(StatefulTransform):
         velocity_key: NestedKey = "joint_velocity",
         target_key: NestedKey = "position_target",
         scale_keys: tuple[NestedKey, NestedKey] = ("kp_scale", "kd_scale"),
+        limit_scale_key: NestedKey = "torque_limit_scale",
         state_key: NestedKey = "corrected_actuation",
         reset_key: NestedKey | None = None,
     ) -> None:
@@ -210,7 +213,7 @@ class CorrectedActuation(StatefulTransform):
         super().__init__(reads, [*reads, *memory], [torque_key], [policy_key], reset_key)
         self.memory, self.timestep, self.policy_key, self.torque_key = memory, timestep, policy_key, torque_key
         self.position_key, self.velocity_key = position_key, velocity_key
-        self.target_key, self.scale_keys = target_key, scale_keys
+        self.target_key, self.scale_keys, self.limit_scale_key = target_key, scale_keys, limit_scale_key
         self._make_buffers(delays, lags, kp, kd, torque_limit)
 
     def _column(self, effect: str, parameter: int = 0, absent: float = 0.0) -> list[float]:
@@ -278,13 +281,16 @@ class CorrectedActuation(StatefulTransform):
         if self.lag_key is not None:
             torque = self._lagging(torque, tensordict)
         position, velocity = (read - self.encoder_offset) / self.encoder_scale, rate / self.encoder_scale
+        stall_torque, limit = (
+            scaled(value, tensordict, self.limit_scale_key) for value in (self.stall_torque, self.torque_limit)
+        )
         for name in self.motor:
             if name == "torque_ripple":
                 wave = self.ripple_sine, self.ripple_cosine, self.ripple_wave
                 torque = torque + dynamics.ripple(position, *wave)
             else:
-                torque = actuation.clip_torque_speed(torque, velocity, self.stall_torque, self.no_load_speed)
-        torque = torch.clamp(torque * self.torque_scale + self.torque_offset, -self.torque_limit, self.torque_limit)
+                torque = actuation.clip_torque_speed(torque, velocity, stall_torque, self.no_load_speed)
+        torque = torch.clamp(torque * self.torque_scale + self.torque_offset, -limit, limit)
         torque = self._beside_the_motor(torque, position, velocity, tensordict)
         if self.fresh_key is not None:
             tensordict.set(self.fresh_key, torch.zeros_like(tensordict.get(self.fresh_key)))
@@ -320,8 +326,7 @@ class CorrectedActuation(StatefulTransform):
         return dynamics.low_pass(torque, state, self.lag_shown)
 
     def _gains(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
-        scales = (tensordict.get(key, None) for key in self.scale_keys)
-        kp, kd = (gain if s is None else gain * s for gain, s in zip((self.kp, self.kd), scales, strict=True))
+        kp, kd = (scaled(gain, tensordict, k) for gain, k in zip((self.kp, self.kd), self.scale_keys, strict=True))
         return kp, kd
 
     def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, Transform, TransformedEnv
+from torchrl.envs.batched_envs import BatchedEnvBase
 
 from torchrl_athletic.transforms.stateful import spread
 
@@ -22,10 +23,12 @@ class Decimation(Transform):
     step that ended it. (:class:`~torchrl.envs.FrameSkipTransform` applies the chain to its own output from the second
     step on, and steps past the end.)
 
-    An environment may help, by two conventions. It may leave out of a step whose tensordict holds ``_substep`` what
+    An environment may help, by three conventions. It may leave out of a step whose tensordict holds ``_substep`` what
     only the policy looks at: what it left out is shown at the last step. And one whose ``supports_partial_step`` is
     true is told by the mask ``_step`` which rows go on; the state behind the others stays as it was. One that resets
     itself in the step needs the second: otherwise its next episode would begin within the action that ended the last.
+    Of the entries that it names in ``averaged_keys``, forces and powers say, the mean over the steps of an action is
+    shown, of a row that is done over those before its end.
 
     Args:
         steps: Of the environment per action.
@@ -60,7 +63,9 @@ class Decimation(Transform):
         parent = self.parent
         chain, base_env = parent.transform, parent.base_env
         held = tensordict.get(_HELD)
-        reward_keys = parent.reward_keys
+        averaged = () if isinstance(base_env, BatchedEnvBase) else getattr(base_env, "averaged_keys", ())
+        summed = [*parent.reward_keys, *averaged]
+        count = torch.ones(*next_tensordict.batch_size, 1, device=next_tensordict.device)
         for remaining in range(self.steps - 2, -1, -1):
             done = _done(parent, next_tensordict)
             current = tensordict.copy().update(next_tensordict).update(held)
@@ -72,7 +77,11 @@ class Decimation(Transform):
             if anyone_stops and (goes := _rows_to_step(base_env, done)) is not None:
                 current.set("_step", goes)
             following = _step_once(base_env, chain, current)
-            next_tensordict = self.merge(done if anyone_stops else None, next_tensordict, following, reward_keys)
+            next_tensordict = self.merge(done if anyone_stops else None, next_tensordict, following, summed)
+            count = count + (~done if anyone_stops else 1)
+        for key in averaged:
+            total = next_tensordict.get(key)
+            next_tensordict.set(key, total / spread(count, total))
         return next_tensordict
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -133,17 +142,17 @@ def _rows_to_step(env: EnvBase, done: torch.Tensor) -> torch.Tensor | None:
 
 
 def merge(
-    done: torch.Tensor | None, last: TensorDictBase, following: TensorDictBase, reward_keys: Sequence[NestedKey]
+    done: torch.Tensor | None, last: TensorDictBase, following: TensorDictBase, summed: Sequence[NestedKey]
 ) -> TensorDictBase:
-    """Two steps as one: rewards are summed, and rows that were done keep what they showed then.
+    """Two steps as one: some entries are summed, and rows that were done keep what they showed then.
 
     Args:
         done: Rows that were done after the first step, shape (*B, 1); None if none was.
         last: What the first step showed.
         following: What the second one showed; is changed.
-        reward_keys: Entries to sum.
+        summed: Entries to sum, rewards say.
     """
-    gained = {key: following.get(key) for key in reward_keys}
+    gained = {key: following.get(key) for key in summed}
     if done is not None:
         for key in following.keys(True, True):
             old = last.get(key, None)

@@ -10,6 +10,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs import TransformedEnv
 
 from torchrl_athletic.functional import randomization, streams
 from torchrl_athletic.transforms.simulated import once_per_model, simulated_env
@@ -105,12 +106,13 @@ class DomainRandomization(RandomTransform):
 
     What belongs to the model is written to the fields of the physics, row by row: give them to the environment,
     ``TorqueEnv(robot, fields=randomization.fields)``. What belongs to the drives is shown as entries of shape (*B, J),
-    1 for joints outside the group, which :class:`PDControl` and :class:`TorqueSpeedClip` read.
+    1 for joints outside the group, which :class:`PDControl` and :class:`TorqueSpeedClip` read. Two of these transforms,
+    for two groups of joints say, multiply their scales; each needs a ``drawn_key`` and a seed of its own.
 
     Args:
         ranges: What differs.
         joints: Whose drives differ; those of the legs in the paper, where the arm's are corrected by a net instead.
-        bodies: Names of the links that differ; None takes all that have a mass.
+        bodies: Names of the links that differ; None takes all of the robot that have a mass, not its ``loads``.
         ground: Names of the geoms to stand on, whose friction and softness must rule in their contacts (``priority`` in
             MJCF); None takes the robot's.
         every_episode: Whether to draw anew for each episode, or once for each row.
@@ -165,6 +167,7 @@ class DomainRandomization(RandomTransform):
         super().__init__([], out_keys, seed=seed, first_row=first_row, reset_key=reset_key)
         self.ranges, self.joints, self.bodies, self.ground = ranges, joints, bodies, ground
         self.every_episode, self.drawn_key, self.position_key = every_episode, drawn_key, position_key
+        self._shared: frozenset[NestedKey] = frozenset()
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -186,7 +189,8 @@ class DomainRandomization(RandomTransform):
             scale[..., joint_index(self, self.joints)] = randomization.in_range(
                 parts[name], *getattr(self.ranges, name)
             )
-            first[entry] = scale
+            others = tensordict_reset.get(entry, None) if entry in self._shared else None
+            first[entry] = scale if others is None else scale * others
         return first
 
     def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
@@ -194,7 +198,6 @@ class DomainRandomization(RandomTransform):
             next_tensordict.set(key, tensordict.get(key))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        self._check_fields()
         tensordict_reset = super()._reset(tensordict, tensordict_reset)
         if self.fields:
             starts = reset_mask(tensordict, self.reset_key)
@@ -208,10 +211,11 @@ class DomainRandomization(RandomTransform):
         given = once_per_model(self, self._of_model)
         parts = self._parts(drawn.to(physics.dtype))
 
+        values: dict[str, Tensor] = {}
+
         def change(field: str, at: Tensor, value: Tensor) -> None:
-            new = physics.field(field).clone()
-            new[:, at] = value
-            physics.set_field(field, new, envs=rows)
+            values[field] = physics.field(field).clone()
+            values[field][:, at] = value
 
         if ranges.friction is not None:
             value = given.friction.expand(len(drawn), -1, -1).clone()
@@ -234,6 +238,7 @@ class DomainRandomization(RandomTransform):
                 scale = randomization.in_range(parts[name], *between)
                 value = given.joints[field]
                 change(field, given.dofs, value * (scale if value.ndim == 1 else scale.unsqueeze(-1)))
+        physics.set_fields(values, envs=rows)
 
     def _parts(self, drawn: Tensor) -> dict[str, Tensor]:
         """Drawn numbers by what they are for."""
@@ -256,7 +261,8 @@ class DomainRandomization(RandomTransform):
     def _of_model(self, env: Any) -> _OfModel:
         physics, model = env.physics, env.physics.model
         if self.bodies is None:
-            bodies = [body for body in range(1, model.nbody) if model.body_mass[body] > 0]
+            loads = {int(model.body(name).id) for name in env.robot.loads}
+            bodies = [body for body in range(1, model.nbody) if model.body_mass[body] > 0 and body not in loads]
         else:
             bodies = [int(model.body(name).id) for name in self.bodies]
         on_ground = self.ranges.friction is not None or self.ranges.restitution is not None
@@ -283,12 +289,20 @@ class DomainRandomization(RandomTransform):
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
         self._check_fields()
+        shown = observation_spec.keys(True)
+        if self.drawn_key in shown:
+            raise ValueError(
+                f"another transform shows {self.drawn_key!r} already, a DomainRandomization say: what the two draw would "
+                "be mixed up. Give this one a drawn_key of its own, and another seed."
+            )
+        self._shared = frozenset(entry for entry in self.scales.values() if entry in shown)
         position = observation_spec[self.position_key]
         drawn = (*position.shape[:-1], sum(self._widths().values()))
         specs: dict[NestedKey, TensorSpec] = {self.drawn_key: Unbounded(drawn, device=position.device)}
         return specs | {key: unbounded_like(position, position.shape) for key in self.scales.values()}
 
     def _check_fields(self) -> None:
+        """Raise unless the model can differ as it shall, and this transform alone makes it so."""
         physics = getattr(base_env_of(self.parent), "physics", None)
         declared = () if physics is None else physics.fields
         if missing := [field for field in self.fields if field not in declared]:
@@ -297,3 +311,22 @@ class DomainRandomization(RandomTransform):
                 f"share {missing}. Make it with TorqueEnv(..., fields=randomization.fields), or set the ranges that "
                 "need them to None."
             )
+        chosen = self._written()
+        earlier = self.parent.transform.modules() if isinstance(self.parent, TransformedEnv) else ()
+        for other in (part for part in earlier if isinstance(part, DomainRandomization)):
+            twice = [name for name, rows in other._written().items() if rows & chosen.get(name, set())]
+            if twice:
+                raise ValueError(
+                    f"two DomainRandomization write {twice} of the same bodies, geoms or joints: the later one would undo "
+                    "the other. Set these ranges of one of them to None, or give them different bodies and joints."
+                )
+
+    def _written(self) -> dict[str, set[int]]:
+        """Rows of each field that this transform writes."""
+        if not self.fields:
+            return {}
+        given = once_per_model(self, self._of_model)
+        rows = {"geom_friction": given.ground, "geom_solref": given.ground}
+        rows |= dict.fromkeys(("body_mass", "body_inertia", "body_ipos"), given.bodies)
+        rows |= dict.fromkeys(("dof_frictionloss", "dof_damping", "dof_armature"), given.dofs)
+        return {name: set(rows[name].tolist()) for name in self.fields}

@@ -17,8 +17,8 @@ from torchrl_athletic.transforms.stateful import Joints, RandomTransform, joint_
 class EncoderOffset(RandomTransform):
     """Read joint positions with an offset, drawn for each joint when an episode starts.
 
-    In place, the whole chain sees the reading, as a drive does: put the transform before :class:`~.Decimation`. Under
-    another ``out_key`` the true position stays where it is, for rewards and for the critic.
+    In place, the whole chain sees the reading, as a drive does: put the transform before :class:`~.Decimation`. The true
+    position, for rewards and for the critic, goes to ``true_key`` then; under another ``out_key`` it stays where it is.
 
     Args:
         low: Least offset [rad].
@@ -26,6 +26,7 @@ class EncoderOffset(RandomTransform):
         joints: Whose encoders.
         position_key: What is read [rad]. Shape (*B, J).
         out_key: Where to show the reading; None shows it in place.
+        true_key: Where to show the true position beside a reading in place; None does not. Shape (*B, J).
         offset_key: Where to show the offset, 0 for other joints [rad]. Shape (*B, J).
         seed: Of the draws.
         first_row: As of :class:`RandomTransform`.
@@ -57,6 +58,7 @@ class EncoderOffset(RandomTransform):
         *,
         position_key: NestedKey = "joint_position",
         out_key: NestedKey | None = None,
+        true_key: NestedKey | None = None,
         offset_key: NestedKey = "encoder_offset",
         seed: int = 0,
         first_row: int = 0,
@@ -65,9 +67,11 @@ class EncoderOffset(RandomTransform):
         if not low <= high:
             raise ValueError(f"offsets between {low} and {high} rad are none. Give low <= high.")
         out_key = position_key if out_key is None else out_key
-        super().__init__([position_key], [out_key, offset_key], seed=seed, first_row=first_row, reset_key=reset_key)
+        out_keys = [out_key, offset_key] + ([] if true_key is None else [true_key])
+        super().__init__([position_key], out_keys, seed=seed, first_row=first_row, reset_key=reset_key)
         self.low, self.high, self.joints = low, high, joints
         self.position_key, self.out_key, self.offset_key = position_key, out_key, offset_key
+        self.true_key = true_key
 
     @property
     def in_place(self) -> bool:
@@ -97,11 +101,16 @@ class EncoderOffset(RandomTransform):
             old = tensordict_reset.get(self.position_key)
             tensordict_reset = super()._reset(tensordict, tensordict_reset)
             read = true + tensordict_reset.get(self.offset_key)
+            if self.true_key is not None:
+                tensordict_reset.set(self.true_key, true)
             return tensordict_reset.set(self.position_key, read if starts is None else torch.where(starts, read, old))
         return self._reset(tensordict, tensordict_reset)
 
     def _read(self, tensordict: TensorDictBase) -> TensorDictBase:
-        return tensordict.set(self.out_key, tensordict.get(self.position_key) + tensordict.get(self.offset_key))
+        position = tensordict.get(self.position_key)
+        if self.true_key is not None:
+            tensordict.set(self.true_key, position)
+        return tensordict.set(self.out_key, position + tensordict.get(self.offset_key))
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
         position = observation_spec[self.position_key]
@@ -116,6 +125,7 @@ class EncoderOffset(RandomTransform):
                 "or give it an out_key."
             )
         observation_spec = super().transform_observation_spec(observation_spec)
-        if not self.in_place:
-            observation_spec[self.out_key] = observation_spec[self.position_key].clone()
+        for key in (self.out_key, self.true_key):
+            if key not in (None, self.position_key):
+                observation_spec[key] = observation_spec[self.position_key].clone()
         return observation_spec

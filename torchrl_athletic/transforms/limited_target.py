@@ -8,7 +8,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from torchrl_athletic.functional import actuation
-from torchrl_athletic.transforms.actuation import PerJoint
+from torchrl_athletic.transforms.actuation import PerJoint, scaled
 
 
 class LimitedTarget(Transform):
@@ -27,6 +27,8 @@ class LimitedTarget(Transform):
         action_key: The target [rad]. Shape (*B, J).
         position_key: [rad]. Shape (*B, J).
         velocity_key: [rad/s]. Shape (*B, J).
+        scale_keys: Entries that multiply ``kp`` and ``kd``, as of :class:`PDControl`.
+        limit_scale_key: Entry that multiplies ``torque_limit``, as of :class:`TorqueSpeedClip`.
 
     Raises:
         ValueError: If a stiffness is not positive: no target would command a torque.
@@ -54,6 +56,8 @@ class LimitedTarget(Transform):
         action_key: NestedKey = "action",
         position_key: NestedKey = "joint_position",
         velocity_key: NestedKey = "joint_velocity",
+        scale_keys: tuple[NestedKey, NestedKey] = ("kp_scale", "kd_scale"),
+        limit_scale_key: NestedKey = "torque_limit_scale",
     ) -> None:
         super().__init__(in_keys=[], out_keys=[], in_keys_inv=[action_key], out_keys_inv=[action_key])
         values = {"kp": kp, "kd": kd, "torque_limit": torque_limit, "velocity_limit": velocity_limit}
@@ -65,6 +69,7 @@ class LimitedTarget(Transform):
                 "law that follows, or leave LimitedTarget out."
             )
         self.action_key, self.position_key, self.velocity_key = action_key, position_key, velocity_key
+        self.scale_keys, self.limit_scale_key = scale_keys, limit_scale_key
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         target, position = tensordict.get(self.action_key, None), tensordict.get(self.position_key, None)
@@ -74,9 +79,11 @@ class LimitedTarget(Transform):
                 "target is. Give it data of the policy's side."
             )
         velocity = tensordict.get(self.velocity_key)
-        torque = actuation.pd_torque(target, position, velocity, self.kp, self.kd)
-        limited = actuation.clip_torque_speed(torque, velocity, self.torque_limit, self.velocity_limit)
-        return tensordict.set(self.action_key, target + (limited - torque) / self.kp)
+        kp, kd = (scaled(gain, tensordict, k) for gain, k in zip((self.kp, self.kd), self.scale_keys, strict=True))
+        limit = scaled(self.torque_limit, tensordict, self.limit_scale_key)
+        torque = actuation.pd_torque(target, position, velocity, kp, kd)
+        limited = actuation.clip_torque_speed(torque, velocity, limit, self.velocity_limit)
+        return tensordict.set(self.action_key, target + (limited - torque) / kp)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Leaves data as it is: the transform acts on the way in, as :meth:`inv` does."""

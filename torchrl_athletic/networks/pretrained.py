@@ -1,0 +1,151 @@
+"""Networks that come with the library: numbers and text in one file each, checked before they are used."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from torchrl_athletic.networks.actor_critic import actor, critic
+from torchrl_athletic.networks.actuator_net import Sizes
+from torchrl_athletic.networks.normalizer import RunningNormalizer
+
+FORMAT = "torchrl_athletic/network/1"
+
+
+def pretrained(name: str) -> nn.Module:
+    """A network that comes with the library, ready to act.
+
+    Args:
+        name: ``"wbc"``, the whole-body controller of a B2 with a Z1, a policy that reads ``observation``;
+            ``"wbc_critic"``, its value function; ``"uan"``, the actuator net of the arm that both were trained with.
+
+    Returns:
+        On the CPU, without gradients. :func:`describe` tells what it is and how good it is.
+
+    Raises:
+        ValueError: If there is no such network, or its file is not the one that was shipped.
+
+    Example:
+        >>> sum(parameter.numel() for parameter in pretrained("uan").parameters())
+        21889
+    """
+    return read_network(_shipped(name), _index()[name]["sha256"])
+
+
+def describe(name: str) -> dict[str, Any]:
+    """What is known of a shipped network: its sizes, how it was trained, how it was evaluated.
+
+    Example:
+        >>> describe("uan")["kind"]
+        'uan'
+    """
+    return read_metadata(_shipped(name))
+
+
+def write_network(path: str | Path, network: nn.Module, kind: str, sizes: Mapping[str, Any], **told: Any) -> str:
+    """Write a network so that :func:`read_network` can build it again.
+
+    Args:
+        path: File to write, ``.npz``; its folder is made.
+        network: Its state goes into the file, float32.
+        kind: ``"actor"``, ``"critic"`` or ``"uan"``.
+        sizes: What the network is built with: arguments of :func:`actor` or :func:`critic`, or fields of :class:`Sizes`.
+        told: What else a reader should know, in what JSON can hold.
+
+    Returns:
+        The file's SHA-256.
+
+    Example:
+        >>> import tempfile
+        >>> path = Path(tempfile.mkdtemp()) / "value.npz"
+        >>> digest = write_network(path, critic(3, hidden=(4,)), "critic", {"in_features": 3, "hidden": [4]}, seed=0)
+        >>> read_metadata(path)["seed"], read_network(path, digest).in_keys
+        (0, ['observation'])
+    """
+    path = Path(path)
+    state = network.state_dict()
+    arrays = {name: value.detach().cpu().numpy() for name, value in state.items() if isinstance(value, Tensor)}
+    extra = {name: value for name, value in state.items() if name not in arrays}
+    metadata = {"format": FORMAT, "kind": kind, "sizes": dict(sizes), "extra": extra, **told}
+    content = io.BytesIO()
+    np.savez(content, **arrays, metadata=np.frombuffer(json.dumps(metadata).encode(), np.uint8))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    part.write_bytes(content.getvalue())
+    os.replace(part, path)
+    return hashlib.sha256(content.getvalue()).hexdigest()
+
+
+def read_network(path: str | Path, sha256: str | None = None) -> nn.Module:
+    """Build a network from a file. Nothing in it is run.
+
+    Args:
+        path: Of :func:`write_network`.
+        sha256: That the file must have; None takes any.
+
+    Raises:
+        ValueError: If it is another file, or holds something else than a network of this library.
+    """
+    path = Path(path)
+    content = path.read_bytes()
+    found = hashlib.sha256(content).hexdigest()
+    if sha256 is not None and found != sha256:
+        raise ValueError(
+            f"{path.name} has SHA-256 {found}, expected is {sha256}: it is damaged or was replaced. Install the library "
+            "again, or read a network of your own without a digest."
+        )
+    metadata = read_metadata(path)
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        state: dict[str, Any] = {name: torch.from_numpy(arrays[name]) for name in arrays.files if name != "metadata"}
+    network = _build(path, metadata)
+    network.load_state_dict(state | metadata["extra"])
+    return network.eval().requires_grad_(False)
+
+
+def read_metadata(path: str | Path) -> dict[str, Any]:
+    """What :func:`write_network` was told of a network.
+
+    Raises:
+        ValueError: If the file is of another format.
+    """
+    path = Path(path)
+    with np.load(path, allow_pickle=False) as arrays:
+        metadata = json.loads(arrays["metadata"].tobytes()) if "metadata" in arrays.files else {}
+    if metadata.get("format") != FORMAT:
+        raise ValueError(f"{path.name} is not a network of format {FORMAT}. Write it with write_network.")
+    return dict(metadata)
+
+
+def _build(path: Path, metadata: Mapping[str, Any]) -> nn.Module:
+    kind, sizes = metadata["kind"], dict(metadata["sizes"])
+    if kind == "uan":
+        return Sizes(**{name: tuple(v) if isinstance(v, list) else v for name, v in sizes.items()}).net()
+    if kind not in ("actor", "critic"):
+        raise ValueError(f"{path.name} holds a network of kind {kind!r}; known are actor, critic and uan.")
+    normalizer = RunningNormalizer(sizes["in_features"]) if sizes.pop("normalized", False) else None
+    return (actor if kind == "actor" else critic)(**sizes, normalizer=normalizer)
+
+
+def _index() -> dict[str, dict[str, str]]:
+    found: dict[str, dict[str, str]] = json.loads((_folder() / "index.json").read_text("utf-8"))
+    return found
+
+
+def _shipped(name: str) -> Path:
+    if name not in _index():
+        raise ValueError(f"no network {name!r} comes with the library; it has {sorted(_index())}. Name one of these.")
+    return _folder() / str(_index()[name]["file"])
+
+
+def _folder() -> Path:
+    return Path(str(resources.files("torchrl_athletic.networks") / "shipped"))
