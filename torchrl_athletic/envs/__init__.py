@@ -17,10 +17,13 @@ from torchrl_athletic.envs.throw import (
     throw_task,
 )
 from torchrl_athletic.envs.torque_env import TorqueEnv, make_physics
-from torchrl_athletic.envs.whole_body import whole_body_env, whole_body_rewards
+from torchrl_athletic.envs.whole_body import NO_DISTURBANCES, Disturbances, whole_body_env
+from torchrl_athletic.envs.whole_body_rewards import whole_body_rewards
 
 __all__ = [
+    "NO_DISTURBANCES",
     "BallFlight",
+    "Disturbances",
     "PoseGoal",
     "ReplayTakes",
     "Takes",

@@ -70,10 +70,11 @@ PRIVILEGED = (
 critic knows more than the policy; that of its authors' earlier work does (Portela et al. 2024)."""
 
 ACTION_SCALE = {"leg": 0.25, "arm": 0.5, "gripper": 0.1}
-"""By how much an action of 1 moves the position targets of a group of joints [rad]. Legs and arm: Portela et al. 2024."""
+"""By how much an action of 1 moves the position targets of a group of joints [rad]: of legs and arm as Portela et al. 2024
+have it."""
 
 FALL_HEIGHT, FALL_UPRIGHT = 0.25, 0.5
-"""A robot whose base is lower over the ground [m], or tilted beyond 60° (cosine [1]), has fallen. The paper gives none."""
+"""A robot whose base is lower over the ground [m], or tilted beyond 60° (cosine [1]), has fallen: our figures."""
 
 
 @dataclass(frozen=True)
@@ -200,6 +201,7 @@ def whole_body_env(
             TaskPhase(schedule, dt, width=task_width, **rows),
             *extra,
             PoseError(commands.frame_height),
+            TrackingErrors(),
             _scaling(robot, action_offset, action_scale),
             ActionHistory(3, before=torch.zeros(len(robot.joint_names))),
             RewardTerms(terms, scales, dt=dt),
@@ -272,6 +274,43 @@ class Privileged(Transform):
         batch = observation_spec.shape
         width = sum(observation_spec[key].shape[len(batch) :].numel() for key in self.in_keys)
         observation_spec[self.out_keys[0]] = Unbounded((*batch, width), device=observation_spec.device)
+        return observation_spec
+
+
+class TrackingErrors(Transform):
+    """Show how well commands are followed, under ``tracking``, for whoever watches a training. Shapes (*B, 1).
+
+    ``position`` [m] and ``attitude`` [rad] of the end effector, ``keypoints`` [m], the mean distance of its four
+    keypoints, ``velocity`` [m/s] in the plane and ``yaw_rate`` [rad/s] of the base.
+
+    Args:
+        length: Of the keypoints' axes, as of :class:`~torchrl_athletic.transforms.PoseError` [m].
+    """
+
+    def __init__(self, length: float = 0.3) -> None:
+        keys = ["pose_error", "base_linear_velocity", "base_angular_velocity", "base_velocity_command"]
+        names = ("position", "attitude", "keypoints", "velocity", "yaw_rate")
+        super().__init__(in_keys=keys, out_keys=[("tracking", name) for name in names])
+        self.length = length
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        way, linear, angular, command = (next_tensordict.get(key) for key in self.in_keys)
+        far = torch.linalg.vector_norm(way, dim=-1)
+        turned = torch.linalg.vector_norm(way[..., 1:, :] - way[..., :1, :], dim=(-2, -1)) / self.length
+        velocity = torch.linalg.vector_norm(linear[..., :2] - command[..., :2], dim=-1)
+        attitude = 2 * torch.asin((turned / 8**0.5).clamp(max=1))  # |R - R'| = 8^½ sin(θ / 2)
+        yaw_rate = (angular[..., 2] - command[..., 2]).abs()
+        errors = (far[..., 0], attitude, far.mean(-1), velocity, yaw_rate)
+        for key, error in zip(self.out_keys, errors, strict=True):
+            next_tensordict.set(key, error.unsqueeze(-1))
+        return next_tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        for key in self.out_keys:
+            observation_spec[key] = Unbounded((*observation_spec.shape, 1), device=observation_spec.device)
         return observation_spec
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import torch
 from tensordict import NestedKey
@@ -21,7 +21,7 @@ AUXILIARY = tuple(name for name in rewards.WBC_SCALES if name not in (*TRACKING,
 
 
 def whole_body_rewards(
-    robot: Robot, position_key: NestedKey = "joint_position", *, without: Mapping[str, float] | tuple[str, ...] = ()
+    robot: Robot, position_key: NestedKey = "joint_position", without: Sequence[str] = ()
 ) -> tuple[dict[str, RewardTerm], dict[str, float]]:
     """Terms by name, and the paper's scales.
 

@@ -53,6 +53,7 @@ def actor(
     in_keys: Sequence[NestedKey] = ("observation",),
     hidden: Sequence[int] = HIDDEN,
     scale: float = 1.0,
+    gain: float = 1.0,
     normalizer: nn.Module | None = None,
     device: torch.device | str | None = None,
 ) -> ProbabilisticActor:
@@ -67,6 +68,8 @@ def actor(
         in_keys: What it sees, put side by side in this order.
         hidden: Layer sizes.
         scale: First standard deviation, in the action's unit; it is learnt, through its logarithm.
+        gain: Of the last layer's first weights [1]. Near 0 a new policy acts by 0 whatever it sees, which is the default
+            pose where an environment counts actions from there (Andrychowicz et al. 2021).
         normalizer: What the inputs go through first, such as ``RunningNormalizer(in_features)``.
         device: Where its parameters are made.
 
@@ -84,8 +87,11 @@ def actor(
         >>> batch["action"].shape, batch["action_log_prob"].shape
         (torch.Size([4, 2]), torch.Size([4]))
     """
-    head = GaussianHead(Trunk(in_features, action_size, hidden, normalizer, device), action_size, scale, device)
-    return gaussian_actor(head, in_keys)
+    trunk = Trunk(in_features, action_size, hidden, normalizer, device)
+    with torch.no_grad():
+        for parameter in trunk.mlp[-1].parameters():
+            parameter.mul_(gain)
+    return gaussian_actor(GaussianHead(trunk, action_size, scale, device), in_keys)
 
 
 def gaussian_actor(head: nn.Module, in_keys: Sequence[NestedKey]) -> ProbabilisticActor:

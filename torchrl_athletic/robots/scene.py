@@ -10,6 +10,9 @@ import mujoco
 Cone = Literal["elliptic", "pyramidal"]
 TIMESTEP = 0.005
 """Of the physics; a policy acts every four of them [s]. Paper, table of domain randomisation."""
+GROUND_SOLREF = (0.01, 1.0)
+"""Time constant [s] and damping ratio of contacts with the ground: as stiff as the time step allows. At MuJoCo's 0.02 s a
+foot of 3.2 cm that lands at 1 m/s sinks in whole, and a height field then squeezes it between its prisms with 20 kN."""
 _FLOOR_FRICTION = (0.8, 0.02, 0.01)
 
 
@@ -64,6 +67,7 @@ def empty_scene(name: str, cone: Cone) -> mujoco.MjSpec:
         conaffinity=1,
         priority=1,
         friction=_FLOOR_FRICTION,
+        solref=GROUND_SOLREF,
         material="floor",
     )
     return spec

@@ -91,6 +91,7 @@ def add_terrain(spec: mujoco.MjSpec, terrain: Terrain) -> None:
         conaffinity=floor.conaffinity,
         priority=floor.priority,
         friction=floor.friction,
+        solref=floor.solref,
         material=floor.material,
     )
     floor.pos = [0, 0, min(low, 0.0) - 0.005]  # below the deepest dent, or feet would touch both

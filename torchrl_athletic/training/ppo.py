@@ -85,8 +85,9 @@ class Learner:
         actor: Policy with a distribution, as :func:`~torchrl_athletic.networks.actor` makes it.
         critic: Value function.
         config: Numbers chosen by hand.
-        normalizer: Of the entry ``normalized``, which both networks go through; learns after every update.
-        normalized: That entry.
+        normalizer: Of the entry ``normalized``, which networks go through, or several by their entries; learns after every
+            update.
+        normalized: That entry, where there is one.
         watch: Entries of a step whose means are reported, :class:`~.RewardTerms`' ``"reward_terms"`` say.
         seed: Of the order of samples.
         collector: Collect with TorchRL's ``Collector``.
@@ -111,7 +112,7 @@ class Learner:
         critic: TensorDictModuleBase,
         config: PPO = PRE_TRAIN,
         *,
-        normalizer: RunningNormalizer | None = None,
+        normalizer: RunningNormalizer | Mapping[NestedKey, RunningNormalizer] | None = None,
         normalized: NestedKey = "observation",
         watch: Sequence[NestedKey] = (),
         seed: int = 0,
@@ -125,7 +126,9 @@ class Learner:
                 "would have another size than was tuned. Build the environment with num_envs=config.num_envs."
             )
         self.env, self.actor, self.critic, self.config = env, actor, critic, config
-        self.normalizer, self.normalized, self.watch = normalizer, normalized, watch
+        given = {} if normalizer is None else normalizer
+        self.normalizers = {normalized: given} if isinstance(given, RunningNormalizer) else dict(given)
+        self.watch = watch
         keys = [*critic.in_keys, *watch]
         self.rollout: Rollout
         if rollout is not None:
@@ -194,7 +197,7 @@ def iterate(learner: Learner) -> TensorDict:
     Raises:
         NonFiniteError: If a NaN or an infinity was collected, or an update made one.
     """
-    if learner.iteration == 0 and learner.normalizer is not None:
+    if learner.iteration == 0 and learner.normalizers:
         _learn_scale(learner, collect(learner))
     batch = collect(learner)
     estimate_advantage(learner, batch)
@@ -235,8 +238,8 @@ def _values(critic: TensorDictModuleBase, shown: TensorDictBase, piece: int) -> 
 
 
 def _learn_scale(learner: Learner, batch: TensorDictBase) -> None:
-    if learner.normalizer is not None:
-        learner.normalizer.update(batch.get(learner.normalized))
+    for key, normalizer in learner.normalizers.items():
+        normalizer.update(batch.get(key))
 
 
 def train(
