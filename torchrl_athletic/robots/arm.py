@@ -310,10 +310,9 @@ def _add_shapes(spec: mujoco.MjSpec) -> None:
     add_round(
         link("link02"),
         "z1_elbow",
-        (-0.35, -0.03, 0),
-        (-0.35, 0.03, 0),
+        (-0.35, -0.015, 0),
+        (-0.35, 0.015, 0),
         0.0325,
-        cylinder=True,
         rgba=_DARK,
         contype=touching,
     )
