@@ -2,6 +2,7 @@
 
 from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
 from torchrl_athletic.training.checkpoint import Checkpoints
+from torchrl_athletic.training.distributed import Processes, join_processes, standardized
 from torchrl_athletic.training.evaluation import play, record_video
 from torchrl_athletic.training.finite import NonFiniteError, check_finite
 from torchrl_athletic.training.logging import CSVTable, LoggerName, MetricLogger, make_logger
@@ -42,6 +43,7 @@ __all__ = [
     "LoggerName",
     "MetricLogger",
     "NonFiniteError",
+    "Processes",
     "Rollout",
     "Validation",
     "chain_with",
@@ -51,11 +53,13 @@ __all__ = [
     "for_training",
     "fuse_transforms",
     "iterate",
+    "join_processes",
     "learn_remainder",
     "make_logger",
     "play",
     "record_video",
     "set_aside",
+    "standardized",
     "takes_of",
     "torque_unit",
     "train",
