@@ -126,6 +126,14 @@ def test_another_number_of_processes_is_refused(whole, tmp_path):
         assert "of which process 1 of 2 finds no state. Go on with as many processes" in found["error"]
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="CPUs cannot be shared out here")
+def test_processes_share_out_the_cpus_of_their_host(tmp_path):
+    ours, theirs = together(tmp_path, jobs.cpus)
+    every = os.sched_getaffinity(0)
+    assert ours | theirs == every
+    assert not ours & theirs or len(every) == 1
+
+
 def test_rows_that_cannot_be_shared_out_are_refused():
     with pytest.raises(ValueError, match="Take num_envs=6, or 9"):
         Processes(0, 3).share(8)

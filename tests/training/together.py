@@ -35,12 +35,13 @@ def together(folder, job, *arguments, count=2, seconds=60):
     folder.mkdir(parents=True, exist_ok=True)
     with socket.socket() as free:
         free.bind(("localhost", 0))
-        told = {"MASTER_ADDR": "localhost", "MASTER_PORT": str(free.getsockname()[1]), "WORLD_SIZE": str(count)}
+        told = {"MASTER_ADDR": "localhost", "MASTER_PORT": str(free.getsockname()[1])}
+    told |= {"WORLD_SIZE": str(count), "LOCAL_WORLD_SIZE": str(count)}
     files = [folder / f"{job.__name__}-{rank}.pt" for rank in range(count)]
-    processes = [
-        FORKS.Process(target=_run, args=(told | {"RANK": str(rank)}, file, job, *arguments), daemon=True)
-        for rank, file in enumerate(files)
-    ]
+    processes = []
+    for rank, file in enumerate(files):
+        here = told | {"RANK": str(rank), "LOCAL_RANK": str(rank)}
+        processes.append(FORKS.Process(target=_run, args=(here, file, job, *arguments), daemon=True))
     for process in processes:
         process.start()
     end = time.monotonic() + seconds
@@ -192,6 +193,10 @@ def a_nan(processes):
         iterate(learner)
     except NonFiniteError as error:
         return {"error": str(error)}
+
+
+def cpus(processes):
+    return processes.gather(os.sched_getaffinity(0))[processes.rank]
 
 
 def alike(processes):

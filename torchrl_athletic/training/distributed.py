@@ -78,9 +78,9 @@ class Processes:
             return
         tensors = list(tensors)
         flat = torch.cat([tensor.reshape(-1) for tensor in tensors])
-        # From here to the copies a CUDA graph may be recording: nothing is read by the host, no size depends on a
-        # value, and a blocking all_reduce is ordered on the stream that is current. NCCL's part was tested in one
-        # process only (docs/distributed.md).
+        # A CUDA graph may be recording: nothing here is read by the host, no size depends on a value, and the exchange
+        # is ordered on the stream that is current. Recording and replay were tried with NCCL in one process on one GPU
+        # (H100, torch 2.11); several GPUs were not at hand.
         if weight is None:
             dist.all_reduce(flat)
             flat /= self.count
@@ -147,7 +147,8 @@ ALONE = Processes()
 def join_processes(device: Literal["cpu", "cuda"] = "cpu") -> Processes:
     """Join those that ``torchrun`` started beside this one; without it, there is one.
 
-    Processes on CPUs speak through gloo, on GPUs through NCCL, each on the GPU of its number on the host.
+    Processes on CPUs speak through gloo and share out the CPUs that they may use; on GPUs they speak through NCCL, each
+    on the GPU of its number on the host.
 
     Args:
         device: What to train on.
@@ -159,7 +160,7 @@ def join_processes(device: Literal["cpu", "cuda"] = "cpu") -> Processes:
         >>> join_processes().count
         1
     """
-    rank, count, on_host = (int(os.environ.get(name, one)) for name, one in NUMBERS)
+    rank, count, on_host, of_host = (int(os.environ.get(name, alone)) for name, alone in TOLD.items())
     if count == 1:
         return Processes(device=device)
     place = f"cuda:{on_host}" if device == "cuda" else device
@@ -170,6 +171,8 @@ def join_processes(device: Literal["cpu", "cuda"] = "cpu") -> Processes:
                 "its own. Start as many as there are: torchrun --nproc-per-node gpu."
             )
         torch.cuda.set_device(place)  # what is put on plain "cuda" goes there too
+    else:
+        _keep_to_share_of_cpus(on_host, of_host)
     if not dist.is_initialized():
         if device == "cuda":
             dist.init_process_group(
@@ -180,8 +183,16 @@ def join_processes(device: Literal["cpu", "cuda"] = "cpu") -> Processes:
     return Processes(rank, count, place)
 
 
-NUMBERS = (("RANK", 0), ("WORLD_SIZE", 1), ("LOCAL_RANK", 0))
+TOLD = {"RANK": 0, "WORLD_SIZE": 1, "LOCAL_RANK": 0, "LOCAL_WORLD_SIZE": 1}
 """What torchrun tells a process, and what it is without."""
+
+
+def _keep_to_share_of_cpus(number: int, count: int) -> None:
+    """Or the threads of each process's physics take all, and wait for those of the others."""
+    if hasattr(os, "sched_getaffinity"):
+        cpus = sorted(os.sched_getaffinity(0))
+        ours = cpus[len(cpus) * number // count : len(cpus) * (number + 1) // count]
+        os.sched_setaffinity(0, ours or cpus)  # threads that start from now on are held to it too
 
 
 def standardized(value: Tensor, processes: Processes) -> Tensor:
