@@ -56,7 +56,7 @@ class Repeat(EnvBase):
     """Reward: minus the squared distance of the action from the two numbers that are shown, new ones at every step."""
 
     def __init__(self, num_envs):
-        super().__init__(batch_size=[num_envs])
+        super().__init__(device="cpu", batch_size=[num_envs])
         self.observation_spec["observation"] = Unbounded((num_envs, 2))
         self.action_spec, self.reward_spec = Unbounded((num_envs, 2)), Unbounded((num_envs, 1))
 

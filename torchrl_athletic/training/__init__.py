@@ -7,6 +7,7 @@ from torchrl_athletic.training.evaluation import play, record_video
 from torchrl_athletic.training.finite import NonFiniteError, check_finite
 from torchrl_athletic.training.logging import CSVTable, LoggerName, MetricLogger, make_logger
 from torchrl_athletic.training.ppo import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
+from torchrl_athletic.training.ray_rollout import RayRollout
 from torchrl_athletic.training.remainder import learn_remainder
 from torchrl_athletic.training.rollout import Rollout, control_step
 from torchrl_athletic.training.uan import (
@@ -44,6 +45,7 @@ __all__ = [
     "MetricLogger",
     "NonFiniteError",
     "Processes",
+    "RayRollout",
     "Rollout",
     "Validation",
     "chain_with",

@@ -88,7 +88,7 @@ class Learner:
     """Everything that training changes, and nothing else; :func:`iterate` and :func:`train` work on it.
 
     Args:
-        env: N environments, or this process's share of them.
+        env: N environments, or this process's share of them; :attr:`.RayRollout.env` where others have them.
         actor: Policy with a distribution, as :func:`~torchrl_athletic.networks.actor` makes it.
         critic: Value function.
         config: Numbers chosen by hand.
@@ -132,12 +132,13 @@ class Learner:
         rollout: Rollout | None = None,
         processes: Processes = ALONE,
     ) -> None:
-        if env.numel() != processes.share(config.num_envs):
+        rows = env.numel() if rollout is None else rollout.num_envs
+        if rows != processes.share(config.num_envs):
             shared = processes.count > 1
             told = f"num_envs={config.num_envs}" + (f" for {processes.count} processes" if shared else "")
             wanted = "processes.share(config.num_envs)" if shared else "config.num_envs"
             raise ValueError(
-                f"the environment has {env.numel()} rows, the configuration says {told}: batches would have another "
+                f"the environment has {rows} rows, the configuration says {told}: batches would have another "
                 f"size than was tuned. Build the environment with num_envs={wanted}."
             )
         check_seeds_differ(processes)
