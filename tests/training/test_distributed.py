@@ -135,7 +135,7 @@ def test_processes_share_out_the_cpus_of_their_host(tmp_path):
 
 
 def test_rows_that_cannot_be_shared_out_are_refused():
-    with pytest.raises(ValueError, match="Take num_envs=6, or 9"):
+    with pytest.raises(ValueError, match="Take a multiple, num_envs=9 say"):
         Processes(0, 3).share(8)
 
 

@@ -50,10 +50,10 @@ class Processes:
             ValueError: If they cannot be shared out evenly, since means over processes would not be those over rows.
         """
         if num_envs % self.count:
-            fits = num_envs - num_envs % self.count
+            fits = num_envs + self.count - num_envs % self.count
             raise ValueError(
                 f"num_envs={num_envs} rows cannot be shared out evenly among {self.count} processes, so that some "
-                f"samples would count more than others. Take num_envs={fits or self.count}, or {fits + self.count}."
+                f"samples would count more than others. Take a multiple, num_envs={fits} say."
             )
         return num_envs // self.count
 
