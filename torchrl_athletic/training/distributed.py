@@ -79,8 +79,8 @@ class Processes:
         tensors = list(tensors)
         flat = torch.cat([tensor.reshape(-1) for tensor in tensors])
         # A CUDA graph may be recording: nothing here is read by the host, no size depends on a value, and the exchange
-        # is ordered on the stream that is current. Recording and replay were tried with NCCL in one process on one GPU
-        # (H100, torch 2.11); several GPUs were not at hand.
+        # is ordered on the stream that is current. These lines around a small net were recorded and replayed with NCCL
+        # in one process on one GPU (H100, torch 2.11). Several GPUs were not at hand, so that is all that is known.
         if weight is None:
             dist.all_reduce(flat)
             flat /= self.count
@@ -174,10 +174,8 @@ def join_processes(device: Literal["cpu", "cuda"] = "cpu") -> Processes:
     else:
         _keep_to_share_of_cpus(on_host, of_host)
     if not dist.is_initialized():
-        if device == "cuda":
-            dist.init_process_group(
-                "cpu:gloo,cuda:nccl", device_id=torch.device(place)
-            )  # what the host must know goes by gloo
+        if device == "cuda":  # what hosts must know of one another goes by gloo, without a wait for the GPU
+            dist.init_process_group("cpu:gloo,cuda:nccl", device_id=torch.device(place))
         else:
             dist.init_process_group("gloo")
     return Processes(rank, count, place)
