@@ -186,6 +186,24 @@ def test_same_seed_same_training_other_seed_another():
     assert not found[0].equal(found[2])
 
 
+def test_processes_speak_once_a_step_before_gradients_are_cut():
+    """Gradients and reports of both networks, in one exchange each; here with one that has nothing to say."""
+    heard = []
+
+    def average(tensors, weight):
+        heard.append((len(tensors), weight))
+        tensors[0].zero_()
+
+    stepper = make(epochs=3, minibatches=2, critic_minibatches=1, average=average, max_grad_norm=1e-3)
+    batch = collected(stepper.loss.actor_network, 32)
+    batch["shifted_valid"] = torch.arange(32) < 16
+    stepper.update(batch)
+    assert len(heard) == 3 * (2 + 1)
+    assert sum(float(weight) for _, weight in heard) == 3 * (16 + 16)
+    assert stepper.critic_parameters[0].grad.count_nonzero() == 0
+    assert stepper.critic_parameters[1].grad.count_nonzero() > 0
+
+
 class Overheard(TorchDispatchMode):
     """Keeps the names of operations."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -13,6 +13,9 @@ from torchrl.trainers import OptimizationStepper, Trainer
 
 from torchrl_athletic.losses.adaptive_kl import AdaptiveKL
 from torchrl_athletic.losses.split_ppo import SplitClipPPOLoss, explained_variance
+
+Average = Callable[[Sequence[Tensor], Tensor | None], None]
+"""Replaces tensors by their means over the processes that train together, weighted by the second argument."""
 
 
 class SplitOptimizationStepper(OptimizationStepper):
@@ -42,6 +45,8 @@ class SplitOptimizationStepper(OptimizationStepper):
         cuda_graph: Capture the update in a CUDA graph, on a GPU only.
         in_place: Entries that later batches hold in the same memory, as a :class:`~.training.Rollout`'s do: the graph
             reads them there instead of a copy of its own. Should they move, the update is captured again.
+        average: For several processes that train one policy on a batch each, :meth:`.Processes.average_`: gradients,
+            divergences and reports are then those of all batches together. On a GPU it is captured with the rest.
 
     Raises:
         ValueError: If the networks share parameters, or an argument is out of its range.
@@ -74,6 +79,7 @@ class SplitOptimizationStepper(OptimizationStepper):
         seed: int = 0,
         cuda_graph: bool = False,
         in_place: Sequence[NestedKey] = (),
+        average: Average | None = None,
     ) -> None:
         counts = {"epochs": epochs, "minibatches": minibatches, "critic_minibatches": critic_minibatches}
         for name, count in counts.items():
@@ -90,6 +96,11 @@ class SplitOptimizationStepper(OptimizationStepper):
             raise ValueError(f"the loss has reduction={loss.reduction!r}, but micro-batches add up means: take 'mean'.")
         if loss.critic_network is None:
             raise ValueError("the loss has no critic to train. Give SplitClipPPOLoss a critic_network.")
+        if average is not None and loss.normalize_advantage:
+            raise ValueError(
+                "normalize_advantage=True standardises the minibatch of each process by itself, so that gradients do "
+                "not add up to that of one batch. Standardise all advantages before: training.standardized."
+            )
         self.loss = loss
         self.adaptive_kl = adaptive_kl
         self.epochs = epochs
@@ -107,7 +118,7 @@ class SplitOptimizationStepper(OptimizationStepper):
         self.device = self.actor_parameters[0].device
         if cuda_graph and self.device.type != "cuda":
             raise ValueError(f"cuda_graph=True, but the actor is on {self.device}. Move the networks to CUDA first.")
-        self.cuda_graph, self.in_place = cuda_graph, tuple(in_place)
+        self.cuda_graph, self.in_place, self.average = cuda_graph, tuple(in_place), average
         self.actor_lr = torch.tensor(actor_lr, device=self.device)
         self.critic_lr = torch.tensor(critic_lr, device=self.device)
         self.actor_optimizer = adamw(self.actor_parameters, self.actor_lr, weight_decay)
@@ -131,7 +142,7 @@ class SplitOptimizationStepper(OptimizationStepper):
         order = self._order(data.numel())
         if not self.cuda_graph:
             return self._optimize(data, order)
-        if self._graph is None or self._static.batch_size != data.batch_size or not self._in_place_of(data):
+        if self._anywhere(self._graph is None or not self._fits(data)):
             self.capture(batch)
         self._static.update_(data.exclude(*self.in_place))
         self._static_order.copy_(order)
@@ -176,10 +187,20 @@ class SplitOptimizationStepper(OptimizationStepper):
             self._static_report = self._optimize(self._static, self._static_order)
         self._graph, self.cuda_graph = graph, True
 
-    def _in_place_of(self, data: TensorDict) -> bool:
-        """Whether the entries that the graph reads where they were captured still are there."""
+    def _fits(self, data: TensorDict) -> bool:
+        """Whether the batch has its size, and entries that the graph reads where they were captured still are there."""
+        if self._static.batch_size != data.batch_size:
+            return False
         kept = data.select(*self.in_place, strict=False)
         return all(kept.get(key).data_ptr() == self._static.get(key).data_ptr() for key in kept.keys(True, True))
+
+    def _anywhere(self, needed: bool) -> bool:
+        """Whether some process captures: then all do, since a capture exchanges gradients. Asks hosts, no GPU."""
+        if self.average is None:
+            return needed
+        share = torch.tensor(float(needed))
+        self.average([share], None)
+        return bool(share > 0)
 
     def state_dict(self) -> dict[str, Any]:
         """Optimisers, learning rates and the order of samples to come; the networks have a state of their own."""
@@ -219,13 +240,15 @@ class SplitOptimizationStepper(OptimizationStepper):
     def _step_actor(self, minibatch: TensorDict) -> TensorDict:
         self.actor_optimizer.zero_grad()
         report = self.loss.loss_actor(minibatch)
-        if self.adaptive_kl is not None:
-            self.adaptive_kl(self.actor_lr, report["kl"])
         loss = report["loss_objective"]
         (loss + report["loss_entropy"] if self.loss.entropy_bonus else loss).backward()
+        report = report.detach()
+        self._exchange(self.actor_parameters, report, minibatch)
+        if self.adaptive_kl is not None:
+            self.adaptive_kl(self.actor_lr, report["kl"])
         report["actor_grad_norm"] = nn.utils.clip_grad_norm_(self.actor_parameters, self.max_grad_norm)
         self.actor_optimizer.step()
-        return report.detach()
+        return report
 
     def _step_critic(self, batch: TensorDict) -> TensorDict:
         self.critic_optimizer.zero_grad()
@@ -237,9 +260,18 @@ class SplitOptimizationStepper(OptimizationStepper):
             report["loss_critic"].backward()
             reports.append(report.detach())
         total: TensorDict = sum(reports[1:], reports[0])
+        self._exchange(self.critic_parameters, total, batch)
         total["critic_grad_norm"] = nn.utils.clip_grad_norm_(self.critic_parameters, self.max_grad_norm)
         self.critic_optimizer.step()
         return total
+
+    def _exchange(self, parameters: list[nn.Parameter], report: TensorDict, batch: TensorDict) -> None:
+        """Make gradients and report those of the minibatches of all processes, by how many samples count in each."""
+        if self.average is None:
+            return
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+        mask = self.loss.valid(batch)
+        self.average([*gradients, *report.values()], None if mask is None else mask.sum(dtype=gradients[0].dtype))
 
     def _count(self, batch: TensorDict) -> Tensor | int:
         """Samples that count; on a GPU the host need not know."""

@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor, nn
+
+
+def moments(value: Tensor) -> tuple[Tensor, Tensor, int]:
+    """Mean (D,), variance without correction (D,) and number of samples, (B, D)."""
+    variance, mean = torch.var_mean(value, 0, correction=0)
+    return mean, variance, len(value)
 
 
 class RunningNormalizer(nn.Module):
@@ -46,11 +54,13 @@ class RunningNormalizer(nn.Module):
         return ((value - self.mean) / self.variance.sqrt().clamp_min(self.eps)).clamp(-self.clip, self.clip)
 
     @torch.no_grad()
-    def update(self, value: Tensor) -> None:
+    def update(self, value: Tensor, moments: Callable[[Tensor], tuple[Tensor, Tensor, Tensor | int]] = moments) -> None:
         """Learn from samples.
 
         Args:
             value: Shape (*B, D).
+            moments: What finds mean, variance and number of samples (B, D); processes that train together take
+                :meth:`.Processes.moments`, which finds those of all.
 
         Raises:
             ValueError: If the last dimension is not D.
@@ -60,11 +70,10 @@ class RunningNormalizer(nn.Module):
                 f"the normalizer was built for {self.mean.numel()} features, but the samples have shape "
                 f"{tuple(value.shape)}. Build it with size={value.shape[-1]}, or give the samples it was built for."
             )
-        value = value.reshape(-1, value.shape[-1])
-        variance, mean = torch.var_mean(value, 0, correction=0)
-        total = self.count + len(value)
+        mean, variance, count = moments(value.reshape(-1, value.shape[-1]))
+        total = self.count + count
         delta = mean - self.mean
-        share = len(value) / total
+        share = count / total
         self.variance.lerp_(variance, share).add_(delta.square() * share * (1 - share))
         self.mean.add_(delta * share)
         self.count.copy_(total)

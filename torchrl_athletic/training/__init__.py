@@ -2,10 +2,12 @@
 
 from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
 from torchrl_athletic.training.checkpoint import Checkpoints
+from torchrl_athletic.training.distributed import Processes, join_processes, standardized
 from torchrl_athletic.training.evaluation import play, record_video
 from torchrl_athletic.training.finite import NonFiniteError, check_finite
 from torchrl_athletic.training.logging import CSVTable, LoggerName, MetricLogger, make_logger
 from torchrl_athletic.training.ppo import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
+from torchrl_athletic.training.ray_rollout import RayRollout
 from torchrl_athletic.training.remainder import learn_remainder
 from torchrl_athletic.training.rollout import Rollout, control_step
 from torchrl_athletic.training.uan import (
@@ -42,6 +44,8 @@ __all__ = [
     "LoggerName",
     "MetricLogger",
     "NonFiniteError",
+    "Processes",
+    "RayRollout",
     "Rollout",
     "Validation",
     "chain_with",
@@ -51,11 +55,13 @@ __all__ = [
     "for_training",
     "fuse_transforms",
     "iterate",
+    "join_processes",
     "learn_remainder",
     "make_logger",
     "play",
     "record_video",
     "set_aside",
+    "standardized",
     "takes_of",
     "torque_unit",
     "train",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -11,6 +12,7 @@ from torch import Tensor
 from torchrl.checkpoint import Checkpoint, CheckpointRotation, GlobalRNGState, StateDictCheckpointAdapter
 from torchrl.envs import EnvBase, TransformedEnv
 
+from torchrl_athletic.training.distributed import ALONE, Processes
 from torchrl_athletic.training.logging import CSVTable
 from torchrl_athletic.transforms.stateful import base_env_of
 
@@ -34,8 +36,12 @@ class Checkpoints:
     Each is written beside its place and moved there when complete, so that a kill at any moment leaves the one before.
     With the learner go the states of Python's, NumPy's and PyTorch's generators and where the log ends.
 
+    Of processes that train together (``learner.processes``) each writes its own, those after the first one into folders
+    ``rank1``, ``rank2``... The first one writes when the others have, and all go on from its newest state: what a kill
+    left incomplete is passed over.
+
     Args:
-        folder: Is made.
+        folder: Is made. Processes on several hosts need not see each other's.
         keep: How many stay.
         made_of: What the run is of, by name: method, seed, a digest of the data. A run of something else is not gone on
             with.
@@ -61,8 +67,8 @@ class Checkpoints:
         made_of: Mapping[str, str | int] | None = None,
         beside: Mapping[str, HasState] | None = None,
     ) -> None:
-        self.rotation = CheckpointRotation(folder, keep_last=keep)
-        self.made_of, self.beside = _Facts(made_of or {}), dict(beside or {})
+        self.folder, self.keep = Path(folder), keep
+        self.made_of, self.beside = dict(made_of or {}), dict(beside or {})
 
     def save(self, learner: Any, logger: Any = None) -> Path:
         """Write a new one and remove the oldest.
@@ -71,36 +77,66 @@ class Checkpoints:
             learner: With ``state_dict`` and ``iteration``, which names the checkpoint.
             logger: Whose position is kept if it is a :class:`~.CSVTable`; others start a new run when training goes on.
         """
-        return self.rotation.save(self._checkpoint(learner, logger), step=learner.iteration)
+        processes: Processes = getattr(learner, "processes", ALONE)
+        rotation, checkpoint = self._rotation(processes), self._checkpoint(learner, logger, processes)
+        if processes.rank:
+            path = rotation.save(checkpoint, step=learner.iteration)
+        processes.gather(None)  # waits for the others
+        if not processes.rank:
+            path = rotation.save(checkpoint, step=learner.iteration)
+        return path
 
     def resume(self, learner: HasState, logger: Any = None) -> bool:
         """Take over the newest state; tells whether there was one.
 
         Raises:
             RuntimeError: If the networks or the optimisers are of other sizes.
-            ValueError: If the run was of something else.
+            ValueError: If the run was of something else, or of another number of processes.
         """
-        if self.rotation.latest() is None:
+        processes: Processes = getattr(learner, "processes", ALONE)
+        rotation = self._rotation(processes)
+        newest = processes.of_first(lambda: max(_steps(rotation), default=-1))
+        for step, path in _steps(rotation).items():
+            if step > newest:  # the first process was killed before it wrote that one
+                shutil.rmtree(path)
+        there = processes.gather(newest in _steps(rotation))
+        if newest < 0:
             return False
-        self._check_what_it_is_of()
-        self.rotation.load_latest(self._checkpoint(learner, logger))
+        if not all(there):
+            raise ValueError(
+                f"the run in {self.folder} stood at iteration {newest}, of which process {there.index(False)} of "
+                f"{processes.count} finds no state. Go on with as many processes as then, on the same hosts, or give "
+                "this run a folder of its own (--output)."
+            )
+        self._check_what_it_is_of(rotation, processes)
+        rotation.load_latest(self._checkpoint(learner, logger, processes))
         return True
 
-    def _check_what_it_is_of(self) -> None:
+    def _rotation(self, processes: Processes) -> CheckpointRotation:
+        """The others keep one more, since they write before the first one does."""
+        if processes.rank == 0:
+            return CheckpointRotation(self.folder, keep_last=self.keep)
+        return CheckpointRotation(self.folder / f"rank{processes.rank}", keep_last=self.keep + 1)
+
+    def _check_what_it_is_of(self, rotation: CheckpointRotation, processes: Processes) -> None:
         """Before anything is taken over."""
         found = _Facts({})
-        self.rotation.load_latest(_of_parts({"made_of": found}), strict="ignore")
-        then, now = found.facts, self.made_of.facts
+        rotation.load_latest(_of_parts({"made_of": found}), strict="ignore")
+        then, now = found.facts, self._facts(processes)
         for name in sorted(then.keys() | now.keys()):
             if then.get(name) != now.get(name):
                 raise ValueError(
-                    f"{self.rotation.directory} holds a run whose {name} is {then.get(name)!r}; here it is "
+                    f"{self.folder} holds a run whose {name} is {then.get(name)!r}; here it is "
                     f"{now.get(name)!r}. Going on would mix two trainings in one net. Give this one a folder of its "
                     f"own (--output), or the {name} of then."
                 )
 
-    def _checkpoint(self, learner: HasState, logger: Any) -> Checkpoint:
-        parts: dict[str, Any] = {"learner": learner, "generators": GlobalRNGState(), "made_of": self.made_of}
+    def _facts(self, processes: Processes) -> dict[str, str | int]:
+        return self.made_of | ({"number of processes": processes.count} if processes.count > 1 else {})
+
+    def _checkpoint(self, learner: HasState, logger: Any, processes: Processes) -> Checkpoint:
+        facts = _Facts(self._facts(processes))
+        parts: dict[str, Any] = {"learner": learner, "generators": GlobalRNGState(), "made_of": facts}
         if isinstance(logger, CSVTable):  # other loggers start a new run, which refuses the state of an old one
             parts["logger"] = logger
         return _of_parts(parts | self.beside)
@@ -117,6 +153,11 @@ class _Facts:
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         self.facts = dict(state_dict)
+
+
+def _steps(rotation: CheckpointRotation) -> dict[int, Path]:
+    """Whole checkpoints by the iteration that they were written after."""
+    return {int(path.name.rpartition("-")[2]): path for path in rotation.checkpoints()}
 
 
 def _of_parts(parts: Mapping[str, Any]) -> Checkpoint:

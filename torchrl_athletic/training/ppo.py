@@ -19,6 +19,13 @@ from torchrl_athletic.losses import AdaptiveKL, SplitClipPPOLoss, SplitOptimizat
 from torchrl_athletic.networks import RunningNormalizer
 from torchrl_athletic.training.captured import CapturedRollout
 from torchrl_athletic.training.checkpoint import Checkpoints
+from torchrl_athletic.training.distributed import (
+    ALONE,
+    Processes,
+    check_finite_everywhere,
+    check_seeds_differ,
+    standardized,
+)
 from torchrl_athletic.training.finite import check_finite
 from torchrl_athletic.training.logging import MetricLogger
 from torchrl_athletic.training.rollout import Rollout
@@ -49,7 +56,7 @@ class PPO:
     horizon: int = 24
     """Steps of each environment per iteration."""
     num_envs: int = 4096
-    """Environments; the builder of the environment is told."""
+    """Environments, of all processes together; the builder of the environment is told."""
     epochs: int = 5
     """Passes over the batch per iteration."""
     actor_minibatches: int = 4
@@ -81,7 +88,7 @@ class Learner:
     """Everything that training changes, and nothing else; :func:`iterate` and :func:`train` work on it.
 
     Args:
-        env: N environments.
+        env: N environments, or this process's share of them; :attr:`.RayRollout.env` where others have them.
         actor: Policy with a distribution, as :func:`~torchrl_athletic.networks.actor` makes it.
         critic: Value function.
         config: Numbers chosen by hand.
@@ -93,6 +100,11 @@ class Learner:
         collector: Collect with TorchRL's ``Collector``.
         cuda_graph: Capture the control step and the update in CUDA graphs, on a GPU only.
         rollout: Collects in place of one made here; of ``env``, with what the two networks read.
+        processes: Those that train together (:func:`~.join_processes`), each with its share of the environments. They
+            begin with the first one's networks.
+
+    Raises:
+        ValueError: If the environment has another size than configured, or two processes explore alike.
 
     Example:
         >>> from torchrl.envs import GymEnv, SerialEnv
@@ -119,16 +131,23 @@ class Learner:
         collector: bool = False,
         cuda_graph: bool = False,
         rollout: Rollout | None = None,
+        processes: Processes = ALONE,
     ) -> None:
-        if env.numel() != config.num_envs:
+        rows = env.numel() if rollout is None else rollout.num_envs
+        if rows != processes.share(config.num_envs):
+            shared = processes.count > 1
+            told = f"num_envs={config.num_envs}" + (f" for {processes.count} processes" if shared else "")
+            wanted = "processes.share(config.num_envs)" if shared else "config.num_envs"
             raise ValueError(
-                f"the environment has {env.numel()} rows, the configuration says num_envs={config.num_envs}: batches "
-                "would have another size than was tuned. Build the environment with num_envs=config.num_envs."
+                f"the environment has {rows} rows, the configuration says {told}: batches would have another "
+                f"size than was tuned. Build the environment with num_envs={wanted}."
             )
+        check_seeds_differ(processes)
+        processes.copy_from_first_(tensor for net in (actor, critic) for tensor in (*net.parameters(), *net.buffers()))
         self.env, self.actor, self.critic, self.config = env, actor, critic, config
         given = {} if normalizer is None else normalizer
         self.normalizers = {normalized: given} if isinstance(given, RunningNormalizer) else dict(given)
-        self.watch = watch
+        self.watch, self.processes = watch, processes
         keys = [*critic.in_keys, *watch]
         self.rollout: Rollout
         if rollout is not None:
@@ -137,8 +156,12 @@ class Learner:
             self.rollout = CapturedRollout(env, actor, config.horizon, keys=keys)
         else:
             self.rollout = Rollout(env, actor, config.horizon, keys=keys, collector=collector)
-        self.advantage = GAE(  # estimate_advantage gives it the values
-            gamma=config.discount, lmbda=config.gae_lambda, value_network=None, average_gae=True, vectorized=False
+        self.advantage = GAE(  # estimate_advantage gives it the values, and standardises those of several processes
+            gamma=config.discount,
+            lmbda=config.gae_lambda,
+            value_network=None,
+            average_gae=processes.count == 1,
+            vectorized=False,
         )
         self.stepper = SplitOptimizationStepper(
             SplitClipPPOLoss(actor, critic, clip_epsilon=config.clip_epsilon, entropy_coeff=config.entropy_coeff),
@@ -154,11 +177,12 @@ class Learner:
             seed=seed,
             cuda_graph=cuda_graph,
             in_place=[*actor.in_keys, *critic.in_keys],  # a rollout allocates its storage once
+            average=processes.average_ if processes.count > 1 else None,
         )
         self.iteration = 0
         """Iterations done."""
         self.samples = 0
-        """Steps of all environments so far."""
+        """Steps of all environments of all processes so far."""
         self.seconds = 0.0
         """Time spent in :func:`train`, evaluations and earlier runs included [s]."""
 
@@ -192,7 +216,7 @@ def iterate(learner: Learner) -> TensorDict:
         learner: Changed in place.
 
     Returns:
-        What the update reports, and the means of ``reward`` and of what is watched. Shape ().
+        What the update reports, and the means of ``reward`` and of what is watched; over all processes. Shape ().
 
     Raises:
         NonFiniteError: If a NaN or an infinity was collected, or an update made one.
@@ -202,11 +226,12 @@ def iterate(learner: Learner) -> TensorDict:
     batch = collect(learner)
     estimate_advantage(learner, batch)
     report = learner.stepper.update(batch)
-    check_finite(report, "update")
-    _learn_scale(learner, batch)
     shown = batch["next"].select("reward", *learner.watch)
     for key in shown.keys(include_nested=True, leaves_only=True):
         report[key if isinstance(key, str) else "/".join(key)] = shown.get(key).float().mean()
+    learner.processes.average_(report.values())
+    check_finite(report, "update")
+    _learn_scale(learner, batch)
     learner.iteration += 1
     return report
 
@@ -214,8 +239,8 @@ def iterate(learner: Learner) -> TensorDict:
 def collect(learner: Learner) -> TensorDict:
     """The next samples, all of them finite. Shape (N, T)."""
     batch = learner.rollout()
-    check_finite(batch)
-    learner.samples += batch.numel()
+    check_finite_everywhere(batch, learner.processes)
+    learner.samples += batch.numel() * learner.processes.count
     return batch
 
 
@@ -229,6 +254,8 @@ def estimate_advantage(learner: Learner, batch: TensorDictBase) -> None:
     for shown in (batch, batch.get("next")):
         shown.set("state_value", _values(learner.critic, shown, learner.config.micro_batch))
     learner.advantage(batch)
+    if learner.processes.count > 1:
+        batch.set("advantage", standardized(batch.get("advantage"), learner.processes))
 
 
 def _values(critic: TensorDictModuleBase, shown: TensorDictBase, piece: int) -> Tensor:
@@ -239,7 +266,7 @@ def _values(critic: TensorDictModuleBase, shown: TensorDictBase, piece: int) -> 
 
 def _learn_scale(learner: Learner, batch: TensorDictBase) -> None:
     for key, normalizer in learner.normalizers.items():
-        normalizer.update(batch.get(key))
+        normalizer.update(batch.get(key), learner.processes.moments)
 
 
 def train(
@@ -258,8 +285,10 @@ def train(
 ) -> dict[str, float]:
     """Iterate, and tell how it goes. A run that was interrupted goes on from its newest checkpoint.
 
+    Of several processes the first one evaluates, logs, shows the bar and has the clock; all save their state.
+
     Args:
-        learner: Changed in place.
+        learner: Changed in place. Those that train together are its ``processes``, if it has some.
         iterations: When to stop, counted from the very start.
         minutes: When to stop, in time spent here, evaluations and earlier runs included.
         evaluate: Measures the policy; what it returns is logged.
@@ -280,20 +309,26 @@ def train(
     """
     if iterations is None and minutes is None:
         raise ValueError("neither iterations nor minutes is given, so training would never end. Give one of them.")
-    if checkpoints is not None and checkpoints.resume(learner, logger):
+    processes: Processes = getattr(learner, "processes", ALONE)
+    logger, progress = (logger, progress) if processes.rank == 0 else (None, False)
+    if checkpoints is not None and checkpoints.resume(learner, logger) and processes.rank == 0:
         tqdm.write(f"going on after iteration {learner.iteration}")
     began, first_sample = time.perf_counter() - learner.seconds, learner.samples
+
+    def clock() -> float:
+        return processes.of_first(lambda: time.perf_counter() - began)  # or they would stop at different times
+
     metrics: dict[str, float] = {}
     share = _share_done(learner, iterations, minutes)
     with tqdm(total=1.0, initial=share, bar_format=BAR, disable=not progress) as bar:
         started = learner.seconds
         while share < 1:
             metrics = _numbers(step(learner))
-            learner.seconds = time.perf_counter() - began
+            learner.seconds = clock()
             share = _share_done(learner, iterations, minutes)
             if evaluate is not None and (share == 1 or learner.iteration % evaluate_every == 0):
-                metrics |= evaluate()
-                learner.seconds = time.perf_counter() - began
+                metrics |= processes.of_first(evaluate)
+                learner.seconds = clock()
             metrics |= {"samples": float(learner.samples), "seconds": learner.seconds}
             if logger is not None:
                 logger.log_metrics(metrics, step=learner.iteration)
@@ -304,7 +339,7 @@ def train(
             bar.set_postfix({"samples": f"{learner.samples:,}", "samples/s": f"{rate:,.0f}", **shown}, refresh=False)
             bar.update(share - bar.n)
     if not metrics and evaluate is not None:  # an earlier run had come to its end
-        return dict(evaluate())
+        return dict(processes.of_first(evaluate))
     return metrics
 
 

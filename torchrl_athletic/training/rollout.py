@@ -129,9 +129,9 @@ class Rollout:
         collector: bool = False,
         step: Callable[[TensorDictBase], tuple[TensorDictBase, TensorDictBase]] | None = None,
     ) -> None:
-        if horizon < 1:
-            raise ValueError(f"horizon is {horizon}, needed is at least 1 step: an empty batch would teach nothing.")
+        check_horizon(horizon)
         self.env, self.policy, self.horizon, self.keys = env, policy, horizon, keys
+        self.num_envs = env.numel()
         self._step = step or (lambda tensordict: control_step(env, policy, tensordict))
         self._storage: list[tuple[NestedKey, Tensor]] = []
         self._collector = None
@@ -188,13 +188,20 @@ class Rollout:
     def _select(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.keys is None:
             return tensordict
-        policy = self.policy
-        shown = [*self.keys, *self.env.done_keys]
-        acted = (
-            [*policy.in_keys, *policy.out_keys] if isinstance(policy, TensorDictModuleBase) else self.env.action_keys
-        )
-        after = [("next", *_path(key)) for key in [*shown, *self.env.reward_keys]]
-        return tensordict.select(*shown, *acted, *after, strict=False)
+        return tensordict.select(*kept_keys(self.env, self.policy, self.keys), strict=False)
+
+
+def check_horizon(horizon: int) -> None:
+    """Make sure that there is something to collect."""
+    if horizon < 1:
+        raise ValueError(f"horizon is {horizon}, needed is at least 1 step: an empty batch would teach nothing.")
+
+
+def kept_keys(env: EnvBase, policy: Policy, keys: Sequence[NestedKey]) -> list[NestedKey]:
+    """What is stored of a step if ``keys`` are asked for; some need not be there."""
+    shown = [*keys, *env.done_keys]
+    acted = [*policy.in_keys, *policy.out_keys] if isinstance(policy, TensorDictModuleBase) else env.action_keys
+    return [*shown, *acted, *(("next", *_path(key)) for key in [*shown, *env.reward_keys])]
 
 
 def _path(key: NestedKey) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from torchrl_athletic.networks.actuator_net import LINEAR, InUnits, PerJoint, si
 from torchrl_athletic.recordings import Recording, RecordingError
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.training.captured import CapturedRollout
+from torchrl_athletic.training.distributed import ALONE, Processes
 from torchrl_athletic.training.ppo import PPO, UAN, Learner
 
 Credit = Literal["arm", "joint"]
@@ -290,6 +291,7 @@ def uan_learner(
     hidden: Sequence[int] = (256, 256),
     seed: int = 0,
     cuda_graph: bool = False,
+    processes: Processes = ALONE,
 ) -> Learner:
     """PPO of a net in its replay environment.
 
@@ -306,6 +308,7 @@ def uan_learner(
         hidden: Layers of the critic.
         seed: Of the order of samples.
         cuda_graph: As of :class:`~torchrl_athletic.training.Learner`.
+        processes: As of :class:`~torchrl_athletic.training.Learner`.
 
     Returns:
         For :func:`~torchrl_athletic.training.train`; its ``samples`` count joints with ``credit="joint"``.
@@ -328,7 +331,7 @@ def uan_learner(
     features = torch.cat((seen, torch.full_like(speed, 0.05), speed / 4))
     if credit == "arm":
         critic = ValueOperator(_ArmValue(features, joints, hidden, env.device), in_keys=["observation", "privileged"])
-        learner = Learner(env, policy, critic, config, seed=seed, cuda_graph=cuda_graph)
+        learner = Learner(env, policy, critic, config, seed=seed, cuda_graph=cuda_graph, processes=processes)
     else:
         head = policy.module[0].module
         assert isinstance(head, GaussianHead)
@@ -346,6 +349,7 @@ def uan_learner(
             rollout=JointRollout(env, policy, config.horizon),
             seed=seed,
             cuda_graph=cuda_graph,
+            processes=processes,
         )
     left = learner.rollout.current["steps_left"]
     left.copy_((left * torch.rand(left.shape, device=left.device)).ceil().clamp(min=1))  # do not all end at once

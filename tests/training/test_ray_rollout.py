@@ -1,0 +1,198 @@
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+from torchrl.envs import StepCounter, TransformedEnv
+from training.tasks import SEEN, Repeat, arm_env, repeat_learner
+
+from torchrl_athletic.networks import RunningNormalizer, actor
+from torchrl_athletic.training import PPO, Learner, RayRollout, Rollout, iterate
+from torchrl_athletic.training.ray_rollout import _made
+
+WORKERS, ROWS, HORIZON = 2, 16, 8
+
+
+def repeat_env(worker):
+    return TransformedEnv(Repeat(ROWS), StepCounter(4))
+
+
+def arm_rows(worker):
+    return arm_env(2, first_row=2 * worker)
+
+
+def joined(make_env, policy, seeds, horizon, keys, change, count=2):
+    """What plain rollouts with the workers' seeds collect, each alone, with the policy changed in between."""
+    parts = []
+    for worker, seed in enumerate(seeds):
+        torch.manual_seed(seed)
+        rollout = Rollout(make_env(worker), policy, horizon, keys=keys)
+        before = {name: value.clone() for name, value in policy.state_dict().items()}
+        batches = []
+        for _ in range(count):
+            batches.append(rollout().clone())
+            change(policy)
+        policy.load_state_dict(before)
+        parts.append(batches)
+    return [torch.cat(batches) for batches in zip(*parts, strict=True)]
+
+
+def assert_same(ours, theirs):
+    keys = set(theirs.keys(True, True))
+    assert set(ours.keys(True, True)) == keys
+    assert (ours.batch_size, ours.names, ours.device) == (theirs.batch_size, theirs.names, theirs.device)
+    for key in keys:
+        assert ours[key].dtype == theirs[key].dtype
+        torch.testing.assert_close(ours[key], theirs[key], rtol=0, atol=0)
+
+
+@torch.no_grad()
+def bigger(policy):
+    for parameter in policy.parameters():
+        parameter.mul_(1.5)
+
+
+@pytest.fixture(scope="module")
+def importable():
+    """The tests' folder, in Ray's processes too."""
+    pytest.importorskip("ray")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]))
+        yield
+
+
+@pytest.fixture(scope="module")
+def seen(importable):
+    """Two batches, those of plain rollouts, then a training with the same workers, and what is left of Ray."""
+    import ray
+
+    theirs = repeat_learner(WORKERS * ROWS)
+    policy, critic = theirs.actor, theirs.critic
+    start = {name: value.clone() for name, value in policy.state_dict().items()}
+    with RayRollout(repeat_env, policy, HORIZON, workers=WORKERS, keys=["observation"], seed=3) as rollout:
+        seeds = [rollout._seed(worker) for worker in range(WORKERS)]
+        first = rollout()
+        where, first = first["observation"].data_ptr(), first.clone()
+        bigger(policy)
+        second = rollout()
+        again, second = second["observation"].data_ptr(), second.clone()
+        policy.load_state_dict(start)
+        wanted = joined(repeat_env, policy, seeds, HORIZON, ["observation"], bigger)
+        ours = Learner(rollout.env, policy, critic, theirs.config, rollout=rollout)
+        rewards = torch.stack([iterate(ours)["reward"] for _ in range(12)])
+        state = ours.state_dict()["rollout"]
+    alone = repeat_learner(WORKERS * ROWS)
+    return SimpleNamespace(
+        batches=(first, second),
+        wanted=wanted,
+        places=(where, again),
+        rewards=rewards,
+        alone=torch.stack([iterate(alone)["reward"] for _ in range(12)]),
+        samples=ours.samples,
+        state=state,
+        ray_is_up=ray.is_initialized(),
+    )
+
+
+def test_batches_are_those_of_plain_rollouts_side_by_side(seen):
+    """Entry by entry, in the order of workers; the second one by the policy as it was then."""
+    for ours, theirs in zip(seen.batches, seen.wanted, strict=True):
+        assert_same(ours, theirs)
+    assert seen.batches[0].batch_size == (WORKERS * ROWS, HORIZON)
+    assert not seen.batches[0]["action"][:ROWS].equal(seen.batches[0]["action"][ROWS:])
+    assert "step_count" not in seen.batches[0].keys()
+
+
+def test_the_next_call_overwrites_the_batch(seen):
+    assert seen.places[0] == seen.places[1]
+
+
+def test_training_goes_as_with_rows_of_ones_own(seen):
+    late = slice(-5, None)
+    assert seen.rewards[late].mean() / seen.alone[late].mean() == pytest.approx(1.0, abs=0.4)
+    assert seen.rewards[late].mean() > seen.rewards[0] / 2
+    assert seen.samples == 12 * WORKERS * ROWS * HORIZON
+
+
+def test_a_state_is_how_many_batches_there_were(seen):
+    assert seen.state == {"batches": 14}
+
+
+def test_nothing_of_ray_is_left_once_closed(seen):
+    assert not seen.ray_is_up
+
+
+@pytest.mark.slow
+def test_physics_travels_and_a_run_goes_on_with_new_episodes(importable):
+    """Random transforms draw by the numbers of their rows; the normaliser is sent with the weights."""
+    torch.manual_seed(0)
+    normalizer = RunningNormalizer(7)
+    policy = actor(7, 7, in_keys=SEEN, hidden=(8,), normalizer=normalizer)
+
+    def learn(_):
+        normalizer.update(torch.linspace(-1, 2, 14).view(2, 7))
+
+    rollout = RayRollout(arm_rows, policy, 6, workers=2, keys=["action_delay"], seed=1)
+    seeds = [rollout._seed(worker) for worker in range(2)]
+    wanted = joined(arm_rows, policy, seeds, 6, ["action_delay"], learn)
+    assert wanted[0]["action_delay"].unique().numel() > 1
+    before = {name: value.clone() for name, value in policy.state_dict().items()}
+    for theirs in wanted:
+        assert_same(rollout(), theirs)
+        learn(policy)
+    policy.load_state_dict(before)
+    rollout.load_state_dict({"batches": 5})
+    seeds = [rollout._seed(worker) for worker in range(2)]
+    assert_same(rollout(), joined(arm_rows, policy, seeds, 6, ["action_delay"], learn, count=1)[0])
+    rollout.close()
+
+
+@pytest.fixture
+def idle(monkeypatch):
+    """Nothing is started before the first call."""
+    monkeypatch.setattr("torchrl_athletic.training.ray_rollout.find_spec", lambda name: object())
+    return RayRollout(repeat_env, repeat_learner(ROWS).actor, HORIZON, workers=3)
+
+
+def test_workers_explore_differently_and_anew_after_a_resumption(idle):
+    seeds = [idle._seed(worker) for worker in range(3)]
+    idle.load_state_dict({"batches": 4})
+    assert len({*seeds, *(idle._seed(worker) for worker in range(3))}) == 6
+    assert idle.state_dict() == {"batches": 4}
+
+
+def test_more_workers_than_cpus_are_refused_before_ray_waits_for_ever(idle):
+    with pytest.raises(ValueError, match=r"3 workers but 2 CPUs.*Take workers=2"):
+        idle._check_resources({"CPU": 2.0})
+
+
+def test_the_learner_counts_the_rows_of_all_workers(idle):
+    nets = repeat_learner(ROWS)
+    with pytest.raises(ValueError, match=f"has {3 * ROWS} rows"):
+        Learner(idle.env, nets.actor, nets.critic, PPO(num_envs=ROWS), rollout=idle)
+    Learner(idle.env, nets.actor, nets.critic, PPO(num_envs=3 * ROWS), rollout=idle)
+
+
+def test_workers_with_unlike_numbers_of_rows_are_refused():
+    with pytest.raises(ValueError, match="Give each worker as many"):
+        _made(lambda worker: Repeat(2 + worker), 1, 2, seed=0)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="CPUs cannot be shared out here")
+def test_a_workers_physics_starts_one_thread():
+    before = os.sched_getaffinity(0)
+    assert _made(lambda worker: arm_env(8), 1, 8, seed=0).base_env.physics.batch.nthread == 1
+    assert os.sched_getaffinity(0) == before
+
+
+def test_without_ray_the_way_to_get_it_is_told(monkeypatch):
+    monkeypatch.setattr("torchrl_athletic.training.ray_rollout.find_spec", lambda name: None)
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'torchrl-athletic\[ray\]'"):
+        RayRollout(repeat_env, repeat_learner(ROWS).actor, HORIZON, workers=2)
+
+
+@pytest.mark.parametrize(("options", "advice"), [({"workers": 0}, "1 or more"), ({"workers": 1}, "at least 1 step")])
+def test_nothing_to_collect_is_refused(options, advice):
+    with pytest.raises(ValueError, match=advice):
+        RayRollout(repeat_env, repeat_learner(ROWS).actor, 0 if options["workers"] else 1, **options)
