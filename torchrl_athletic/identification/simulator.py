@@ -127,6 +127,7 @@ class Simulator:
         decimation: int = 4,
         randomize: bool = True,
         seed: int = 0,
+        first_row: int = 0,
     ) -> list[Transform]:
         """All that stands between a policy's action and the joints, from the joint outwards.
 
@@ -141,6 +142,7 @@ class Simulator:
             decimation: Physics steps per action; with 1 the chain has no :class:`Decimation`.
             randomize: Whether to draw another robot for each episode, where the method does.
             seed: Of the draws.
+            first_row: Number of the first row, for parts of a larger batch.
 
         Returns:
             Transforms for ``Compose``. The net's errors are noted in ``error_history``, shape (N, J, 2, history).
@@ -163,11 +165,11 @@ class Simulator:
             chain.append(PowerClip(arm_power, joints=group))
         chain += self._motor(group, limits) + self._law(command, limits)
         if max_delay:
-            chain.append(ActionDelay(max_delay, before=robot.default_pose, seed=seed))
+            chain.append(ActionDelay(max_delay, before=robot.default_pose, seed=seed, first_row=first_row))
         if decimation > 1:
             chain.append(Decimation(decimation))
         if randomize and self.randomization is not None:
-            chain.append(self._randomizer(seed))
+            chain.append(self._randomizer(seed, first_row))
         return chain
 
     def _motor(self, group: str | None, limits: bool) -> list[Transform]:
@@ -198,8 +200,8 @@ class Simulator:
             return [corrected, *([LimitedTarget(robot.kp, robot.kd, *most)] if limits else [])]
         return [corrected, *([TorqueSpeedClip(*most)] if limits else []), EquivalentTarget(robot.kp, robot.kd)]
 
-    def _randomizer(self, seed: int) -> DomainRandomization:
-        return DomainRandomization(self.randomization, joints=_group(self.robot), seed=seed)
+    def _randomizer(self, seed: int, first_row: int = 0) -> DomainRandomization:
+        return DomainRandomization(self.randomization, joints=_group(self.robot), seed=seed, first_row=first_row)
 
     def save(self, folder: str | os.PathLike[str]) -> Path:
         """Write ``simulator.json``, and ``corrected.json`` and ``net.pt`` where there is a correction or a net.

@@ -7,6 +7,7 @@ import io
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,10 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torchrl.modules import ValueOperator
 
-from torchrl_athletic.networks.actor_critic import actor, critic
-from torchrl_athletic.networks.actuator_net import Sizes
+from torchrl_athletic.networks.actor_critic import Trunk, actor, critic
+from torchrl_athletic.networks.actuator_net import Sizes, sizes_of
 from torchrl_athletic.networks.normalizer import RunningNormalizer
 
 FORMAT = "torchrl_athletic/network/1"
@@ -52,14 +54,12 @@ def describe(name: str) -> dict[str, Any]:
     return read_metadata(_shipped(name))
 
 
-def write_network(path: str | Path, network: nn.Module, kind: str, sizes: Mapping[str, Any], **told: Any) -> str:
-    """Write a network so that :func:`read_network` can build it again.
+def write_network(path: str | Path, network: nn.Module, **told: Any) -> str:
+    """Write a policy, a value function or an actuator net so that :func:`read_network` can build it again.
 
     Args:
         path: File to write, ``.npz``; its folder is made.
-        network: Its state goes into the file, float32.
-        kind: ``"actor"``, ``"critic"`` or ``"uan"``.
-        sizes: What the network is built with: arguments of :func:`actor` or :func:`critic`, or fields of :class:`Sizes`.
+        network: Of :func:`actor`, :func:`critic` or :func:`uan`.
         told: What else a reader should know, in what JSON can hold.
 
     Returns:
@@ -68,7 +68,7 @@ def write_network(path: str | Path, network: nn.Module, kind: str, sizes: Mappin
     Example:
         >>> import tempfile
         >>> path = Path(tempfile.mkdtemp()) / "value.npz"
-        >>> digest = write_network(path, critic(3, hidden=(4,)), "critic", {"in_features": 3, "hidden": [4]}, seed=0)
+        >>> digest = write_network(path, critic(3, hidden=(4,)), seed=0)
         >>> read_metadata(path)["seed"], read_network(path, digest).in_keys
         (0, ['observation'])
     """
@@ -76,7 +76,7 @@ def write_network(path: str | Path, network: nn.Module, kind: str, sizes: Mappin
     state = network.state_dict()
     arrays = {name: value.detach().cpu().numpy() for name, value in state.items() if isinstance(value, Tensor)}
     extra = {name: value for name, value in state.items() if name not in arrays}
-    metadata = {"format": FORMAT, "kind": kind, "sizes": dict(sizes), "extra": extra, **told}
+    metadata = {"format": FORMAT, **_kind_and_sizes(network), "extra": extra, **told}
     content = io.BytesIO()
     np.savez(content, **arrays, metadata=np.frombuffer(json.dumps(metadata).encode(), np.uint8))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -101,8 +101,8 @@ def read_network(path: str | Path, sha256: str | None = None) -> nn.Module:
     found = hashlib.sha256(content).hexdigest()
     if sha256 is not None and found != sha256:
         raise ValueError(
-            f"{path.name} has SHA-256 {found}, expected is {sha256}: it is damaged or was replaced. Install the library "
-            "again, or read a network of your own without a digest."
+            f"{path.name} has SHA-256 {found}, expected is {sha256}: it is damaged or was replaced. Install the "
+            "library again, or read a network of your own without a digest."
         )
     metadata = read_metadata(path)
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
@@ -126,14 +126,28 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
     return dict(metadata)
 
 
+def _kind_and_sizes(network: nn.Module) -> dict[str, Any]:
+    """What it takes to build a network of the same shape."""
+    trunk = next((module for module in network.modules() if isinstance(module, Trunk)), None)
+    if trunk is None:
+        return {"kind": "uan", "sizes": asdict(sizes_of(network))}
+    layers = [layer for layer in trunk.mlp.modules() if isinstance(layer, nn.Linear)]
+    sizes: dict[str, Any] = {"in_features": layers[0].in_features, "in_keys": list(network.in_keys)}
+    sizes |= {"hidden": [layer.out_features for layer in layers[:-1]]}
+    normalized = isinstance(trunk.normalizer, RunningNormalizer)
+    if isinstance(network, ValueOperator):
+        return {"kind": "critic", "sizes": sizes, "normalized": normalized}
+    return {"kind": "actor", "sizes": sizes | {"action_size": layers[-1].out_features}, "normalized": normalized}
+
+
 def _build(path: Path, metadata: Mapping[str, Any]) -> nn.Module:
     kind, sizes = metadata["kind"], dict(metadata["sizes"])
     if kind == "uan":
         return Sizes(**{name: tuple(v) if isinstance(v, list) else v for name, v in sizes.items()}).net()
     if kind not in ("actor", "critic"):
         raise ValueError(f"{path.name} holds a network of kind {kind!r}; known are actor, critic and uan.")
-    normalizer = RunningNormalizer(sizes["in_features"]) if sizes.pop("normalized", False) else None
-    return (actor if kind == "actor" else critic)(**sizes, normalizer=normalizer)
+    normalizer = RunningNormalizer(sizes["in_features"]) if metadata["normalized"] else None
+    return actor(**sizes, normalizer=normalizer) if kind == "actor" else critic(**sizes, normalizer=normalizer)
 
 
 def _index() -> dict[str, dict[str, str]]:

@@ -2,6 +2,7 @@
 
 from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
 from torchrl_athletic.training.checkpoint import Checkpoints
+from torchrl_athletic.training.curves import draw_curves
 from torchrl_athletic.training.distributed import Processes, join_processes, standardized
 from torchrl_athletic.training.evaluation import play, record_video
 from torchrl_athletic.training.finite import NonFiniteError, check_finite
@@ -26,8 +27,10 @@ from torchrl_athletic.training.uan import (
     with_gains_of,
 )
 from torchrl_athletic.training.uan_gradient import DifferentiableTorqueEnv, GradientLearner, descend
+from torchrl_athletic.training.wbc import CURVES, save_wbc, wbc_learner
 
 __all__ = [
+    "CURVES",
     "FINE_TUNE",
     "PPO",
     "PRE_TRAIN",
@@ -52,6 +55,7 @@ __all__ = [
     "check_finite",
     "control_step",
     "descend",
+    "draw_curves",
     "for_training",
     "fuse_transforms",
     "iterate",
@@ -60,6 +64,7 @@ __all__ = [
     "make_logger",
     "play",
     "record_video",
+    "save_wbc",
     "set_aside",
     "standardized",
     "takes_of",
@@ -68,5 +73,6 @@ __all__ = [
     "uan_learner",
     "units_of",
     "validation_of",
+    "wbc_learner",
     "with_gains_of",
 ]

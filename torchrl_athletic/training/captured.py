@@ -104,6 +104,21 @@ class CapturedRollout(Rollout):
         self._time.add_(1).remainder_(self.horizon)
 
 
+_OF_PHYSICS = (
+    "reset",
+    "step",
+    "apply_torque",
+    "apply_wrench",
+    "set_field",
+    "set_fields",
+    "raise_up",
+    "forward",
+    "data",
+    "field",
+)
+"""What a compiler must not look into."""
+
+
 def fuse_transforms(env: EnvBase, backend: str = "inductor") -> None:
     """Compile an environment's transforms, so that hundreds of small kernels become a few.
 
@@ -139,7 +154,7 @@ def fuse_transforms(env: EnvBase, backend: str = "inductor") -> None:
     control_step(env, env.rand_action, env.reset())  # fills caches that cannot be filled while compiling
     restore_env(env, TensorDict(batch_size=env.batch_size), state)
     physics = getattr(base_env_of(env), "physics", None)
-    for name in ("reset", "step", "apply_torque", "apply_wrench", "set_field", "forward", "data", "field"):
+    for name in _OF_PHYSICS:
         if physics is not None:
             setattr(physics, name, torch.compiler.disable(getattr(physics, name)))
     chain = decimation.parent.transform
