@@ -7,6 +7,7 @@ from torchrl.envs.utils import check_env_specs
 
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.robots import b2z1, z1
+from torchrl_athletic.robots.scene import GROUND_SOLREF
 from torchrl_athletic.transforms import DomainRandomization, PDControl, RandomizationRanges
 
 ROBOT = b2z1()
@@ -72,7 +73,7 @@ def test_restitution_softens_the_damping_of_the_ground_alone():
     assert (0.25 < damping).all()
     assert (damping <= 2).all()
     torch.testing.assert_close(
-        solref[:, floor].prod(-1), torch.full((8,), 0.02, dtype=torch.float64), rtol=1e-5, atol=0
+        solref[:, floor].prod(-1), torch.full((8,), GROUND_SOLREF[0], dtype=torch.float64), rtol=1e-5, atol=0
     )
     others = [geom for geom in range(physics.model.ngeom) if geom != floor]
     assert (solref[:, others] == torch.tensor(physics.model.geom_solref)[others]).all()

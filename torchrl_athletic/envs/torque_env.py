@@ -106,7 +106,7 @@ class TorqueEnv(EnvBase):
         if self._base_qpos is not None:
             self.ground = ground_of(model, robot.ground, physics.device)
             self._ground_around = self.ground.averaged(footprint)
-            self._clearance = Clearance.of(model, robot.ground, physics.device)
+            self.clearance = Clearance.of(model, robot.ground, physics.device)
         self._make_specs()
         self.set_seed(seed)
 
@@ -152,7 +152,7 @@ class TorqueEnv(EnvBase):
 
     def _lift(self, starts: Tensor | None) -> None:
         """Raise the robots that start with something in the ground."""
-        depth = (-self._clearance(self.physics)).clamp(min=0)
+        depth = (-self.clearance(self.physics.data("xpos"), self.physics.data("xmat"))).clamp(min=0)
         self.physics.raise_up(depth if starts is None else torch.where(starts.unsqueeze(-1), depth, 0.0))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -187,14 +187,19 @@ class TorqueEnv(EnvBase):
         if self._base_qpos is not None and not self._sensors.keys() >= _BASE:
             shown |= self._show_base()
         shown |= self._read(self._sensors)
-        return shown | (self._show_heights(shown) if self._base_qpos is not None else {})
+        if self._base_qpos is not None:
+            shown |= self.heights(shown["base_position"], shown.get("foot_position"))
+        return shown
 
-    def _show_heights(self, shown: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Over the ground."""
-        base = shown["base_position"]
+    def heights(self, base: Tensor, feet: Tensor | None) -> dict[str, Tensor]:
+        """Over the ground: ``base_height`` and, of a robot with feet, ``foot_height``.
+
+        Args:
+            base: Its position in the world [m]. Shape (N, 3).
+            feet: Theirs [m]. Shape (N, F, 3).
+        """
         heights = {"base_height": base[:, 2:] - self._ground_around.height(base[:, :2])}
-        if "foot_position" in shown:
-            feet = shown["foot_position"]
+        if feet is not None:
             heights["foot_height"] = feet[..., 2] - self.ground.height(feet[..., :2]).squeeze(-1)
         return heights
 

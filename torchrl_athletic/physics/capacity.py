@@ -6,16 +6,21 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_athletic.physics.joints import floating_heights
+
 _POSES = 64
+_STEPS = 60
 _MARGIN = 1.5
+_GROUND = (mujoco.mjtGeom.mjGEOM_PLANE.value, mujoco.mjtGeom.mjGEOM_HFIELD.value)
 
 
 def estimate_capacity(model: mujoco.MjModel, seed: int = 0) -> tuple[int, int]:
     """Contacts and constraint rows to set aside for each env.
 
-    Half as many again as the worst of 64 poses needed: the default pose and the keyframes, then joints anywhere
-    in their ranges and free bodies at their height or lower, in any attitude. Pairs of geoms whose bounding spheres
-    touch count as contacts, since the search for contacts keeps a list of them of the same length.
+    Half as many again as was ever needed by 64 falls: from the default pose and the keyframes, then from joints anywhere
+    in their ranges and free bodies at their height or lower, in any attitude, lifted out of what they are in, without
+    any control. Pairs of geoms whose bounding spheres touch count as contacts, since the search for contacts keeps a
+    list of them of the same length.
 
     Args:
         model: What will be simulated.
@@ -38,9 +43,10 @@ def estimate_capacity(model: mujoco.MjModel, seed: int = 0) -> tuple[int, int]:
     for pose in poses:
         mujoco.mj_resetData(model, data)
         data.qpos[:] = pose
-        mujoco.mj_forward(model, data)
-        contacts = max(contacts, data.ncon, _close_pairs(model, data))
-        rows = max(rows, data.nefc)
+        _lift(model, data)
+        for _ in range(_STEPS):
+            mujoco.mj_step(model, data)
+            contacts, rows = max(contacts, data.ncon, _close_pairs(model, data)), max(rows, data.nefc)
     return _rounded(contacts), _rounded(rows)
 
 
@@ -63,8 +69,19 @@ def _random_pose(model: mujoco.MjModel, near: NDArray[np.float64], rng: np.rando
     return pose
 
 
+def _lift(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Raise what floats until nothing is deep in anything, as far as that helps."""
+    floating = floating_heights(model)
+    for _ in range(8):
+        mujoco.mj_forward(model, data)
+        depth = -min([0.0, *data.contact.dist[: data.ncon]])
+        if depth < 0.005 or not floating:
+            return
+        data.qpos[floating] += depth
+
+
 def _close_pairs(model: mujoco.MjModel, data: mujoco.MjData) -> int:
-    """Pairs of geoms that may collide and whose bounding spheres touch; a plane's is a half space."""
+    """Pairs of geoms that may collide and whose bounding spheres touch; that of ground is the half space below it."""
     first, second = np.triu_indices(model.ngeom, 1)
     kind, weld = model.geom_type, model.body_weldid[model.geom_bodyid]
     parent = model.body_weldid[model.body_parentid[weld]]
@@ -76,11 +93,15 @@ def _close_pairs(model: mujoco.MjModel, data: mujoco.MjData) -> int:
     )
     possible = (mask != 0) & ~related
     first, second = first[possible], second[possible]
+    of_field = np.isin(kind, _GROUND) & (kind != mujoco.mjtGeom.mjGEOM_PLANE.value)
+    top = np.zeros(model.ngeom)
+    top[of_field] = model.hfield_size[model.geom_dataid[of_field], 2]
+    bound = np.where(of_field, 0.0, model.geom_rbound)
     margin = model.geom_margin[first] + model.geom_margin[second]
     distance = np.linalg.norm(data.geom_xpos[first] - data.geom_xpos[second], axis=1)
     for plane, other in ((first, second), (second, first)):
-        flat = kind[plane] == mujoco.mjtGeom.mjGEOM_PLANE
+        flat = np.isin(kind[plane], _GROUND)
         normal = data.geom_xmat[plane].reshape(-1, 3, 3)[:, :, 2]
-        height = np.einsum("pi,pi->p", data.geom_xpos[other] - data.geom_xpos[plane], normal)
+        height = np.einsum("pi,pi->p", data.geom_xpos[other] - data.geom_xpos[plane], normal) - top[plane]
         distance = np.where(flat, height, distance)
-    return int((distance <= model.geom_rbound[first] + model.geom_rbound[second] + margin).sum())
+    return int((distance <= bound[first] + bound[second] + margin).sum())

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from torchrl_athletic.functional import terrain
-from torchrl_athletic.physics.protocol import Physics
 
 _GEOM = mujoco.mjtGeom
 
@@ -163,13 +162,20 @@ class Clearance:
             ground_of(model, ground, device).highest(2 * margin),
         )
 
-    def __call__(self, physics: Physics) -> Tensor:
-        """Of each env, as its poses were last refreshed; negative if something is in the ground [m]. Shape (N, 1)."""
+    def __call__(self, position: Tensor, rotation: Tensor) -> Tensor:
+        """Of each env; negative if something is in the ground.
+
+        Args:
+            position: Of all bodies, ``xpos`` [m]. Shape (N, B, 3).
+            rotation: Of all bodies, ``xmat`` [1]. Shape (N, B, 9).
+
+        Returns:
+            [m]. Shape (N, 1).
+        """
         if not len(self.bodies):
-            return torch.full((physics.num_envs, 1), torch.inf, device=physics.device)
-        place = physics.data("xpos")[:, self.bodies].float()
-        turn = physics.data("xmat")[:, self.bodies].float().unflatten(-1, (3, 3))
-        place = place + (turn * self.points.unsqueeze(-2)).sum(-1)
+            return torch.full_like(position[:, :1, 0], torch.inf, dtype=torch.float32)
+        turn = rotation[:, self.bodies].float().unflatten(-1, (3, 3))
+        place = position[:, self.bodies].float() + (turn * self.points.unsqueeze(-2)).sum(-1)
         above = place[..., 2:] - self.radius.unsqueeze(-1) - self.ground.height(place[..., :2])
         return above.amin(-2)
 

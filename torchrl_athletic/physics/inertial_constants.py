@@ -97,13 +97,17 @@ class InertialConstants:
             torch.where(about < mujoco.mjMINVAL, along, about),
         )
         found = {
-            "body_subtreemass": mass @ self.subtree.T,
+            "body_subtreemass": self.subtree_mass(mass),
             "dof_invweight0": inverse.diagonal(dim1=-2, dim2=-1) @ self.joints.T,
             "body_invweight0": torch.stack((along, about), -1) * self.moving.unsqueeze(-1),
         }
         if len(self.moment):
             found["actuator_acc0"] = torch.linalg.vector_norm(inverse @ self.moment.T, dim=-2)
         return found
+
+    def subtree_mass(self, mass: Tensor) -> Tensor:
+        """Of each body with all that hangs on it [kg]. Shape (N, B)."""
+        return mass @ self.subtree.T
 
     def _inverse(self, mass: Tensor, powers: Tensor, inertia: Tensor, armature: Tensor) -> Tensor:
         """Of each env's mass matrix, by iterations that a CUDA graph may hold. Shape (N, V, V).

@@ -39,6 +39,7 @@ _CONSTANTS = (  # what set_const computes; with a value per env as soon as anyth
     *("body_subtreemass", "dof_invweight0", "body_invweight0", "tendon_invweight0", "tendon_length0"),
     *("actuator_acc0", "eq_data", "geom_aabb", "geom_rbound"),
 )
+_AT_ONCE = 128  # envs whose constants follow from their masses in one step of a recorded graph
 _LARGEST = mujoco.mjMAXVAL  # of a position or velocity that MuJoCo accepts
 
 
@@ -195,9 +196,29 @@ class WarpPhysics(Physics):
             return
         if self._inertial is None:
             self._run(("set_const",), lambda _: self._set_const())
-        else:
+        elif mask is None or not self._recording():
             for name, found in self._inertial(self._inertial_fields).items():
                 self._write(self._constants[name], found, mask, name)
+        else:
+            self._follow_few(mask)
+
+    def _follow_few(self, mask: Tensor) -> None:
+        """Constants of the envs of the mask, in a graph that is recorded once for however many there will be.
+
+        It has room for ``_AT_ONCE`` of them. Should more change, the rest follows at the next calls. Until then the
+        weights by which MuJoCo softens their contacts and friction are those of the robot before; masses are right.
+        """
+        assert self._inertial is not None
+        total = self._inertial.subtree_mass(self._inertial_fields["body_mass"])
+        self._write(self._constants["body_subtreemass"], total, mask, "body_subtreemass")
+        self._stale |= mask
+        chosen = self._stale.to(torch.float32).topk(min(_AT_ONCE, self.num_envs)).indices
+        fields = {name: value[chosen] for name, value in self._inertial_fields.items()}
+        due = self._stale[chosen]
+        for name, found in self._inertial(fields).items():
+            now = self._constants[name][chosen]
+            self._constants[name].index_copy_(0, chosen, torch.where(_rows(due, now), found, now))
+        self._stale.index_fill_(0, chosen, False)
 
     def raise_up(self, height: Tensor) -> None:
         """By shifting what was looked at, too: computing it anew takes a tenth of a control step."""
@@ -490,6 +511,7 @@ class WarpPhysics(Physics):
         for name in shared:
             value = torch.tensor(getattr(self.model, name), dtype=self.dtype, device=self.device)
             self._inertial_fields[name] = value.expand(self.num_envs, *value.shape)
+        self._stale = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
         computed = self._inertial(self._inertial_fields)
         self._constants = {name: self._expanded(name) for name in computed}
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
-from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
+from torchrl.envs import Compose, EnvBase, StepCounter, Transform, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_athletic.training.checkpoint import env_state, restore_env
 from torchrl_athletic.training.rollout import Policy, Rollout, control_step
-from torchrl_athletic.transforms import Decimation
+from torchrl_athletic.transforms import Decimation, DomainRandomization, ExternalPush
 from torchrl_athletic.transforms.stateful import base_env_of
 
 
@@ -117,13 +119,15 @@ _OF_PHYSICS = (
     "field",
 )
 """What a compiler must not look into."""
+_NOT_COMPILED = (DomainRandomization, ExternalPush)
+"""They write to the physics. TorchRL's StepCounter looks up specs in its reset, which cannot be traced either."""
 
 
 def fuse_transforms(env: EnvBase, backend: str = "inductor") -> None:
     """Compile an environment's transforms, so that hundreds of small kernels become a few.
 
     Changes the environment: from now on the chain of actions, what follows the physics, and the resets of all
-    transforms run compiled. Numbers differ by rounding.
+    transforms run compiled, in groups between those that write to the physics. Numbers differ by rounding.
 
     Args:
         env: With a :class:`~torchrl_athletic.transforms.Decimation`; others stay as they are.
@@ -134,35 +138,71 @@ def fuse_transforms(env: EnvBase, backend: str = "inductor") -> None:
     place = _place_of_decimation(env.transform)
     if place is None:
         return
+    compiled = partial(torch.compile, backend=backend, dynamic=False)
     outer, decimation = env.transform, place[-1]
     split = 1 + next(k for k, item in enumerate(outer.transforms) if item is place[0])
     inside, outside = list(outer.transforms)[:split], list(outer.transforms)[split:]
 
-    def after(tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        for transform in outside:
-            next_tensordict = transform._step(tensordict, next_tensordict)
-        return next_tensordict
+    state = env_state(env)
+    control_step(env, env.rand_action, env.reset())  # fills caches that cannot be filled while compiling
+    restore_env(env, TensorDict(batch_size=env.batch_size), state)
+    base = base_env_of(env)
+    physics = getattr(base, "physics", None)
+    for name in _OF_PHYSICS:
+        if physics is not None:
+            setattr(physics, name, torch.compiler.disable(getattr(physics, name)))
+    for name in ("heights", "clearance"):
+        if hasattr(base, name):
+            setattr(base, name, compiled(getattr(base, name)))
+    for transform in outside:
+        if isinstance(transform, DomainRandomization):
+            transform.draw, transform.values_of = compiled(transform.draw), compiled(transform.values_of)
 
-    compiled_after = torch.compile(after, backend=backend, dynamic=False)
+    after = _in_groups(outside, "_step", compiled)
 
     def step(tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         for transform in inside:  # holds the physics
             next_tensordict = transform._step(tensordict, next_tensordict)
-        return compiled_after(tensordict, next_tensordict)
+        return after(tensordict, next_tensordict)
 
-    state = env_state(env)
-    control_step(env, env.rand_action, env.reset())  # fills caches that cannot be filled while compiling
-    restore_env(env, TensorDict(batch_size=env.batch_size), state)
-    physics = getattr(base_env_of(env), "physics", None)
-    for name in _OF_PHYSICS:
-        if physics is not None:
-            setattr(physics, name, torch.compiler.disable(getattr(physics, name)))
     chain = decimation.parent.transform
     outer._step = step
-    outer._inv_call = torch.compile(outer._inv_call, backend=backend, dynamic=False)
-    outer._reset = torch.compile(outer._reset, backend=backend, dynamic=False)
-    chain._inv_call = torch.compile(chain._inv_call, backend=backend, dynamic=False)
-    decimation.merge = torch.compile(decimation.merge, backend=backend, dynamic=False)
+    outer._inv_call = _in_groups([*reversed(outside), *reversed(inside)], "_inv_call", compiled)
+    outer._reset = _in_groups([*inside, *outside], "_reset", compiled)
+    outer._reset_env_preprocess = compiled(outer._reset_env_preprocess)
+    chain._inv_call = compiled(chain._inv_call)
+    decimation.merge = compiled(decimation.merge)
+
+
+def _in_groups(
+    transforms: Sequence[Transform], method: str, compiled: Callable[..., Any]
+) -> Callable[..., TensorDictBase]:
+    """A method of transforms one after the other, each changing the last argument; neighbours are compiled as one."""
+
+    def of(group: list[Transform]) -> Callable[..., TensorDictBase]:
+        def run(*tensordicts: TensorDictBase) -> TensorDictBase:
+            *before, changed = tensordicts
+            for transform in group:
+                changed = getattr(transform, method)(*before, changed)
+            return changed
+
+        # Code of its own: a compiler gives up on code of which it has seen many kinds.
+        run.__code__ = run.__code__.replace(co_name=f"{method}_from_{type(group[0]).__name__}")
+        return run
+
+    def stays(transform: Transform) -> bool:
+        return isinstance(transform, _NOT_COMPILED) or (method == "_reset" and isinstance(transform, StepCounter))
+
+    groups = [(apart, list(group)) for apart, group in itertools.groupby(transforms, stays)]
+    steps = [of(group) if apart else compiled(of(group)) for apart, group in groups]
+
+    def run_all(*tensordicts: TensorDictBase) -> TensorDictBase:
+        *before, changed = tensordicts
+        for step in steps:
+            changed = step(*before, changed)
+        return changed
+
+    return run_all
 
 
 def _place_of_decimation(compose: Compose) -> list[Transform] | None:

@@ -28,7 +28,7 @@ from torchrl_athletic.training.distributed import (
 )
 from torchrl_athletic.training.finite import check_finite
 from torchrl_athletic.training.logging import MetricLogger
-from torchrl_athletic.training.rollout import Rollout
+from torchrl_athletic.training.rollout import Rollout, under_next
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class Learner:
         given = {} if normalizer is None else normalizer
         self.normalizers = {normalized: given} if isinstance(given, RunningNormalizer) else dict(given)
         self.watch, self.processes = watch, processes
-        keys = [*critic.in_keys, *watch]
+        keys = [*critic.in_keys, *under_next(watch)]
         self.rollout: Rollout
         if rollout is not None:
             self.rollout = rollout

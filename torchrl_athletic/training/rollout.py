@@ -107,7 +107,7 @@ class Rollout:
         env: N environments.
         policy: Writes the action; explores.
         horizon: Steps T per call.
-        keys: Entries of the environment to store, here and under ``next``. What the policy reads and writes, rewards
+        keys: Entries of the environment to store, here and under ``next``, or there alone if they begin so. What the policy reads and writes, rewards
             and flags are stored in any case. None stores everything.
         collector: Take TorchRL's ``Collector``: slower, and for environments with several flags per row.
         step: In place of :func:`control_step`, a captured one for example.
@@ -199,9 +199,15 @@ def check_horizon(horizon: int) -> None:
 
 def kept_keys(env: EnvBase, policy: Policy, keys: Sequence[NestedKey]) -> list[NestedKey]:
     """What is stored of a step if ``keys`` are asked for; some need not be there."""
-    shown = [*keys, *env.done_keys]
+    of_next = [key for key in keys if _path(key)[0] == "next"]
+    shown = [*(key for key in keys if key not in of_next), *env.done_keys]
     acted = [*policy.in_keys, *policy.out_keys] if isinstance(policy, TensorDictModuleBase) else env.action_keys
-    return [*shown, *acted, *(("next", *_path(key)) for key in [*shown, *env.reward_keys])]
+    return [*shown, *acted, *of_next, *under_next([*shown, *env.reward_keys])]
+
+
+def under_next(keys: Sequence[NestedKey]) -> list[NestedKey]:
+    """The same entries of what a step led to."""
+    return [("next", *_path(key)) for key in keys]
 
 
 def _path(key: NestedKey) -> tuple[str, ...]:

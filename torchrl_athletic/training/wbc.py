@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase
 from torchrl_athletic.networks import RunningNormalizer, actor, critic, write_network
 from torchrl_athletic.training.distributed import ALONE, Processes
 from torchrl_athletic.training.ppo import PPO, PRE_TRAIN, Learner
-from torchrl_athletic.training.rollout import Rollout
+from torchrl_athletic.training.rollout import Rollout, under_next
 
 WATCHED = ("reward_terms", "tracking", "terminated")
 CURVES = {
@@ -71,7 +71,7 @@ def wbc_learner(
     width = env.action_spec.shape[-1]
     policy = actor(seen, width, hidden=hidden, scale=scale, gain=0.01, normalizer=scales["observation"], device=device)
     value = critic(known, in_keys=["privileged"], hidden=hidden, normalizer=scales["privileged"], device=device)
-    rollout = None if collect_by is None else collect_by(policy, ["privileged", *WATCHED])
+    rollout = None if collect_by is None else collect_by(policy, ["privileged", *under_next(WATCHED)])
     learner = Learner(
         env if rollout is None else rollout.env,
         policy,

@@ -198,6 +198,7 @@ class DomainRandomization(RandomTransform):
             next_tensordict.set(key, tensordict.get(key))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        self._check_declared()
         tensordict_reset = super()._reset(tensordict, tensordict_reset)
         if self.fields:
             starts = reset_mask(tensordict, self.reset_key)
@@ -207,14 +208,23 @@ class DomainRandomization(RandomTransform):
 
     def _change_model(self, drawn: Tensor, rows: Tensor | None) -> None:
         """Write the fields of some rows. Drawn numbers have shape (N, D)."""
-        physics, ranges = simulated_env(self).physics, self.ranges
-        given = once_per_model(self, self._of_model)
-        parts = self._parts(drawn.to(physics.dtype))
+        physics = simulated_env(self).physics
+        now = {field: physics.field(field) for field in self.fields}
+        physics.set_fields(self.values_of(drawn.to(physics.dtype), now), envs=rows)
 
+    def values_of(self, drawn: Tensor, now: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Fields of the model for what was drawn.
+
+        Args:
+            drawn: Shape (N, D).
+            now: The fields as they are, each with a row for each env: what is no link of the robot stays.
+        """
+        ranges, given = self.ranges, once_per_model(self, self._of_model)
+        parts = self._parts(drawn)
         values: dict[str, Tensor] = {}
 
         def change(field: str, at: Tensor, value: Tensor) -> None:
-            values[field] = physics.field(field).clone()
+            values[field] = now[field].clone()
             values[field][:, at] = value
 
         if ranges.friction is not None:
@@ -238,7 +248,7 @@ class DomainRandomization(RandomTransform):
                 scale = randomization.in_range(parts[name], *between)
                 value = given.joints[field]
                 change(field, given.dofs, value * (scale if value.ndim == 1 else scale.unsqueeze(-1)))
-        physics.set_fields(values, envs=rows)
+        return values
 
     def _parts(self, drawn: Tensor) -> dict[str, Tensor]:
         """Drawn numbers by what they are for."""
@@ -288,12 +298,13 @@ class DomainRandomization(RandomTransform):
         )
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
-        self._check_fields()
+        self._check_declared()
+        self._check_alone()
         shown = observation_spec.keys(True)
         if self.drawn_key in shown:
             raise ValueError(
-                f"another transform shows {self.drawn_key!r} already, a DomainRandomization say: what the two draw would "
-                "be mixed up. Give this one a drawn_key of its own, and another seed."
+                f"another transform shows {self.drawn_key!r} already, a DomainRandomization say: what the two draw "
+                "would be mixed up. Give this one a drawn_key of its own, and another seed."
             )
         self._shared = frozenset(entry for entry in self.scales.values() if entry in shown)
         position = observation_spec[self.position_key]
@@ -301,8 +312,8 @@ class DomainRandomization(RandomTransform):
         specs: dict[NestedKey, TensorSpec] = {self.drawn_key: Unbounded(drawn, device=position.device)}
         return specs | {key: unbounded_like(position, position.shape) for key in self.scales.values()}
 
-    def _check_fields(self) -> None:
-        """Raise unless the model can differ as it shall, and this transform alone makes it so."""
+    def _check_declared(self) -> None:
+        """Raise unless the model can differ as it shall."""
         physics = getattr(base_env_of(self.parent), "physics", None)
         declared = () if physics is None else physics.fields
         if missing := [field for field in self.fields if field not in declared]:
@@ -311,14 +322,17 @@ class DomainRandomization(RandomTransform):
                 f"share {missing}. Make it with TorqueEnv(..., fields=randomization.fields), or set the ranges that "
                 "need them to None."
             )
+
+    def _check_alone(self) -> None:
+        """Raise if another of these transforms writes the same."""
         chosen = self._written()
         earlier = self.parent.transform.modules() if isinstance(self.parent, TransformedEnv) else ()
         for other in (part for part in earlier if isinstance(part, DomainRandomization)):
             twice = [name for name, rows in other._written().items() if rows & chosen.get(name, set())]
             if twice:
                 raise ValueError(
-                    f"two DomainRandomization write {twice} of the same bodies, geoms or joints: the later one would undo "
-                    "the other. Set these ranges of one of them to None, or give them different bodies and joints."
+                    f"two DomainRandomization write {twice} of the same bodies, geoms or joints: the later one would "
+                    "undo the other. Set these ranges of one of them to None, or give them other bodies and joints."
                 )
 
     def _written(self) -> dict[str, set[int]]:
