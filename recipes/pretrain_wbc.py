@@ -18,7 +18,7 @@ import tyro
 from torchrl.envs import TransformedEnv
 
 from torchrl_athletic import training
-from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, whole_body_env, whole_body_rewards
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, draw_command, whole_body_env, whole_body_rewards
 from torchrl_athletic.identification import Simulator
 from torchrl_athletic.robots import Terrain, b2z1
 
@@ -49,8 +49,7 @@ class Config:
     """What else is chosen by hand; CPUs take an eighth of its robots."""
     collectors: Literal["here", "ray"] = "here"
     """Where robots are simulated."""
-    workers: int = 2
-    """Of Ray."""
+    workers: int = 2  # of Ray
     logger: training.LoggerName = "csv"
     """Where numbers go; wandb stays offline."""
     output: Path = Path("outputs/pretrain_wbc")
@@ -88,11 +87,11 @@ def main(cfg: Config) -> None:
     if processes.rank == 0:
         print("policy:", training.save_wbc(learner, cfg.output, trained_as=str(cfg)))
         if cfg.logger == "csv":
-            table = {cfg.output.name: cfg.output / "progress.csv"}
-            print("curves:", training.draw_curves(table, training.CURVES, cfg.output / "curves.png"))
+            curves = training.draw_curves({"": cfg.output / "progress.csv"}, training.CURVES, cfg.output / "curves.png")
+            print("curves:", curves)
         if cfg.video:
-            env = make_env(cfg, 1)
-            print("video:", training.record_video(env, learner.actor.to("cpu"), cfg.output / "wbc.mp4", steps=500))
+            policy, look = learner.actor.to("cpu"), {"steps": 500, "annotate": draw_command}
+            print("video:", training.record_video(make_env(cfg, 1), policy, cfg.output / "wbc.mp4", **look))
     processes.leave()
 
 
@@ -102,7 +101,7 @@ def make_env(cfg: Config, num_envs: int, first_row: int = 0, device: str = "cpu"
     if cfg.actuation not in ("uan", "ideal"):
         simulator = Simulator.load(cfg.actuation, robot)
         robot, rows = simulator.robot, {"seed": cfg.seed, "first_row": first_row}
-        chain = simulator.chain(arm_power=300.0, max_delay=chance.delay, **rows)
+        chain = simulator.chain(arm_power=300.0, max_delay=chance.delay[1], **rows)
     terms = whole_body_rewards(robot, "true_joint_position" if cfg.randomize else "joint_position", cfg.without)
     net = "uan" if cfg.actuation == "uan" else None
     told: dict[str, Any] = {"net": net, "chain": chain, "terms": terms, "disturbances": chance, "history": cfg.history}

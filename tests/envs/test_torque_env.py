@@ -114,7 +114,8 @@ def test_a_substep_shows_joints_only():
     env = TorqueEnv(DOG, num_envs=1)
     env.reset()
     shown = env._step(TensorDict({"torque": torch.zeros(1, 19), "_substep": torch.zeros(1, 1)}, [1]))
-    assert set(shown.keys()) == {"joint_position", "joint_velocity", "reward", "done", "terminated", "truncated"}
+    joints = {"joint_position", "joint_velocity", "joint_power"}
+    assert set(shown.keys()) == joints | {"reward", "done", "terminated", "truncated"}
 
 
 def test_an_episode_ends_where_it_is_told_to():

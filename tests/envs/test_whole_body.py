@@ -1,28 +1,65 @@
 """The paper's pre-training environment: what it shows, what it rewards, when it ends."""
 
+import math
+
+import mujoco
+import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from torchrl.envs import check_env_specs
 
-from torchrl_athletic.envs import whole_body_env
-from torchrl_athletic.envs.whole_body import fallen
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, whole_body_env, whole_body_rewards
+from torchrl_athletic.envs.whole_body import ACTION_SCALE, PRIVILEGED, fallen
+from torchrl_athletic.functional.commands import CommandRanges
+from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.functional.rewards import WBC_SCALES
-from torchrl_athletic.networks import uan
-from torchrl_athletic.robots import b2z1
+from torchrl_athletic.networks import actor, uan
+from torchrl_athletic.robots import Terrain, b2z1, with_timestep
+from torchrl_athletic.training.rollout import control_step
+from torchrl_athletic.transforms import (
+    ActionDelay,
+    DomainRandomization,
+    EncoderOffset,
+    ExternalPush,
+    InitialState,
+    PDControl,
+    UANCorrection,
+)
 
 ROBOT = b2z1()
 POSE = torch.tensor(ROBOT.default_pose, dtype=torch.float32)
+STILL = {"disturbances": NO_DISTURBANCES, "net": None}
+
+
+def stand(tensordict):
+    """The action zero is the default pose."""
+    return tensordict.set("action", torch.zeros(*tensordict.batch_size, 19))
 
 
 @pytest.fixture(scope="module")
 def standing():
     """Half a second at the default pose, two robots."""
-    env = whole_body_env(ROBOT, num_envs=2, net=uan(), max_steps=20)
-    return env.rollout(25, lambda td: td.set("action", POSE.expand(2, -1)), break_when_any_done=False)
+    env = whole_body_env(ROBOT, num_envs=2, disturbances=NO_DISTURBANCES, max_steps=20)
+    return env.rollout(25, stand, break_when_any_done=False)
 
 
 def test_specs_match_data():
-    check_env_specs(whole_body_env(ROBOT, num_envs=2, max_steps=3), break_when_any_done="both")
+    check_env_specs(whole_body_env(num_envs=2, max_steps=3), break_when_any_done="both")
+
+
+def test_without_arguments_it_is_the_paper_s_pre_training():
+    env = whole_body_env(num_envs=3)
+    parts = {type(part): part for part in env.transform}
+    assert parts.keys() >= {DomainRandomization, EncoderOffset, ActionDelay, ExternalPush, InitialState, UANCorrection}
+    assert parts[DomainRandomization].ranges.mass_scale == (0.5, 1.5)
+    assert (parts[EncoderOffset].low, parts[EncoderOffset].high) == (-0.05, 0.05)
+    assert (parts[ActionDelay].min_steps, parts[ActionDelay].max_steps) == (0, 6)
+    assert "terrain" in env.base_env.robot.ground
+    assert whole_body_env.__kwdefaults__["num_envs"] == 4096
+    td = env.reset()
+    assert td["observation"].shape == (3, 770)
+    assert td["privileged"].shape[-1] > 77 + 138
 
 
 def test_every_term_of_the_paper_s_table_is_there_and_they_add_up(standing):
@@ -32,12 +69,21 @@ def test_every_term_of_the_paper_s_table_is_there_and_they_add_up(standing):
     torch.testing.assert_close(standing["next", "reward"], total, atol=1e-5, rtol=1e-5)
 
 
+def test_rewards_are_rates_over_the_time_of_an_action(standing):
+    """Perfect pose tracking earns 5 a second, so 0.1 in 20 ms."""
+    assert standing["next", "reward_terms", "ee_pose_tracking"][:, 0].min() > 0.05
+    assert standing["next", "reward_terms", "ee_pose_tracking"].max() <= 0.1 + 1e-6
+    twice = whole_body_env(
+        b2z1(), num_envs=1, terms=({"one": lambda before, after: torch.ones(1, 1)}, {"one": 3.0}), **STILL
+    )
+    assert twice.rollout(2, stand)["next", "reward"].flatten().tolist() == pytest.approx([0.06, 0.06])
+
+
 def test_a_robot_that_stands_neither_collides_nor_falls_nor_breaks_limits(standing):
     terms = standing["next", "reward_terms"]
     assert terms["collision"].abs().max() == 0
-    assert terms["joint_limits"].abs().max() < 0.1
+    assert terms["joint_limits"].abs().max() < 0.002
     assert not standing["next", "terminated"].any()
-    assert terms["ee_pose_tracking"][:, 0].min() > 2.5  # the first command is the pose that the arm has
 
 
 def test_episodes_end_at_their_length_and_start_anew(standing):
@@ -50,20 +96,217 @@ def test_the_policy_sees_ten_frames_the_newest_last(standing):
     assert (standing["observation"][:, 12].unflatten(-1, (10, -1)) == frame[:, 3:13]).all()
 
 
-def test_the_frame_holds_the_action_before():
-    env = whole_body_env(ROBOT, num_envs=1)
-    actions = iter([POSE + 0.01, POSE + 0.02, POSE + 0.03])
-    steps = env.rollout(3, lambda td: td.set("action", next(actions).unsqueeze(0)))
-    assert steps["last_action"][0, :, 0].tolist() == pytest.approx([float(POSE[0]) + x for x in (0.0, 0.01, 0.02)])
+def test_an_action_moves_the_target_from_the_default_pose_by_its_group_s_scale():
+    env = whole_body_env(ROBOT, num_envs=1, **STILL)
+    actions = iter([torch.full((1, 19), x) for x in (0.1, 0.2, 0.3)])
+    steps = env.rollout(3, lambda td: td.set("action", next(actions)))
+    assert steps["last_action"][0, :, 0].tolist() == pytest.approx([0.0, 0.1, 0.2])
+    scale = torch.tensor([ACTION_SCALE["leg"]] * 12 + [ACTION_SCALE["arm"]] * 6 + [ACTION_SCALE["gripper"]])
+    law = next(part for part in env.transform if isinstance(part, PDControl))
+    seen = env.transform._inv_call(env.reset().set("action", torch.full((1, 19), 0.1)))
+    torch.testing.assert_close(seen[law.target_key], POSE + 0.1 * scale.unsqueeze(0))
+
+
+def test_offset_and_scale_can_be_one_s_own_and_a_group_left_out_is_named():
+    env = whole_body_env(ROBOT, num_envs=1, action_offset=[0.5] * 19, action_scale=2.0, **STILL)
+    law = next(part for part in env.transform if isinstance(part, PDControl))
+    seen = env.transform._inv_call(env.reset().set("action", torch.full((1, 19), 0.1)))
+    assert seen[law.target_key].unique().tolist() == pytest.approx([0.7])
+    with pytest.raises(ValueError, match=r"knows the groups \['leg'\].*jointGripper.*never move"):
+        whole_body_env(ROBOT, num_envs=1, action_scale={"leg": 0.25}, **STILL)
+
+
+def test_a_new_actor_starts_at_the_default_pose():
+    env = whole_body_env(num_envs=8)
+    policy = actor(770, 19, gain=0.01)
+    td = policy(env.reset())  # by its mean
+    law = next(part for part in env.transform if isinstance(part, PDControl))
+    target = env.transform._inv_call(td)[law.target_key]
+    assert (target - POSE).abs().max() < 0.1
+
+
+def test_a_fallen_robot_is_found_by_its_height_over_the_ground_on_a_slope_too():
+    slope = b2z1(terrain=Terrain(roughness=(0.0, 0.0), slope=math.radians(15)))
+    env = whole_body_env(slope, num_envs=2, **STILL)
+    td = env.reset()
+    physics = env.base_env.physics
+    for x, height in ((-6.0, 0.55), (6.0, 0.2)):
+        ground = x * math.tan(math.radians(15))
+        physics.qpos[:, 0], physics.qpos[:, 2] = x, ground + height
+        physics.forward()
+        shown = env.base_env._observe(torch.zeros(2, 19))
+        assert shown["base_height"].flatten().tolist() == pytest.approx([height] * 2, abs=2e-3)
+        assert fallen(td.update(shown)).flatten().tolist() == [height < 0.25] * 2
+
+
+def test_feet_that_stand_on_rough_ground_are_not_read_as_lifted():
+    env = whole_body_env(
+        num_envs=32, net=None, disturbances=Disturbances(None, (), Disturbances().starts, (0, 0), (0, 0))
+    )
+    steps = env.rollout(50, stand, break_when_any_done=False)
+    feet, force = steps["next", "foot_height"][:, 25:], steps["next", "foot_force"][:, 25:]
+    stands = force > 50.0
+    assert stands.float().mean() > 0.8
+    assert (feet[stands] > 0.043).float().mean() < 0.01  # 12 to 25 % by the height over z = 0
+    assert (steps["next", "foot_position"][:, 25:, :, 2][stands] > 0.043).float().mean() > 0.1
+
+
+def test_a_command_is_the_same_place_over_the_ground_wherever_the_robot_stands():
+    high, low = (
+        whole_body_env(b2z1(terrain=Terrain(roughness=(0.0, 0.0), slope=slope)), num_envs=1, **STILL)
+        for slope in (math.radians(10), 0.0)
+    )
+    errors = []
+    for env, up in ((high, True), (low, False)):
+        td = env.reset()
+        if up:  # 5 m up the slope, every height is 0.88 m more
+            env.base_env.physics.qpos[:, 0] = 5.0
+            env.base_env.physics.qpos[:, 2] += 5.0 * math.tan(math.radians(10))
+            env.base_env.physics.forward()
+        shown = td.update(env.base_env._observe(torch.zeros(1, 19)))
+        error = next(part for part in env.transform if type(part).__name__ == "PoseError")
+        errors.append(error(shown)["pose_error"])
+    torch.testing.assert_close(errors[0], errors[1], atol=2e-3, rtol=0)
+
+
+def test_the_errors_shown_are_those_of_an_independent_program():
+    env = whole_body_env(num_envs=4, commands=CommandRanges(duration=(0.1, 0.2)))
+    shown = env.rollout(12, break_when_any_done=False)["next"][:, -1]
+    position, turn = (
+        shown["base_position"].numpy(),
+        Rotation.from_quat(shown["base_quaternion"].numpy(), scalar_first=True),
+    )
+    heading = Rotation.from_euler("z", turn.as_euler("ZYX")[:, :1])
+    origin = position.copy()
+    origin[:, 2] += 0.5 - shown["base_height"][:, 0].numpy()
+    command = shown["end_effector_command"].numpy()
+    goal = origin + heading.apply(command[:, :3])
+    axes = np.stack((command[:, 3:6], command[:, 6:], np.cross(command[:, 3:6], command[:, 6:])), -1)
+    wanted = heading * Rotation.from_matrix(axes)
+    there = Rotation.from_quat(shown["end_effector_quaternion"].numpy(), scalar_first=True)
+    expected = np.linalg.norm(goal - shown["end_effector_position"].numpy(), axis=1)
+    np.testing.assert_allclose(shown["tracking", "position"][:, 0], expected, atol=1e-4)
+    np.testing.assert_allclose(shown["tracking", "attitude"][:, 0], (wanted.inv() * there).magnitude(), atol=2e-3)
+    velocity = shown["base_linear_velocity"][:, :2] - shown["base_velocity_command"][:, :2]
+    np.testing.assert_allclose(shown["tracking", "velocity"][:, 0], velocity.norm(dim=-1), atol=1e-6)
+
+
+def test_power_and_forces_are_means_over_the_four_steps_of_an_action():
+    """Against the same robot stepped by MuJoCo alone, with the torques of the chain."""
+    env = whole_body_env(ROBOT, num_envs=1, arm_power=None, **STILL)
+    td = stand(env.reset())
+    model, data = ROBOT.model(), mujoco.MjData(ROBOT.model())
+    mujoco.mj_resetDataKeyframe(model, data, model.key("stand").id)
+    kp, kd, limit = (np.array(value) for value in (ROBOT.kp, ROBOT.kd, ROBOT.torque_limit))
+    columns = [int(model.sensor(f"{leg}_foot_force").adr[0]) for leg in ("FR", "FL", "RR", "RL")]
+    for _ in range(5):
+        power, force = [], []
+        for _ in range(4):
+            velocity = data.qvel[6:]
+            torque = kp * (np.array(ROBOT.default_pose) - data.qpos[7:]) - kd * velocity
+            most = limit * (1 - np.clip(velocity / ROBOT.velocity_limit, 0, 1))
+            least = -limit * (1 + np.clip(velocity / ROBOT.velocity_limit, -1, 0))
+            data.qfrc_applied[6:] = np.clip(torque, least, most)
+            mujoco.mj_step(model, data)
+            power.append(data.qfrc_applied[6:] * data.qvel[6:])
+            force.append(data.sensordata[columns].copy())
+        td = stand(env.step(td)["next"])
+        np.testing.assert_allclose(td["joint_power"][0], np.mean(power, 0), atol=2e-3)
+        np.testing.assert_allclose(td["foot_force"][0], np.mean(force, 0), rtol=1e-3, atol=0.5)
+    assert td["reward_terms", "mechanical_power"].item() == pytest.approx(
+        -1e-4 * 0.02 * abs(np.mean(power, 0).sum()), rel=0.02
+    )
+
+
+def test_rewards_and_critic_know_the_true_joints_while_the_drives_read_their_encoders():
+    chance = Disturbances(None, (), None, (0.05, 0.05), (0, 0))
+    env = whole_body_env(ROBOT, num_envs=2, net=None, disturbances=chance)
+    td = env.rollout(3, stand)[:, -1]
+    torch.testing.assert_close(td["joint_position"] - td["true_joint_position"], torch.full((2, 19), 0.05))
+    torch.testing.assert_close(td["next", "true_joint_position"], env.base_env.physics.joint_position.float())
+    deviation = (td["next", "true_joint_position"] - POSE).abs().sum(-1, keepdim=True)
+    torch.testing.assert_close(td["next", "reward_terms", "joint_deviation"], -0.25 * 0.02 * deviation)
+    assert {"true_joint_position", "encoder_offset"} <= set(PRIVILEGED)
+
+
+def test_shins_and_thighs_touch_the_ground_and_count_as_collisions():
+    env = whole_body_env(
+        ROBOT,
+        num_envs=1,
+        net=None,
+        disturbances=NO_DISTURBANCES,
+        terminate=lambda td: torch.zeros(1, 1, dtype=torch.bool),
+    )
+    env.reset()
+    physics = env.base_env.physics
+    kneeling = ROBOT.default_pose
+    physics.qpos[:, 7:] = torch.tensor(kneeling, dtype=torch.float64)
+    for leg in range(4):
+        physics.qpos[:, 7 + 3 * leg + 1], physics.qpos[:, 7 + 3 * leg + 2] = 1.2, -2.7
+    physics.qpos[:, 2] = 0.3
+    td = env.reset()
+    physics.qpos[:, 2] = 0.25
+    for leg in range(4):
+        physics.qpos[:, 7 + 3 * leg + 1], physics.qpos[:, 7 + 3 * leg + 2] = 1.2, -2.7
+    steps = []
+    for _ in range(40):
+        td = env.step(td.set("action", torch.tensor([[0.0, 2.1, -5.6] * 4 + [0.0] * 7])))["next"]
+        steps.append(td["reward_terms", "collision"].item())
+    assert min(steps) == pytest.approx(-0.1)
+    lowest = min(
+        float(physics.data("geom_xpos")[0, physics.model.geom(f"{leg}_shin").id, 2]) for leg in ("FR", "FL", "RR", "RL")
+    )
+    assert lowest > 0.0  # they passed through the ground
+
+
+def test_a_task_brings_phases_terms_and_ends_of_its_own():
+    env = whole_body_env(
+        ROBOT,
+        num_envs=2,
+        schedule=throw_phases(),
+        terms=whole_body_rewards(ROBOT, without=("gait", "foot_clearance")),
+        terminate=lambda td: td["base_position"][..., :1] > -99.0,
+        **STILL,
+    )
+    steps = env.rollout(3, stand)
+    assert steps.shape == (2, 1)
+    assert steps["next", "terminated"].all()
+    assert (steps["task_phase"] != 0).any()
+    assert set(WBC_SCALES) - set(steps["next", "reward_terms"].keys()) == {"gait", "foot_clearance"}
+
+
+def test_a_finer_time_step_leaves_drives_and_policy_at_their_rates():
+    coarse = whole_body_env(ROBOT, num_envs=1, **STILL)
+    fine = whole_body_env(with_timestep(ROBOT, 0.001), num_envs=1, substeps=5, **STILL)
+    one, other = (env.rollout(25, stand)["next"][:, -1] for env in (coarse, fine))
+    assert float(fine.base_env.physics.time) == pytest.approx(0.5)
+    assert one["gait_cycle"].item() == pytest.approx(other["gait_cycle"].item())
+    torch.testing.assert_close(one["joint_position"], other["joint_position"], atol=0.01, rtol=0)
+
+
+def test_a_part_of_a_batch_is_what_it_is_in_the_whole():
+    whole, part = whole_body_env(num_envs=3, net=None), whole_body_env(num_envs=1, first_row=2, net=None)
+    one, other = whole.reset(), part.reset()
+    for _ in range(20):
+        _, one = control_step(whole, stand, one)
+        _, other = control_step(part, stand, other)
+    for key in ("joint_position", "randomization", "end_effector_command", "push", "action_delay"):
+        torch.testing.assert_close(one[key][2:], other[key], atol=1e-5, rtol=1e-5, msg=key)
 
 
 def test_a_robot_without_torque_falls_and_its_episode_ends():
-    env = whole_body_env(ROBOT, num_envs=1, arm_power=None, max_delay=0)
+    env = whole_body_env(ROBOT, num_envs=1, arm_power=None, **STILL)
     for module in env.transform.modules():
         if hasattr(module, "kp"):
             module.kp.zero_()
             module.kd.zero_()
-    steps = env.rollout(200, lambda td: td.set("action", POSE.unsqueeze(0)))
+    steps = env.rollout(200, stand)
     assert steps["next", "terminated"][0, -1]
     assert fallen(steps["next"][:, -1]).all()
     assert len(steps[0]) < 100
+
+
+def test_the_arm_is_corrected_by_the_net_that_is_given():
+    net = uan()
+    env = whole_body_env(ROBOT, num_envs=1, net=net, disturbances=NO_DISTURBANCES)
+    assert next(part for part in env.transform if isinstance(part, UANCorrection)).net is net

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from torchrl_athletic.functional.commands import (
 )
 
 N = 5000
-RANGES = CommandRanges()
+RANGES = CommandRanges(standstill_probability=0.0)
 
 
 def goals(seed=0, ranges=RANGES):
@@ -173,3 +174,21 @@ def test_a_base_that_shall_stand_is_left_where_it_is():
 def test_ranges_that_cannot_be_drawn_from_are_refused(arguments, told):
     with pytest.raises(ValueError, match=told):
         CommandRanges(**arguments)
+
+
+def test_goals_seen_from_the_shoulder_turn_with_the_way_to_them():
+    """At the middle of all angles the gripper's x axis points from the shoulder to the goal."""
+    middle = replace(CommandRanges(), roll=(0.0, 0.0), pitch=(0.0, 0.0), yaw=(0.0, 0.0))
+    goal, _ = draw_goal(streams.stream(0, torch.arange(200)), middle.bounds(), 0.0, middle.shoulder)
+    way = goal[:, POSITION] - torch.tensor(middle.shoulder)
+    axis = rotations.rotate(goal[:, QUATERNION], torch.tensor([1.0, 0.0, 0.0]).expand(200, 3))
+    torch.testing.assert_close(axis, way / way.norm(dim=-1, keepdim=True), atol=1e-5, rtol=1e-5)
+
+
+def test_a_frame_stands_on_the_ground_under_the_base():
+    position, base = torch.tensor([[0.6, 0.0, 1.3]]), torch.tensor([[0.0, 0.0, 1.05]])
+    ahead = torch.tensor([[1.0, 0.0, 0.0, 0.0]])
+    seen = pose_to_frame(position, ahead, base, ahead, 0.5, torch.tensor([[0.5]]))
+    assert seen[0, :3].tolist() == pytest.approx([0.6, 0.0, 0.3])
+    command = torch.cat((seen[:, :3], rotations.two_columns(ahead)), -1)
+    torch.testing.assert_close(pose_to_world(command, base, ahead, 0.5, torch.tensor([[0.5]]))[0], position)

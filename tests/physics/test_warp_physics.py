@@ -205,6 +205,87 @@ def test_a_field_is_set_for_the_envs_meant(backend):
     assert physics.field("dof_damping") is physics.field("dof_damping")
 
 
+def test_several_fields_are_set_with_what_follows_from_them_computed_once(backend, monkeypatch):
+    model = compiled("hopper")
+    fields = ("body_mass", "body_inertia", "geom_friction")
+    together, apart = (make(backend, model, fields=fields) for _ in range(2))
+    computed = []
+    of, name = (together.batch, "set_const") if backend == "batch" else (together, "_inertial")
+    really = getattr(of, name)
+    if backend == "batch":
+        monkeypatch.setattr(together, "batch", Counted(of, computed))
+    else:
+        monkeypatch.setattr(together, name, lambda given: computed.append(1) or really(given))
+    scale = torch.tensor([0.5, 1.0, 1.5, 2.0])
+    values = {name: torch.as_tensor(getattr(model, name)) for name in fields}
+    values = {name: value * scale.view(-1, *[1] * value.ndim) for name, value in values.items()}
+    together.set_fields(values, envs=[0, 2, 3])
+    assert len(computed) == 1
+    for name, value in values.items():
+        apart.set_field(name, value, envs=[0, 2, 3])
+    for each in (together, apart):
+        excite(each)
+    torch.testing.assert_close(together.qpos, apart.qpos)
+    assert together.field("body_mass")[:, 1].tolist() == pytest.approx([2.5, 5.0, 7.5, 10.0])
+
+
+class Counted:
+    """A batch that notes how often constants were computed."""
+
+    def __init__(self, batch, computed):
+        self._batch, self._computed = batch, computed
+
+    def set_const(self, ids):
+        self._computed.append(1)
+        return self._batch.set_const(ids)
+
+    def __getattr__(self, name):
+        return getattr(self._batch, name)
+
+
+def test_what_floats_is_raised_with_all_that_hangs_on_it_and_nothing_else_changes(backend):
+    model = mujoco.MjModel.from_xml_string(TOUCHING)
+    raised, placed = (make(backend, model) for _ in range(2))
+    names = ("xpos", "xipos", "geom_xpos", "site_xpos", "subtree_com", "sensordata", "xquat", "cvel")
+    for each in (raised, placed):
+        for name in names:
+            each.data(name)
+        excite(each, 5)
+        each.forward()
+    before = raised.data("xpos").clone()
+    height = torch.tensor([[0.0], [0.1], [0.0], [0.4]]).to(raised.dtype)
+    raised.raise_up(height)
+    placed.qpos[:, 2:3] += height
+    placed.forward()
+    late = ~np.isin(np.arange(model.nsensordata), [0, 1, 2, 3])  # accelerometer and touch follow from forces
+    for name in names:
+        one, other = raised.data(name), placed.data(name)
+        # Of the whole world's centre of mass, which nobody asks for, a part alone would rise.
+        columns = torch.from_numpy(late) if name == "sensordata" else slice(1, None)
+        torch.testing.assert_close(one[:, columns], other[:, columns], atol=1e-5, rtol=1e-5, msg=name)
+    assert (raised.data("xpos") - before)[:, 1:, 2].mean(1).tolist() == pytest.approx([0.0, 0.1, 0.0, 0.4], abs=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("mujoco_warp") is None, reason="mujoco_warp is not installed")
+def test_a_graph_with_room_for_few_changes_serves_all_in_their_turn(monkeypatch):
+    """What a recorded graph does, called as it is: two envs at once, of which three changed."""
+    monkeypatch.setattr("torchrl_athletic.physics.warp_physics._AT_ONCE", 2)
+    model = compiled("hopper")
+    few, whole = (WarpPhysics(model, N, device="cpu", fields=("body_mass",)) for _ in range(2))
+    mass = torch.as_tensor(model.body_mass).float() * torch.tensor([0.5, 1.5, 2.0, 3.0])[:, None]
+    mask = torch.tensor([True, False, True, True])
+    whole.set_fields({"body_mass": mass}, envs=mask)
+    few.field("body_mass").copy_(whole.field("body_mass"))
+    few._follow_few(mask)
+    late = (few._constants["dof_invweight0"] != whole._constants["dof_invweight0"]).any(1)
+    assert late.sum() == 1
+    torch.testing.assert_close(few._constants["body_subtreemass"], whole._constants["body_subtreemass"])
+    few._follow_few(torch.zeros(N, dtype=torch.bool))
+    for name, value in whole._constants.items():
+        torch.testing.assert_close(few._constants[name], value, msg=name)
+
+
 @pytest.mark.parametrize(
     ("fields", "name", "value", "message"),
     [

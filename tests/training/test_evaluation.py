@@ -1,14 +1,15 @@
 import numpy as np
 import pytest
 import torch
-from PIL import Image
-from torchrl.envs import StepCounter, TransformedEnv
-from torchrl.testing.mocking_classes import CountingEnv
+from scipy import stats
+from torchrl.data import Unbounded
+from torchrl.envs import TransformedEnv
 from training.tasks import SEEN, arm_env
 
 from torchrl_athletic.networks import actor
-from torchrl_athletic.training import play, record_video
-from torchrl_athletic.training.evaluation import renderer, write_video
+from torchrl_athletic.testing import ToyEnv
+from torchrl_athletic.training import Episodes, play, whole_episodes
+from torchrl_athletic.transforms import StatefulTransform
 
 
 def policy():
@@ -28,52 +29,51 @@ def test_no_more_steps_are_played_than_asked_for():
     assert play(arm_env(episode=50), policy(), steps=3).batch_size == (4, 3)
 
 
-def can_draw() -> bool:
-    try:
-        with renderer(arm_env(1).base_env.physics.model, (16, 16)):
-            return True
-    except RuntimeError:
-        return False
+class Counting(StatefulTransform):
+    """Shows how many steps the episode has had."""
+
+    def __init__(self):
+        super().__init__([], ["age"])
+
+    def initial(self, tensordict_reset):
+        return {"age": torch.zeros(*tensordict_reset.batch_size, 1)}
+
+    def advance(self, tensordict, next_tensordict):
+        next_tensordict.set("age", tensordict.get("age") + 1)
+
+    def state_spec(self, observation_spec):
+        return {"age": Unbounded((*observation_spec.shape, 1))}
 
 
-def test_a_video_shows_the_robot_moving_and_what_is_drawn_beside_it(tmp_path, monkeypatch):
-    if not can_draw():
-        pytest.skip("nothing here can draw")
-    monkeypatch.setattr("matplotlib.animation.writers.is_available", lambda name: False)
-    steps = []
-    path = record_video(
-        arm_env(1, episode=50),
-        policy(),
-        tmp_path / "v" / "arm.mp4",
-        steps=12,
-        size=(48, 64),
-        annotate=lambda scene, step: steps.append(step),
-    )
-    assert path == tmp_path / "v" / "arm.gif"
-    assert len(steps) == 12
-    assert steps[0]["joint_position"].shape == (7,)
-    with Image.open(path) as video:
-        first = np.asarray(video.convert("RGB"), float)
-        video.seek(video.n_frames - 1)
-        assert np.abs(np.asarray(video.convert("RGB"), float) - first).max() > 30
+class Falling(torch.nn.Module):
+    """Does nothing: the environment ends by itself."""
+
+    def forward(self, tensordict):
+        return tensordict.set("action", torch.zeros(*tensordict.batch_size, 3))
 
 
-def test_every_other_frame_goes_into_a_gif_at_its_time(tmp_path):
-    frames = [np.full((8, 8, 3), shade, np.uint8) for shade in range(0, 100, 10)]
-    with Image.open(write_video(frames, tmp_path / "a.gif", frame_rate=50.0)) as video:
-        assert video.n_frames == 5
-        assert video.info["duration"] == 40
+def test_each_row_counts_once_up_to_its_first_end():
+    """The toy's rows end after 4, 2, 5, 3 and 6 steps; those of even number fail."""
+    episodes = whole_episodes(TransformedEnv(ToyEnv(num_envs=5), Counting()), Falling(), ["age"], steps=10)
+    assert episodes.steps.tolist() == [4, 2, 5, 3, 6]
+    assert episodes.fell.tolist() == [False, True, False, True, False]
+    assert episodes.means["age"].tolist() == [2.5, 1.5, 3.0, 2.0, 3.5]  # of 1, 2, 3... up to the end
 
 
-def test_where_nothing_can_draw_the_error_says_what_to_install(monkeypatch, tmp_path):
-    monkeypatch.setattr("torchrl_athletic.training.evaluation.BACKENDS", ("none_of_these",))
-    with pytest.raises(RuntimeError, match=r"libegl1.*none_of_these"):
-        record_video(arm_env(1), policy(), tmp_path / "a.mp4")
+def test_an_episode_longer_than_asked_for_is_cut_and_did_not_fall():
+    episodes = whole_episodes(TransformedEnv(ToyEnv(num_envs=3, shortest=50), Counting()), Falling(), ["age"], steps=7)
+    assert episodes.steps.tolist() == [7, 7, 7]
+    assert not episodes.fell.any()
 
 
-def test_other_endings_and_environments_without_physics_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"\.mp4 or a \.gif"):
-        record_video(arm_env(1), policy(), tmp_path / "a.avi")
-    env = TransformedEnv(CountingEnv(), StepCounter())
-    with pytest.raises(ValueError, match="no MuJoCo physics"):
-        record_video(env, policy(), tmp_path / "a.gif")
+def test_intervals_are_those_of_scipy_and_none_of_a_thousand_is_not_certainty():
+    values = np.random.default_rng(0).normal(2.0, 0.5, 200)
+    episodes = Episodes(np.arange(200) < 4, np.full(200, 9), {"error": values})
+    mean, low, high = episodes.mean("error")
+    expected = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
+    assert (mean, low, high) == pytest.approx((values.mean(), expected.low, expected.high))
+    share, low, high = episodes.falls()
+    assert low < share == 0.02 < high
+    none = Episodes(np.zeros(1000, bool), np.full(1000, 9), {})
+    assert none.falls()[:2] == (0.0, 0.0)
+    assert 0.003 < none.falls()[2] < 0.004

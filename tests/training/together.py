@@ -151,7 +151,11 @@ def exact_training(processes):
     learner = exact_learner(processes)
     reports = [iterate(learner) for _ in range(3)]
     shown = {key: torch.stack([report[key] for report in reports]) for key in ("reward", "kl", "actor_lr")}
-    return shown | {"weights": weights(learner), "normalizer": learner.normalizers["observation"].state_dict(), "seen": learner.samples}
+    return shown | {
+        "weights": weights(learner),
+        "normalizer": learner.normalizers["observation"].state_dict(),
+        "seen": learner.samples,
+    }
 
 
 def training(processes, iterations=15):

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torchrl.envs import TransformedEnv
 
-from torchrl_athletic.functional import rotations
+from torchrl_athletic.functional import commands, rotations, streams
 from torchrl_athletic.functional.commands import CommandRanges, sled_commands
 from torchrl_athletic.testing import ToyEnv, TransformContract
 from torchrl_athletic.transforms import CommandSampler
@@ -39,7 +39,7 @@ class TestContractOfTheSled(TransformContract):
 
 def rollout(steps, ranges=None, num_envs=50, **settings):
     settings = {"base_keys": None, "end_effector_keys": None, **settings}
-    sampler = CommandSampler(ranges or CommandRanges(), DT, **settings)
+    sampler = CommandSampler(ranges or CommandRanges(standstill_probability=0.0), DT, **settings)
     return TransformedEnv(ToyEnv(num_envs, shortest=10_000, extra=POSES), sampler).rollout(steps)
 
 
@@ -117,3 +117,8 @@ def test_a_pose_that_the_environment_does_not_show_is_refused():
 def test_straightening_needs_the_pose_of_the_base():
     with pytest.raises(ValueError, match="name the base's pose"):
         CommandSampler(sled_commands(), DT, base_keys=None)
+
+
+def test_one_goal_in_ten_is_to_stand():
+    many = commands.draw_goal(streams.stream(0, torch.arange(5000)), CommandRanges().bounds(), 0.1)[0][:, :3]
+    assert (many == 0).all(-1).float().mean().item() == pytest.approx(0.1, abs=0.02)

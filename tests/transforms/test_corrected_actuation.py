@@ -303,3 +303,29 @@ def test_how_a_recording_was_stamped_is_left_out():
     content = correct("pendulum", {"torque_scale": [1.1]}).to_json()
     content["trims"].append({"effect": "clock_shift", "joint": None, "parameters": {"offset": {"value": 0.002}}})
     assert CorrectedActuation(content, timestep=STEP).torque_scale.item() == pytest.approx(1.1)
+
+
+def test_a_motor_drawn_stronger_or_weaker_has_that_limit_here_too():
+    limits = [
+        {
+            "effect": "speed_torque_limit",
+            "joint": "a",
+            "parameters": {"stall_torque": {"value": 4.0}, "no_load_speed": {"value": 10.0}},
+        }
+    ]
+    found = {"schema": "torchrl_athletic/corrected/1", "joint_names": ["a", "b"], "effects": limits, "trims": []}
+    seen = TensorDict(
+        action=torch.ones(2, 2),
+        joint_position=torch.zeros(2, 2),
+        joint_velocity=torch.full((2, 2), 2.0),
+        torque_limit_scale=torch.tensor([[1.0, 1.0], [0.5, 0.9]]),
+        batch_size=[2],
+    )
+    chain = CorrectedActuation(found, timestep=0.002, kp=100.0, kd=0.0, torque_limit=6.0)
+    env = TransformedEnv(TorqueEnv(from_mjcf(TWO, torque_limit=[9.0, 9.0]), num_envs=2), chain)
+    torque = env.transform._inv_call(env.reset().update(seen))["torque"]
+    assert torque.tolist() == [pytest.approx([3.2, 6.0]), pytest.approx([1.6, 5.4])]
+
+
+TWO = """<mujoco><worldbody><body><joint name="a"/><geom size=".1"/><body pos="1 0 0"><joint name="b"/><geom size=".1"/>
+</body></body></worldbody><actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""

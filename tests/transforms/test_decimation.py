@@ -160,3 +160,27 @@ def test_it_holds_within_an_environment_without_a_batch():
 def test_no_steps_at_all_are_refused():
     with pytest.raises(ValueError, match="at least 1"):
         Decimation(0)
+
+
+class Averaging(ToyEnv):
+    """A toy whose ``load`` counts the steps since the episode's start, and is a mean over those of an action."""
+
+    averaged_keys = ("load",)
+
+    def _step(self, tensordict):
+        shown = super()._step(tensordict)
+        return shown.set("load", self._time.unsqueeze(-1).float())
+
+
+def test_what_the_environment_names_is_averaged_over_the_steps_of_an_action_up_to_its_end():
+    env = TransformedEnv(
+        Averaging(num_envs=2, extra={"load": [1]}), Decimation(4)
+    )  # rows end after 4 and after 2 steps
+    after = env.step(env.reset().set("action", torch.zeros(2, 3)))["next"]
+    assert after["done"].flatten().tolist() == [True, True]
+    assert after["load"].flatten().tolist() == [2.5, 1.5]
+
+
+def test_without_decimation_it_is_the_step_s_own():
+    env = TransformedEnv(Averaging(num_envs=2, extra={"load": [1]}), Decimation(1))
+    assert env.step(env.reset().set("action", torch.zeros(2, 3)))["next", "load"].flatten().tolist() == [1.0, 1.0]

@@ -6,7 +6,7 @@ from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from torchrl_athletic.envs import TorqueEnv
-from torchrl_athletic.robots import b2z1, z1
+from torchrl_athletic.robots import Bucket, Dumbbell, b2z1, z1
 from torchrl_athletic.robots.scene import GROUND_SOLREF
 from torchrl_athletic.transforms import DomainRandomization, PDControl, RandomizationRanges
 
@@ -163,3 +163,51 @@ def test_a_joint_with_more_friction_turns_less():
     order = drawn.argsort()
     assert (turned[order].diff() <= 1e-6).all()
     assert turned[order][0] > turned[order][-1] + 0.01
+
+
+@pytest.mark.parametrize(
+    ("robot", "load"),
+    [(b2z1(tool=Bucket()), "ball"), (b2z1(tool=Dumbbell(5.0)), "dumbbell"), (b2z1(payload=8.0), "payload")],
+    ids=["bucket", "dumbbell", "payload"],
+)
+def test_tools_and_loads_are_no_part_of_the_robot_that_differs(robot, load):
+    randomization = DomainRandomization()
+    env = TransformedEnv(TorqueEnv(robot, num_envs=4, fields=randomization.fields), randomization)
+    env.reset()
+    physics = env.base_env.physics
+    mass, body = physics.field("body_mass"), physics.model.body(load).id
+    assert mass[:, body].tolist() == pytest.approx([float(physics.model.body_mass[body])] * 4)
+    assert len(mass[:, physics.model.body("base").id].unique()) == 4
+
+
+def test_two_of_them_for_legs_and_arm_multiply_their_scales():
+    legs = DomainRandomization(seed=1)
+    both = _only(stiffness_scale=(2.0, 2.0), joint_friction_scale=(0.5, 2.0))
+    arm = DomainRandomization(both, joints=list(range(6, 18)), drawn_key="of_the_arm", seed=2)
+    env = TransformedEnv(TorqueEnv(ROBOT, num_envs=3, fields=(*legs.fields, *arm.fields)), Compose(legs, arm))
+    check_env_specs(env)
+    td = env.reset()
+    alone = TransformedEnv(TorqueEnv(ROBOT, num_envs=3, fields=legs.fields), DomainRandomization(seed=1))
+    check_env_specs(alone)
+    first = alone.reset()["kp_scale"]
+    expected = first.clone()
+    expected[:, 6:18] *= 2.0
+    torch.testing.assert_close(td["kp_scale"], expected)
+    again = env.reset(td.clone().set("_reset", torch.tensor([[False], [True], [False]])))
+    assert torch.equal(again["kp_scale"][[0, 2]], td["kp_scale"][[0, 2]])
+    assert (again["kp_scale"][1, 12:18] == 2.0).all()
+
+
+def test_two_of_them_that_would_undo_each_other_or_share_a_name_are_refused():
+    def env_of(*transforms):
+        fields = sorted({field for transform in transforms for field in transform.fields})
+        return TransformedEnv(TorqueEnv(ROBOT, num_envs=2, fields=fields), Compose(*transforms))
+
+    with pytest.raises(ValueError, match=r"shows 'randomization' already.*Give this one a drawn_key"):
+        env_of(DomainRandomization(), DomainRandomization(_only(stiffness_scale=(1.0, 2.0)))).reset()
+    with pytest.raises(ValueError, match=r"two DomainRandomization write \['body_mass', 'body_inertia'\]"):
+        env_of(DomainRandomization(), DomainRandomization(_only(mass_scale=(1.0, 2.0)), drawn_key="more")).reset()
+
+
+def _only(**ranges):
+    return RandomizationRanges(**(dict.fromkeys(vars(RandomizationRanges())) | ranges))

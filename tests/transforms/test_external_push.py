@@ -118,3 +118,22 @@ def test_unknown_bodies_and_impossible_times_are_refused():
         ExternalPush(PUSHES, dt=0.0)
     with pytest.raises(ValueError, match="a magnitude"):
         Push(("base",), force=(-1.0, 1.0))
+
+
+def test_pushes_add_to_what_others_put_on_a_body_and_take_back_their_own_alone():
+    env = make_env(3)
+    two = ExternalPush(PUSHES, dt=0.005, rest=(0.02, 0.05), duration=(0.05, 0.1), push_key="shove", seed=9)
+    env.append_transform(two)
+    td = env.reset()
+    physics = env.base_env.physics
+    other = torch.tensor([0.3, -0.2, 0.1, 0.0, 0.01, 0.0], dtype=torch.float64)
+    body = physics.model.body("base").id
+    physics.xfrc_applied[:, body] += other
+    both = 0
+    for _ in range(80):
+        pushes = td["push"].double() + td["shove"].double()
+        both += int(((td["push"] != 0).any((1, 2)) & (td["shove"] != 0).any((1, 2))).sum())
+        td = env.step(still(env, td))["next"]
+        expected = pushes[:, 0] + other
+        torch.testing.assert_close(physics.xfrc_applied[:, body], expected, atol=1e-5, rtol=1e-5)
+    assert both > 10

@@ -1,14 +1,16 @@
 """Episodes start near the keyframe, each elsewhere."""
 
+import mujoco
 import pytest
 import torch
-from torchrl.envs import TransformedEnv
+from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.functional import rotations
-from torchrl_athletic.robots import b2z1
-from torchrl_athletic.transforms import InitialState, StartRanges
+from torchrl_athletic.robots import Terrain, b2z1
+from torchrl_athletic.robots.b2z1 import STAND_HEIGHT
+from torchrl_athletic.transforms import InitialState, PDControl, StartRanges
 
 ROBOT = b2z1()
 RANGES = StartRanges(base_position=(1.0, 2.0, 0.0), base_linear_velocity=(0.5, 0.0, 0.0))
@@ -34,7 +36,7 @@ def test_starts_fill_their_ranges_and_keep_to_the_joints_limits():
     assert td["joint_velocity"].abs().max().item() == pytest.approx(0.5, abs=0.01)
     place = td["base_position"]
     assert place[:, :2].abs().amax(0).tolist() == pytest.approx([1.0, 2.0], abs=0.05)
-    assert place[:, 2].std() < 1e-6
+    assert (place[:, 2] >= STAND_HEIGHT - 1e-6).all()  # those that would have been in the ground are lifted
     torch.testing.assert_close(td["base_quaternion"].norm(dim=-1), torch.ones(300))
     tilt = torch.acos(-td["projected_gravity"][:, 2].clamp(-1, 1))
     assert 0.1 < tilt.max() < 0.1 * 2**0.5 + 1e-3
@@ -64,3 +66,24 @@ def test_only_rows_that_start_are_moved_and_a_row_alone_starts_as_in_the_batch()
 def test_a_negative_range_is_refused():
     with pytest.raises(ValueError, match="base_turn is"):
         StartRanges(base_turn=(-0.1, 0.0, 0.0))
+
+
+def test_no_robot_starts_in_rough_ground_and_none_is_flung_out_of_it():
+    robot = b2z1(terrain=Terrain())
+    ranges = StartRanges(base_position=(12.0, 12.0, 0.0))
+    env = TransformedEnv(TorqueEnv(robot, num_envs=64), Compose(PDControl(robot.kp, robot.kd), InitialState(ranges)))
+    td = env.reset()
+    model = robot.model()
+    ground = {model.geom(name).id for name in robot.ground}
+    for qpos in env.base_env.physics.qpos.numpy():
+        data = mujoco.MjData(model)
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        assert min([0.0, *(c.dist for c in data.contact if set(c.geom) & ground)]) > -1e-3
+    assert (td["foot_height"] > 0.0).all()
+    forces = []
+    for _ in range(60):
+        td = env.step(td.set("action", torch.tensor(robot.default_pose).expand(64, -1)))["next"]
+        forces.append(td["foot_force"].amax(-1))
+    assert torch.stack(forces).max() < 8000  # a landing; 109 kN before starts were lifted
+    assert (forces[-1] < 2000).all()

@@ -44,3 +44,16 @@ def test_the_law_commands_what_the_limits_leave() -> None:
 def test_a_law_without_stiffness_has_no_targets() -> None:
     with pytest.raises(ValueError, match="or leave LimitedTarget out"):
         LimitedTarget([1.0, 0.0], 1.0, 1.0, 1.0)
+
+
+def test_a_motor_drawn_weaker_moves_the_target_nearer_and_a_stiffer_drive_too() -> None:
+    near = LimitedTarget(20.0, 0.5, 4.0, 10.0)
+    seen = TensorDict(
+        action=torch.ones(1, 2), joint_position=torch.zeros(1, 2), joint_velocity=torch.ones(1, 2), batch_size=[1]
+    )
+    seen["torque_limit_scale"] = torch.tensor([[1.0, 0.5]])
+    seen["kp_scale"] = torch.tensor([[1.0, 2.0]])
+    target = near.inv(seen.clone())["action"]
+    kp = torch.tensor([[20.0, 40.0]])
+    torque = pd_torque(target, seen["joint_position"], seen["joint_velocity"], kp, torch.tensor(0.5))
+    assert torque.tolist() == [[pytest.approx(4.0 * 0.9), pytest.approx(2.0 * 0.9)]]

@@ -5,6 +5,7 @@ rate.
 """
 
 from torchrl_athletic.envs.actuation_chain import actuation_chain
+from torchrl_athletic.envs.drawing import draw_command
 from torchrl_athletic.envs.reach import PoseGoal, draw_goal, reach_errors, reachable_poses
 from torchrl_athletic.envs.replay import ReplayTakes, Takes, replay_env
 from torchrl_athletic.envs.throw import (
@@ -30,6 +31,7 @@ __all__ = [
     "ThrowFailure",
     "TorqueEnv",
     "actuation_chain",
+    "draw_command",
     "draw_goal",
     "make_physics",
     "reach_errors",

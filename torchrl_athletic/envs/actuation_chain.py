@@ -15,6 +15,7 @@ def actuation_chain(
     net: nn.Module | None = None,
     arm_power: float | None = None,
     max_delay: int = 0,
+    min_delay: int = 0,
     decimation: int = 4,
     seed: int = 0,
     first_row: int = 0,
@@ -30,6 +31,7 @@ def actuation_chain(
         net: Unsupervised Actuator Net of the arm; None leaves its torques as they are.
         arm_power: Greatest power of the arm [W]; None sets no limit.
         max_delay: Greatest delay of the action, drawn per episode [physics steps].
+        min_delay: Least delay.
         decimation: Physics steps per action.
         seed: Of the delays.
         first_row: Number of the first row, for parts of a larger batch.
@@ -53,5 +55,5 @@ def actuation_chain(
     chain.append(TorqueSpeedClip(robot.torque_limit, robot.velocity_limit))
     chain.append(PDControl(robot.kp, robot.kd))
     if max_delay:
-        chain.append(ActionDelay(max_delay, before=robot.default_pose, seed=seed, first_row=first_row))
+        chain.append(ActionDelay(max_delay, min_delay, before=robot.default_pose, seed=seed, first_row=first_row))
     return [*chain, Decimation(decimation)]

@@ -12,6 +12,7 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
+from torchrl_athletic.envs.drawing import draw_frame
 from torchrl_athletic.functional import rotations, streams
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.transforms import RandomTransform
@@ -192,9 +193,4 @@ def draw_goal(scene: mujoco.MjvScene, step: TensorDictBase) -> None:
         step: With ``goal_keypoints`` (4, 3).
     """
     origin, *tips = step["goal_keypoints"].double().cpu().numpy()
-    for tip, colour in zip(tips, np.eye(3), strict=True):
-        geom = scene.geoms[scene.ngeom]
-        kind = mujoco.mjtGeom.mjGEOM_ARROW.value
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.array([*colour, 0.8], np.float32))
-        mujoco.mjv_connector(geom, kind, 0.008, origin, origin + 0.5 * (tip - origin))
-        scene.ngeom += 1
+    draw_frame(scene, origin, origin + 0.5 * (np.array(tips) - origin))

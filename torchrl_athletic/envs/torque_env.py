@@ -57,6 +57,7 @@ class TorqueEnv(EnvBase):
         every_step: Of the robot's ``sensors``, those to show at every physics step, for transforms within
             :class:`~torchrl_athletic.transforms.Decimation`. Refreshing them takes time, but for those of touch and
             acceleration, which each step computes.
+        substeps: Physics steps that each torque is held for, so that drives act as often in a finer simulation.
         footprint: Edge of the square around the base whose mean height is the ground below it [m].
 
     Raises:
@@ -80,6 +81,7 @@ class TorqueEnv(EnvBase):
         terminate: Callable[[TensorDictBase], Tensor] | None = None,
         fields: Sequence[str] = (),
         every_step: Sequence[str] = (),
+        substeps: int = 1,
         footprint: float = 0.5,
     ) -> None:
         if missing := [name for name in every_step if name not in robot.sensors]:
@@ -96,6 +98,7 @@ class TorqueEnv(EnvBase):
             )
         super().__init__(device=physics.device, batch_size=[physics.num_envs])
         self.robot, self.physics, self.terminate, self.every_step = robot, physics, terminate, tuple(every_step)
+        self.substeps = substeps
         model = physics.model
         self._base_qpos, self._base_dof = _free_joint(model, robot.base)
         self._sensors = {key: _columns(model, names, physics.device) for key, names in robot.sensors.items()}
@@ -160,7 +163,7 @@ class TorqueEnv(EnvBase):
         only_joints = "_substep" in tensordict.keys()
         self.physics.apply_torque(torque)
         refresh = any(not self._late[key] for key in (self.every_step if only_joints else self._sensors))
-        self.physics.step(refresh=refresh, envs=tensordict.get("_step", None))
+        self.physics.step(self.substeps, refresh=refresh, envs=tensordict.get("_step", None))
         failed = self.physics.diverged.unsqueeze(-1)
         flags = {"done": failed, "terminated": failed.clone(), "truncated": torch.zeros_like(failed)}
         reward = torch.zeros(*self.batch_size, 1, device=self.device)

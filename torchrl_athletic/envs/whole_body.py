@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -70,8 +71,7 @@ PRIVILEGED = (
 critic knows more than the policy; that of its authors' earlier work does (Portela et al. 2024)."""
 
 ACTION_SCALE = {"leg": 0.25, "arm": 0.5, "gripper": 0.1}
-"""By how much an action of 1 moves the position targets of a group of joints [rad]: of legs and arm as Portela et al. 2024
-have it."""
+"""By how much an action of 1 moves the position targets of a group of joints [rad]. Legs and arm: as Portela et al. 2024."""
 
 FALL_HEIGHT, FALL_UPRIGHT = 0.25, 0.5
 """A robot whose base is lower over the ground [m], or tilted beyond 60° (cosine [1]), has fallen: our figures."""
@@ -93,13 +93,13 @@ class Disturbances:
     """At base, hips, feet and end effector."""
     starts: StartRanges | None = StartRanges(base_position=(12.0, 12.0, 0.0))  # noqa: RUF009  frozen
     """Around the default pose, spread over the terrain's tiles."""
-    encoder_offset: float = 0.05
-    """Greatest, either way [rad]."""
-    delay: int = 6
-    """Greatest delay of an action [physics steps]."""
+    encoder_offset: tuple[float, float] = (-0.05, 0.05)
+    """Least and greatest, joint by joint [rad]."""
+    delay: tuple[int, int] = (0, 6)
+    """Least and greatest delay of actions [steps of 5 ms]."""
 
 
-NO_DISTURBANCES = Disturbances(None, (), None, 0.0, 0)
+NO_DISTURBANCES = Disturbances(None, (), None, (0.0, 0.0), (0, 0))
 """The same robot on the same ground, from the same pose, undisturbed."""
 
 
@@ -123,6 +123,7 @@ def whole_body_env(
     max_steps: int = 1000,
     task_width: int = 4,
     extra: Sequence[Transform] = (),
+    substeps: int = 1,
     seed: int = 0,
     first_row: int = 0,
 ) -> TransformedEnv:
@@ -156,6 +157,7 @@ def whole_body_env(
         max_steps: Length of an episode [policy steps]: 20 s.
         task_width: Places kept for the embedding of tasks to come.
         extra: More transforms, after those that command: a reference trajectory, an object.
+        substeps: Physics steps that each torque is held for: 5 for a robot whose time step is 1 ms.
         seed: Of all draws.
         first_row: Number of the first row, for parts of a larger batch.
 
@@ -174,8 +176,9 @@ def whole_body_env(
     rows: dict[str, int] = {"seed": seed, "first_row": first_row}
     if chain is None:
         net = pretrained(net) if isinstance(net, str) else net
-        chain = actuation_chain(robot, net=net, arm_power=arm_power, max_delay=chance.delay, **rows)
-    dt = _policy_step(robot, chain)
+        least, greatest = chance.delay
+        chain = actuation_chain(robot, net=net, arm_power=arm_power, max_delay=greatest, min_delay=least, **rows)
+    dt = _policy_step(robot, chain, substeps)
     sensing, starting = _sensing(chance, rows), _starting(chance, rows)
     fields = {field for transform in (*chain, *starting, *extra) for field in getattr(transform, "fields", ())}
     base = TorqueEnv(
@@ -185,6 +188,7 @@ def whole_body_env(
         terminate=fallen if terminate is None else terminate,
         fields=sorted(fields),
         every_step=[key for key in robot.sensors if key.endswith("_force")],
+        substeps=substeps,
     )
     position = "true_joint_position" if sensing else "joint_position"
     terms, scales = whole_body_rewards(robot, position) if terms is None else terms
@@ -213,16 +217,17 @@ def whole_body_env(
     return env.append_transform(Privileged(_known(env, privileged)))
 
 
-def _policy_step(robot: Robot, chain: Sequence[Transform]) -> float:
+def _policy_step(robot: Robot, chain: Sequence[Transform], substeps: int) -> float:
     """Time between two actions [s]."""
-    steps = [transform.steps for transform in chain if isinstance(transform, Decimation)]
-    return sum(steps) * float(robot.model().opt.timestep) if steps else float(robot.model().opt.timestep)
+    decimation = [transform.steps for transform in chain if isinstance(transform, Decimation)]
+    return math.prod(decimation) * substeps * float(robot.model().opt.timestep)
 
 
 def _sensing(chance: Disturbances, rows: Mapping[str, int]) -> list[Transform]:
     """What stands between the joints and all that reads them."""
-    limit = chance.encoder_offset
-    return [EncoderOffset(-limit, limit, true_key="true_joint_position", **rows)] if limit else []
+    if not any(chance.encoder_offset):
+        return []
+    return [EncoderOffset(*chance.encoder_offset, true_key="true_joint_position", **rows)]
 
 
 def _starting(chance: Disturbances, rows: Mapping[str, int]) -> list[Transform]:

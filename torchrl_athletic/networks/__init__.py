@@ -7,7 +7,7 @@ from torchrl_athletic.networks.actor_critic import actor, critic
 from torchrl_athletic.networks.actuator_net import Sizes, sizes_of, uan, uan_actor
 from torchrl_athletic.networks.checkpoint import load_checkpoint, save_checkpoint
 from torchrl_athletic.networks.normalizer import RunningNormalizer
-from torchrl_athletic.networks.pretrained import describe, pretrained, read_network, write_network
+from torchrl_athletic.networks.pretrained import describe, pretrained, read_network, shipped_path, write_network
 from torchrl_athletic.networks.roa import deploy, roa_actor
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "read_network",
     "roa_actor",
     "save_checkpoint",
+    "shipped_path",
     "sizes_of",
     "uan",
     "uan_actor",

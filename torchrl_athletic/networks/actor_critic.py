@@ -68,8 +68,8 @@ def actor(
         in_keys: What it sees, put side by side in this order.
         hidden: Layer sizes.
         scale: First standard deviation, in the action's unit; it is learnt, through its logarithm.
-        gain: Of the last layer's first weights [1]. Near 0 a new policy acts by 0 whatever it sees, which is the default
-            pose where an environment counts actions from there (Andrychowicz et al. 2021).
+        gain: Of the last layer's first weights [1]. Near 0 a new policy acts by 0, which is the default pose
+            where an environment counts actions from there (Andrychowicz et al. 2021).
         normalizer: What the inputs go through first, such as ``RunningNormalizer(in_features)``.
         device: Where its parameters are made.
 

@@ -41,7 +41,7 @@ def pretrained(name: str) -> nn.Module:
         >>> sum(parameter.numel() for parameter in pretrained("uan").parameters())
         21889
     """
-    return read_network(_shipped(name), _index()[name]["sha256"])
+    return read_network(shipped_path(name), _index()[name]["sha256"])
 
 
 def describe(name: str) -> dict[str, Any]:
@@ -51,7 +51,7 @@ def describe(name: str) -> dict[str, Any]:
         >>> describe("uan")["kind"]
         'uan'
     """
-    return read_metadata(_shipped(name))
+    return read_metadata(shipped_path(name))
 
 
 def write_network(path: str | Path, network: nn.Module, **told: Any) -> str:
@@ -155,7 +155,12 @@ def _index() -> dict[str, dict[str, str]]:
     return found
 
 
-def _shipped(name: str) -> Path:
+def shipped_path(name: str) -> Path:
+    """File of a network that comes with the library.
+
+    Raises:
+        ValueError: If there is no such network.
+    """
     if name not in _index():
         raise ValueError(f"no network {name!r} comes with the library; it has {sorted(_index())}. Name one of these.")
     return _folder() / str(_index()[name]["file"])

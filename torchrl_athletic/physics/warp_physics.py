@@ -221,7 +221,10 @@ class WarpPhysics(Physics):
         self._stale.index_fill_(0, chosen, False)
 
     def raise_up(self, height: Tensor) -> None:
-        """By shifting what was looked at, too: computing it anew takes a tenth of a control step."""
+        """By shifting what was looked at, too: computing it anew takes a tenth of a control step.
+
+        The centre of mass of the whole world, ``subtree_com[:, 0]``, stays as it was until the next step.
+        """
         self.qpos[:, self._floating] += height
         for name, rows in self._places.items():
             if name in self._views:

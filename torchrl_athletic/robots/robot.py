@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 
@@ -82,6 +82,30 @@ class Robot:
     def model(self) -> mujoco.MjModel:
         """Its compiled model."""
         return self.build().compile()
+
+
+def with_timestep(robot: Robot, timestep: float) -> Robot:
+    """A robot whose physics takes other steps [s]: finer ones tell what is the solver's error.
+
+    Example:
+        >>> from torchrl_athletic.robots import z1
+        >>> with_timestep(z1(), 0.001).model().opt.timestep
+        0.001
+    """
+    if not timestep > 0:
+        raise ValueError(f"timestep is {timestep} s, and time would stand still. Give more than 0.")
+    return replace(robot, build=_WithTimestep(robot.build, timestep))
+
+
+@dataclass(frozen=True)
+class _WithTimestep:
+    build: Callable[[], mujoco.MjSpec]
+    timestep: float
+
+    def __call__(self) -> mujoco.MjSpec:
+        spec = self.build()
+        spec.option.timestep = self.timestep
+        return spec
 
 
 def assemble(

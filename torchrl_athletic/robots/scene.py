@@ -11,8 +11,8 @@ Cone = Literal["elliptic", "pyramidal"]
 TIMESTEP = 0.005
 """Of the physics; a policy acts every four of them [s]. Paper, table of domain randomisation."""
 GROUND_SOLREF = (0.01, 1.0)
-"""Time constant [s] and damping ratio of contacts with the ground: as stiff as the time step allows. At MuJoCo's 0.02 s a
-foot of 3.2 cm that lands at 1 m/s sinks in whole, and a height field then squeezes it between its prisms with 20 kN."""
+"""Time constant [s] and damping ratio of contacts with the ground: as stiff as the time step allows. At MuJoCo's 0.02 s
+a foot of 3.2 cm that lands at 1 m/s sinks in whole, and a height field then squeezes it with 20 kN."""
 _FLOOR_FRICTION = (0.8, 0.02, 0.01)
 
 
@@ -35,6 +35,7 @@ def empty_scene(name: str, cone: Cone) -> mujoco.MjSpec:
     spec.option.timestep = TIMESTEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = cones[cone]
+    spec.option.iterations, spec.option.ls_iterations = 10, 20  # few states need more; on a GPU the slowest would rule
     spec.option.impratio = 10.0  # at 1 the soft contacts let loaded feet slide away within seconds
     spec.add_texture(
         name="floor",

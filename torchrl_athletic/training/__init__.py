@@ -4,7 +4,7 @@ from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
 from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.curves import draw_curves
 from torchrl_athletic.training.distributed import Processes, join_processes, standardized
-from torchrl_athletic.training.evaluation import play, record_video
+from torchrl_athletic.training.evaluation import Episodes, play, whole_episodes
 from torchrl_athletic.training.finite import NonFiniteError, check_finite
 from torchrl_athletic.training.logging import CSVTable, LoggerName, MetricLogger, make_logger
 from torchrl_athletic.training.ppo import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
@@ -27,7 +27,9 @@ from torchrl_athletic.training.uan import (
     with_gains_of,
 )
 from torchrl_athletic.training.uan_gradient import DifferentiableTorqueEnv, GradientLearner, descend
+from torchrl_athletic.training.video import draw_episode, frame_strip, record_video, write_video
 from torchrl_athletic.training.wbc import CURVES, save_wbc, wbc_learner
+from torchrl_athletic.training.wbc_evaluation import Condition, draw_conditions, examine, table_of, wbc_conditions
 
 __all__ = [
     "CURVES",
@@ -38,8 +40,10 @@ __all__ = [
     "CSVTable",
     "CapturedRollout",
     "Checkpoints",
+    "Condition",
     "Credit",
     "DifferentiableTorqueEnv",
+    "Episodes",
     "GradientLearner",
     "JointRollout",
     "Knows",
@@ -55,8 +59,12 @@ __all__ = [
     "check_finite",
     "control_step",
     "descend",
+    "draw_conditions",
     "draw_curves",
+    "draw_episode",
+    "examine",
     "for_training",
+    "frame_strip",
     "fuse_transforms",
     "iterate",
     "join_processes",
@@ -67,12 +75,16 @@ __all__ = [
     "save_wbc",
     "set_aside",
     "standardized",
+    "table_of",
     "takes_of",
     "torque_unit",
     "train",
     "uan_learner",
     "units_of",
     "validation_of",
+    "wbc_conditions",
     "wbc_learner",
+    "whole_episodes",
     "with_gains_of",
+    "write_video",
 ]

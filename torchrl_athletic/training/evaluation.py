@@ -1,26 +1,22 @@
-"""A policy at work, without the noise that it explores with: as numbers, and as a video."""
+"""A policy at work, without the noise that it explores with, as numbers."""
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import partial
-from pathlib import Path
-from typing import Any
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDict, TensorDictBase
-from torchrl.envs import EnvBase, TransformedEnv
+from scipy import stats
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+from tqdm import trange
 
-from torchrl_athletic.training.rollout import Policy, done_rows
-
-BACKENDS = ("egl", "osmesa", "glfw")
-"""Ways to draw without a screen, and at last with one."""
+from torchrl_athletic.training.rollout import Policy, control_step, done_rows
 
 
 @torch.no_grad()
@@ -63,152 +59,74 @@ def acting(env: EnvBase, policy: Policy, steps: int) -> Iterator[TensorDictBase]
                 return
 
 
-def record_video(
-    env: EnvBase,
-    policy: Policy,
-    path: str | Path,
-    *,
-    steps: int = 200,
-    frame_rate: float = 50.0,
-    size: tuple[int, int] = (480, 640),
-    camera: int | str = -1,
-    annotate: Callable[..., None] | None = None,
-) -> Path:
-    """Draw an episode of the first environment.
+@dataclass(frozen=True)
+class Episodes:
+    """What became of N episodes, each whole."""
+
+    fell: NDArray[np.bool_]
+    """Whether it was terminated, rather than came to its time. Shape (N,)."""
+    steps: NDArray[np.int64]
+    """How long it was [policy steps]. Shape (N,)."""
+    means: dict[str, NDArray[np.float64]]
+    """Means over its steps of what was looked at, by the name of the entry. Shape (N,) each."""
+
+    def falls(self) -> tuple[float, float, float]:
+        """Share that fell, and its 95 % interval (Wilson's) [1]."""
+        count, total = int(self.fell.sum()), len(self.fell)
+        interval = stats.binomtest(count, total).proportion_ci(method="wilson")
+        return count / total, float(interval.low), float(interval.high)
+
+    def mean(self, name: str) -> tuple[float, float, float]:
+        """Mean over the episodes of one of :attr:`means`, and its 95 % interval (Student's), in the entry's unit."""
+        values = self.means[name]
+        half = stats.t.ppf(0.975, max(1, len(values) - 1)) * values.std(ddof=1) / math.sqrt(len(values))
+        return float(values.mean()), float(values.mean() - half), float(values.mean() + half)
+
+
+@torch.no_grad()
+def whole_episodes(
+    env: EnvBase, policy: Policy, keys: Sequence[NestedKey], steps: int, *, progress: str | None = None
+) -> Episodes:
+    """Play one episode of each environment to its end, by the policy's mean.
+
+    Each row counts once, from its start until it is done: short episodes, which are the failed ones, are neither more
+    nor less often seen than long ones. (To stop at the first end in the batch, as :func:`play` does, would leave the
+    falls to come out of the count; to count all episodes of a fixed time would have the fallen start again and again.)
 
     Args:
-        env: On a :class:`~torchrl_athletic.envs.TorqueEnv`.
-        policy: Writes the action; acts by its mean.
-        path: ``.mp4``, which needs ffmpeg on the PATH, or ``.gif``. Without ffmpeg an mp4 becomes a gif.
-        steps: Most steps of the policy.
-        frame_rate: Steps of the policy per second: a frame is drawn for each.
-        size: Height and width [pixel].
-        camera: Of the model; -1 for MuJoCo's free one.
-        annotate: Adds shapes to the scene, such as a goal: called with the scene and, as ``step``, what the first
-            environment showed after the step.
+        env: N environments.
+        policy: Writes the action.
+        keys: Entries of one number per row to take the means of.
+        steps: The longest episode [policy steps].
+        progress: Label of a progress bar; None shows none.
 
-    Returns:
-        What was written.
-
-    Raises:
-        RuntimeError: If nothing can draw here; says what to install.
-        ValueError: If the environment has no MuJoCo model, or the file another ending.
+    Example:
+        >>> from torchrl.envs import GymEnv, SerialEnv, StepCounter, TransformedEnv
+        >>> env = TransformedEnv(SerialEnv(2, lambda: GymEnv("Pendulum-v1")), StepCounter(5))
+        >>> episodes = whole_episodes(env, env.rand_action, ["reward"], steps=5)
+        >>> episodes.steps.tolist(), episodes.falls()[0]
+        ([5, 5], 0.0)
     """
-    path = Path(path)
-    if path.suffix not in (".mp4", ".gif"):
-        raise ValueError(f"{path.name}: a video is an .mp4 or a .gif. Name it so.")
-    base = env.base_env if isinstance(env, TransformedEnv) else env
-    physics = getattr(base, "physics", None)
-    if physics is None:
-        raise ValueError(
-            f"{type(base).__name__} has no MuJoCo physics to draw. Give a TorqueEnv, or one with transforms."
-        )
-    frames: list[NDArray[np.uint8]] = []
-    data = mujoco.MjData(physics.model)
-    with torch.no_grad(), renderer(physics.model, size, camera) as draw:
-        for step in acting(env, policy, steps):
-            data.qpos[:] = physics.qpos[0].cpu().numpy()
-            mujoco.mj_forward(physics.model, data)
-            frames.append(draw(data, None if annotate is None else partial(annotate, step=step["next"][0])))
-    return write_video(frames, path, frame_rate)
+    tensordict = env.reset()
+    goes = torch.ones(*env.batch_size, 1, dtype=torch.bool, device=env.device)
+    count = torch.zeros(*env.batch_size, 1, dtype=torch.int64, device=env.device)
+    fell = torch.zeros_like(goes)
+    sums: dict[NestedKey, Tensor] = {}
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        for _ in trange(steps, desc=progress, disable=progress is None):
+            step, tensordict = control_step(env, policy, tensordict)
+            shown = step.get("next")
+            count += goes
+            fell |= goes & shown.get("terminated")
+            for key in keys:
+                value = torch.where(goes, shown.get(key).double().reshape(count.shape), 0.0)
+                sums[key] = sums.get(key, 0.0) + value
+            goes &= ~done_rows(env, shown)
+            if not goes.any():
+                break
+    means = {_name(key): (total / count).flatten().cpu().numpy() for key, total in sums.items()}
+    return Episodes(fell.flatten().cpu().numpy(), count.flatten().cpu().numpy(), means)
 
 
-Draw = Callable[..., NDArray[np.uint8]]
-
-
-@contextmanager
-def renderer(model: mujoco.MjModel, size: tuple[int, int], camera: int | str = -1) -> Iterator[Draw]:
-    """Something that draws a state: ``draw(data, annotate)`` gives an image (height, width, 3).
-
-    Raises:
-        RuntimeError: If neither EGL nor OSMesa nor a screen is there.
-    """
-    height, width = size
-    context = _gl_context(width, height)
-    context.make_current()
-    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-    scene = mujoco.MjvScene(model, maxgeom=2000)
-    target = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, target)
-    view, option = mujoco.MjvCamera(), mujoco.MjvOption()
-    mujoco.mjv_defaultFreeCamera(model, view)
-    view.lookat[:], view.distance = _centre_and_distance(model)
-    if camera != -1:
-        view.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
-        view.fixedcamid = model.camera(camera).id
-    viewport = mujoco.MjrRect(0, 0, width, height)
-
-    def draw(data: mujoco.MjData, annotate: Callable[[mujoco.MjvScene], None] | None = None) -> NDArray[np.uint8]:
-        mujoco.mjv_updateScene(model, data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL.value, scene)
-        if annotate is not None:
-            annotate(scene)
-        image = np.empty((height, width, 3), np.uint8)
-        mujoco.mjr_render(viewport, scene, target)
-        mujoco.mjr_readPixels(image, None, viewport, target)
-        return np.flipud(image).copy()
-
-    try:
-        yield draw
-    finally:
-        target.free()
-        context.free()
-
-
-def _centre_and_distance(model: mujoco.MjModel) -> tuple[NDArray[np.float64], float]:
-    """Where to look from how far [m], to see all bodies of the first keyframe with room to move about."""
-    data = mujoco.MjData(model)
-    if model.nkey:
-        mujoco.mj_resetDataKeyframe(model, data, 0)
-    mujoco.mj_kinematics(model, data)
-    low, high = data.xpos[1:].min(0), data.xpos[1:].max(0)
-    size = float(np.linalg.norm(high - low))
-    return (low + high) / 2 + [0, 0, 0.25 * size], 1.2 + size
-
-
-def _gl_context(width: int, height: int) -> Any:
-    """The first way to draw that works, whatever ``MUJOCO_GL`` said when MuJoCo was imported."""
-    failures = []
-    for backend in BACKENDS:
-        try:
-            return importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
-        except Exception as error:  # what a missing driver raises differs between drivers
-            failures.append(f"{backend}: {str(error).splitlines()[0] if str(error) else type(error).__name__}")
-    raise RuntimeError(
-        "no way to draw was found, so there is no video. Install EGL (libegl1) or OSMesa (libosmesa6), or train "
-        f"without video. Tried: {'; '.join(failures)}."
-    )
-
-
-def write_video(frames: list[NDArray[np.uint8]], path: str | Path, frame_rate: float) -> Path:
-    """Write images as a video.
-
-    Args:
-        frames: Shape (height, width, 3) each.
-        path: ``.mp4`` or ``.gif``; without ffmpeg on the PATH an mp4 becomes a gif, of every other frame.
-        frame_rate: [1/s].
-
-    Returns:
-        What was written.
-    """
-    from matplotlib import animation
-
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".mp4" and animation.writers.is_available("ffmpeg"):
-        return _write_mp4(frames, path, frame_rate)
-    from PIL import Image
-
-    path = path.with_suffix(".gif")
-    images = [Image.fromarray(frame) for frame in frames[::2]]  # browsers slow a gif down that has 50 images a second
-    images[0].save(path, save_all=True, append_images=images[1:], duration=round(2000 / frame_rate), loop=0)
-    return path
-
-
-def _write_mp4(frames: list[NDArray[np.uint8]], path: Path, frame_rate: float) -> Path:
-    import subprocess
-
-    height, width, _ = frames[0].shape
-    command = ["ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
-    command += ["-r", str(frame_rate), "-i", "-", "-pix_fmt", "yuv420p", str(path)]
-    subprocess.run(command, input=b"".join(frame.tobytes() for frame in frames), check=True)
-    return path
+def _name(key: NestedKey) -> str:
+    return key if isinstance(key, str) else "/".join(key)

@@ -92,8 +92,8 @@ class Learner:
         actor: Policy with a distribution, as :func:`~torchrl_athletic.networks.actor` makes it.
         critic: Value function.
         config: Numbers chosen by hand.
-        normalizer: Of the entry ``normalized``, which networks go through, or several by their entries; learns after every
-            update.
+        normalizer: Of the entry ``normalized``, which networks go through, or several by their entries; learns after
+            every update.
         normalized: That entry, where there is one.
         watch: Entries of a step whose means are reported, :class:`~.RewardTerms`' ``"reward_terms"`` say.
         seed: Of the order of samples.

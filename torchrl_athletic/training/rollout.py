@@ -107,8 +107,8 @@ class Rollout:
         env: N environments.
         policy: Writes the action; explores.
         horizon: Steps T per call.
-        keys: Entries of the environment to store, here and under ``next``, or there alone if they begin so. What the policy reads and writes, rewards
-            and flags are stored in any case. None stores everything.
+        keys: Entries of the environment to store, here and under ``next``, or there alone if they begin so. What the
+            policy reads and writes, rewards and flags are stored in any case. None stores everything.
         collector: Take TorchRL's ``Collector``: slower, and for environments with several flags per row.
         step: In place of :func:`control_step`, a captured one for example.
 

@@ -67,7 +67,9 @@ def wbc_learner(
     shown = env.observation_spec
     seen, known = (shown[key].shape[-1] for key in ("observation", "privileged"))
     device = None if env.device is None else str(env.device)
-    scales = {key: RunningNormalizer(size, device=device) for key, size in (("observation", seen), ("privileged", known))}
+    scales = {
+        key: RunningNormalizer(size, device=device) for key, size in (("observation", seen), ("privileged", known))
+    }
     width = env.action_spec.shape[-1]
     policy = actor(seen, width, hidden=hidden, scale=scale, gain=0.01, normalizer=scales["observation"], device=device)
     value = critic(known, in_keys=["privileged"], hidden=hidden, normalizer=scales["privileged"], device=device)

@@ -28,8 +28,8 @@ class CommandSampler(RandomTransform):
         ranges: What is drawn, and when.
         dt: Of a step at this place in the chain [s]: the policy's, if it stands outside :class:`~.Decimation`.
         base_keys: Pose of the base; None has it rest at the world's origin, as an arm's does.
-        height_key: Height of the base over the ground [m], shape (*B, 1), where the environment shows it: what the frame
-            stands on is then that much below the base. Else the ground is at z = 0.
+        height_key: Height of the base over the ground [m], shape (*B, 1), where the environment shows it: the ground
+            is that much below the base. Else it is at z = 0.
         end_effector_keys: Pose of the end effector; None starts from the middle of the ranges, pointing ahead.
         velocity_key: Where to command: forward, lateral [m/s], yaw rate [rad/s]. Shape (*B, 3).
         pose_key: Where to command: position [m] and the first two columns of the rotation matrix. Shape (*B, 9).

@@ -112,8 +112,8 @@ class CorrectedActuation(StatefulTransform):
         velocity_key: [rad/s]. Shape (*B, J).
         target_key: Where to note the target that acts.
         scale_keys: As of :class:`PDControl`.
-        limit_scale_key: Entry that multiplies the motors' torques at standstill, those that the diagnosis found as well,
-            where the tensordict has it. Shape (*B, J) or (*B, 1).
+        limit_scale_key: Entry that multiplies the motors' torques at standstill, the diagnosed ones too, where the
+            tensordict has it. Shape (*B, J) or (*B, 1).
         state_key: Begins the keys of what is remembered, as far as needed: ``_queue``, commands on their way, shape
             (*B, L, J); ``_lag``, the state of the lag, (*B, J); ``_wound`` and ``_last``, how far hysteresis has built
             up, 0 at the start, and where, (*B, J); ``_fresh``, whether an episode has yet to get its first command,

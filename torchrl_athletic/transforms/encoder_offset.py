@@ -17,8 +17,8 @@ from torchrl_athletic.transforms.stateful import Joints, RandomTransform, joint_
 class EncoderOffset(RandomTransform):
     """Read joint positions with an offset, drawn for each joint when an episode starts.
 
-    In place, the whole chain sees the reading, as a drive does: put the transform before :class:`~.Decimation`. The true
-    position, for rewards and for the critic, goes to ``true_key`` then; under another ``out_key`` it stays where it is.
+    In place, the whole chain sees the reading, as a drive does: put the transform before :class:`~.Decimation`. The
+    true position, for rewards and for the critic, goes to ``true_key`` then; under another ``out_key`` it stays.
 
     Args:
         low: Least offset [rad].

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
@@ -36,6 +35,7 @@ class PoseError(Transform):
         Fey et al. 2025, section II-B, reward function.
 
     Example:
+        >>> import torch
         >>> from tensordict import TensorDict
         >>> ahead = torch.tensor([[1.0, 0.0, 0.0, 0.0]])
         >>> shown = TensorDict(

@@ -1,0 +1,86 @@
+"""Networks that are shipped do what they did when they were written, or are refused."""
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from torchrl_athletic.networks import (
+    RunningNormalizer,
+    actor,
+    critic,
+    describe,
+    pretrained,
+    read_network,
+    shipped_path,
+    uan,
+    write_network,
+)
+
+
+def policy():
+    torch.manual_seed(0)
+    normalizer = RunningNormalizer(6)
+    normalizer.update(3 + 2 * torch.randn(100, 6))
+    return actor(6, 2, hidden=(8, 8), normalizer=normalizer, scale=0.3)
+
+
+def test_what_was_written_acts_the_same_when_it_is_read(tmp_path):
+    seen = TensorDict(observation=torch.randn(5, 6), batch_size=[5])
+    one = policy()
+    read = read_network(tmp_path / "a.npz", write_network(tmp_path / "a.npz", one, seed=3))
+    for key in ("loc", "scale"):
+        torch.testing.assert_close(read(seen.clone())[key], one(seen.clone())[key].detach(), rtol=0, atol=0)
+    assert not any(parameter.requires_grad for parameter in read.parameters())
+
+
+def test_a_value_function_and_an_actuator_net_too(tmp_path):
+    torch.manual_seed(1)
+    value = critic(4, in_keys=["privileged"], hidden=(8,))
+    write_network(tmp_path / "v.npz", value)
+    seen = TensorDict(privileged=torch.randn(5, 4), batch_size=[5])
+    torch.testing.assert_close(
+        read_network(tmp_path / "v.npz")(seen)["state_value"], value(seen)["state_value"].detach()
+    )
+    net = uan(torque_unit=[1.0, 2.0], memory=(0.01,))
+    for parameter in net.parameters():
+        torch.nn.init.normal_(parameter, std=0.1)
+    write_network(tmp_path / "n.npz", net)
+    errors = torch.randn(3, 2, 41)
+    torch.testing.assert_close(read_network(tmp_path / "n.npz")(errors), net(errors).detach())
+
+
+def test_a_file_that_was_changed_is_refused(tmp_path):
+    path = tmp_path / "a.npz"
+    digest = write_network(path, policy())
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"a\.npz has SHA-256 .*expected is .*Install the library again"):
+        read_network(path, digest)
+
+
+def test_a_file_that_would_run_code_or_is_something_else_is_refused(tmp_path):
+    np.savez(tmp_path / "p.npz", metadata=np.array([{"format": "x"}], dtype=object))
+    with pytest.raises(ValueError, match="allow_pickle=False"):
+        read_network(tmp_path / "p.npz")
+    np.savez(tmp_path / "q.npz", weights=np.zeros(3))
+    with pytest.raises(ValueError, match="is not a network of format"):
+        read_network(tmp_path / "q.npz")
+
+
+def test_all_that_is_shipped_is_small_sound_and_known_by_name():
+    names = ("uan", "wbc", "wbc_critic")
+    assert sum(shipped_path(name).stat().st_size for name in names) < 20e6
+    for name in names:
+        net = pretrained(name)
+        assert all(torch.isfinite(parameter).all() for parameter in net.parameters())
+        assert describe(name)["trained_with"].startswith("python recipes/")
+    with pytest.raises(ValueError, match=r"no network 'walk'.*\['uan', 'wbc', 'wbc_critic'\]"):
+        pretrained("walk")
+
+
+def test_the_controller_says_which_actuator_net_it_was_trained_with_and_how_good_it_is():
+    told = describe("wbc")
+    assert told["uan_sha256"] == __import__("hashlib").sha256(shipped_path("uan").read_bytes()).hexdigest()
+    assert told["evaluation"]["all randomised"]["falls"][0] < 0.05
