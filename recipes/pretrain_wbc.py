@@ -90,8 +90,8 @@ def main(cfg: Config) -> None:
             curves = training.draw_curves({"": cfg.output / "progress.csv"}, training.CURVES, cfg.output / "curves.png")
             print("curves:", curves)
         if cfg.video:
-            policy, look = learner.actor.to("cpu"), {"steps": 500, "annotate": draw_command}
-            print("video:", training.record_video(make_env(cfg, 1), policy, cfg.output / "wbc.mp4", **look))
+            env, policy, path = make_env(cfg, 1), learner.actor.to("cpu"), cfg.output / "wbc.mp4"
+            print("video:", training.record_video(env, policy, path, steps=500, annotate=draw_command))
     processes.leave()
 
 
@@ -100,8 +100,8 @@ def make_env(cfg: Config, num_envs: int, first_row: int = 0, device: str = "cpu"
     chance = Disturbances() if cfg.randomize else NO_DISTURBANCES
     if cfg.actuation not in ("uan", "ideal"):
         simulator = Simulator.load(cfg.actuation, robot)
-        robot, rows = simulator.robot, {"seed": cfg.seed, "first_row": first_row}
-        chain = simulator.chain(arm_power=300.0, max_delay=chance.delay[1], **rows)
+        robot, delay = simulator.robot, chance.delay[1]
+        chain = simulator.chain(arm_power=300.0, max_delay=delay, seed=cfg.seed, first_row=first_row)
     terms = whole_body_rewards(robot, "true_joint_position" if cfg.randomize else "joint_position", cfg.without)
     net = "uan" if cfg.actuation == "uan" else None
     told: dict[str, Any] = {"net": net, "chain": chain, "terms": terms, "disturbances": chance, "history": cfg.history}

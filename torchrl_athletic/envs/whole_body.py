@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -71,7 +72,7 @@ PRIVILEGED = (
 critic knows more than the policy; that of its authors' earlier work does (Portela et al. 2024)."""
 
 ACTION_SCALE = {"leg": 0.25, "arm": 0.5, "gripper": 0.1}
-"""By how much an action of 1 moves the position targets of a group of joints [rad]. Legs and arm: as Portela et al. 2024."""
+"""By how much an action of 1 moves the position targets of a group of joints [rad]: after Portela et al. 2024."""
 
 FALL_HEIGHT, FALL_UPRIGHT = 0.25, 0.5
 """A robot whose base is lower over the ground [m], or tilted beyond 60° (cosine [1]), has fallen: our figures."""
@@ -173,7 +174,7 @@ def whole_body_env(
     robot = b2z1(terrain=Terrain(), cone="pyramidal") if robot is None else robot
     commands = CommandRanges() if commands is None else commands
     chance = Disturbances() if disturbances is None else disturbances
-    rows: dict[str, int] = {"seed": seed, "first_row": first_row}
+    rows: dict[str, Any] = {"seed": seed, "first_row": first_row}
     if chain is None:
         net = pretrained(net) if isinstance(net, str) else net
         least, greatest = chance.delay
@@ -191,7 +192,7 @@ def whole_body_env(
         substeps=substeps,
     )
     position = "true_joint_position" if sensing else "joint_position"
-    terms, scales = whole_body_rewards(robot, position) if terms is None else terms
+    earned, scales = whole_body_rewards(robot, position) if terms is None else terms
     env = TransformedEnv(
         base,
         Compose(
@@ -208,7 +209,7 @@ def whole_body_env(
             TrackingErrors(),
             _scaling(robot, action_offset, action_scale),
             ActionHistory(3, before=torch.zeros(len(robot.joint_names))),
-            RewardTerms(terms, scales, dt=dt),
+            RewardTerms(earned, scales, dt=dt),
             UnaryTransform(["action_history"], ["last_action"], fn=_newest),
             CatTensors(list(FRAME), "frame", del_keys=False, sort=False),
             ObservationHistory(["frame"], history, ["observation"], flatten=True),
@@ -223,14 +224,14 @@ def _policy_step(robot: Robot, chain: Sequence[Transform], substeps: int) -> flo
     return math.prod(decimation) * substeps * float(robot.model().opt.timestep)
 
 
-def _sensing(chance: Disturbances, rows: Mapping[str, int]) -> list[Transform]:
+def _sensing(chance: Disturbances, rows: Mapping[str, Any]) -> list[Transform]:
     """What stands between the joints and all that reads them."""
     if not any(chance.encoder_offset):
         return []
     return [EncoderOffset(*chance.encoder_offset, true_key="true_joint_position", **rows)]
 
 
-def _starting(chance: Disturbances, rows: Mapping[str, int]) -> list[Transform]:
+def _starting(chance: Disturbances, rows: Mapping[str, Any]) -> list[Transform]:
     """What each episode starts with."""
     starting: list[Transform] = [] if chance.starts is None else [InitialState(chance.starts, **rows)]
     return starting + ([] if chance.randomization is None else [DomainRandomization(chance.randomization, **rows)])

@@ -51,7 +51,7 @@ class CommandRanges:
     yaw: Range = (-math.pi / 6, math.pi / 6)
     """About the vertical, from the line of sight [rad]."""
     shoulder: Place | None = (0.15, 0.0, 0.25)
-    """Where lines of sight to goals begin, in the commands' frame [m]: at the Z1's on a standing B2. None looks ahead."""
+    """Where lines of sight to goals begin, in the commands' frame [m]: the Z1's on a B2. None looks ahead."""
     frame_height: float = 0.5
     """Of the commands' frame above the ground [m]. It follows the base's place and heading, and stays upright."""
     interval: float = 7.0

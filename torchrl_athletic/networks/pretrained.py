@@ -74,11 +74,14 @@ def write_network(path: str | Path, network: nn.Module, **told: Any) -> str:
     """
     path = Path(path)
     state = network.state_dict()
-    arrays = {name: value.detach().cpu().numpy() for name, value in state.items() if isinstance(value, Tensor)}
+    arrays: dict[str, Any] = {
+        name: value.detach().cpu().numpy() for name, value in state.items() if isinstance(value, Tensor)
+    }
     extra = {name: value for name, value in state.items() if name not in arrays}
     metadata = {"format": FORMAT, **_kind_and_sizes(network), "extra": extra, **told}
     content = io.BytesIO()
-    np.savez(content, **arrays, metadata=np.frombuffer(json.dumps(metadata).encode(), np.uint8))
+    arrays["metadata"] = np.frombuffer(json.dumps(metadata).encode(), np.uint8)
+    np.savez(content, **arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}")
     part.write_bytes(content.getvalue())
@@ -126,7 +129,7 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
     return dict(metadata)
 
 
-def _kind_and_sizes(network: nn.Module) -> dict[str, Any]:
+def _kind_and_sizes(network: Any) -> dict[str, Any]:
     """What it takes to build a network of the same shape."""
     trunk = next((module for module in network.modules() if isinstance(module, Trunk)), None)
     if trunk is None:
@@ -143,7 +146,8 @@ def _kind_and_sizes(network: nn.Module) -> dict[str, Any]:
 def _build(path: Path, metadata: Mapping[str, Any]) -> nn.Module:
     kind, sizes = metadata["kind"], dict(metadata["sizes"])
     if kind == "uan":
-        return Sizes(**{name: tuple(v) if isinstance(v, list) else v for name, v in sizes.items()}).net()
+        told: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in sizes.items()}
+        return Sizes(**told).net()
     if kind not in ("actor", "critic"):
         raise ValueError(f"{path.name} holds a network of kind {kind!r}; known are actor, critic and uan.")
     normalizer = RunningNormalizer(sizes["in_features"]) if metadata["normalized"] else None

@@ -19,8 +19,8 @@ def estimate_capacity(model: mujoco.MjModel, seed: int = 0) -> tuple[int, int]:
 
     Half as many again as was ever needed by 64 falls: from the default pose and the keyframes, then from joints
     anywhere in their ranges and free bodies at their height or lower, in any attitude, lifted out of what they are in,
-    without any control. Pairs of geoms whose bounding spheres touch count as contacts, since the search for contacts keeps a
-    list of them of the same length.
+    without any control. Pairs of geoms whose bounding spheres touch count as contacts, since the search for contacts
+    keeps a list of them of the same length.
 
     Args:
         model: What will be simulated.

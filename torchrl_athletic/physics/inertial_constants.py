@@ -56,8 +56,8 @@ class InertialConstants:
         """Look at a model once. Tensors are float32, computed in float64."""
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)  # in the reference pose
-        squares, turns = zip(*(_squares_of(model, data, body) for body in range(model.nbody)), strict=True)
-        squares, turns = np.array(squares), np.array(turns)
+        of_bodies = [_squares_of(model, data, body) for body in range(model.nbody)]
+        squares, turns = (np.array(part) for part in zip(*of_bodies, strict=True))
         mass_matrix = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass_matrix)
         basis = _powers(torch.from_numpy(model.body_ipos)).numpy() * model.body_mass[:, None]

@@ -156,7 +156,8 @@ def fuse_transforms(env: EnvBase, backend: str = "inductor") -> None:
             setattr(base, name, compiled(getattr(base, name)))
     for transform in outside:
         if isinstance(transform, DomainRandomization):
-            transform.draw, transform.values_of = compiled(transform.draw), compiled(transform.values_of)
+            for name in ("draw", "values_of"):
+                setattr(transform, name, compiled(getattr(transform, name)))
 
     after = _in_groups(outside, "_step", compiled)
 

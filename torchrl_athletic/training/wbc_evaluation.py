@@ -132,7 +132,9 @@ def examine(
     """
     table = Path(table)
     header = {"made_of": made_of, "episodes": episodes, "steps": steps, "seed": seed}
-    found = json.loads(table.read_text("utf-8")) if table.exists() else {**header, "conditions": {}}
+    found: dict[str, Any] = {**header, "conditions": {}}
+    if table.exists():
+        found = json.loads(table.read_text("utf-8"))
     for name, value in header.items():
         if found.get(name) != value:
             raise ValueError(
