@@ -8,11 +8,14 @@ python recipes/pretrain_wbc.py --collectors ray --workers 64       # robots on t
 The same command goes on after Ctrl-C or a crash. What the shipped controller can do: docs/whole_body.md.
 """
 
+import os
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads of torch that spin would take cores from the physics
+# ruff: noqa: E402
 import torch
 import tyro
 from torchrl.envs import TransformedEnv
@@ -25,14 +28,12 @@ from torchrl_athletic.robots import Terrain, b2z1
 
 @dataclass(frozen=True)
 class Config:
-    device: Literal["cpu", "cuda"] = "cpu"
-    """Of simulation and nets."""
+    device: Literal["cpu", "cuda"] = "cpu"  # of simulation and nets
     minutes: float | None = None
     """When to stop [min]; None takes 10 on CPUs and 25 on a GPU."""
     iterations: int | None = None
     """When to stop in any case."""
-    seed: int = 0
-    """Of weights, robots, commands and exploration."""
+    seed: int = 0  # of weights, robots, commands and exploration
     actuation: str = "uan"
     """Of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     randomize: bool = True
@@ -41,8 +42,7 @@ class Config:
     """Terms of the reward to leave out."""
     minibatches: Literal["split", "joint"] = "split"
     """What the critic learns from: the whole batch, or the actor's minibatches."""
-    history: int = 10
-    """Frames that the policy sees."""
+    history: int = 10  # frames that the policy sees
     hidden: tuple[int, ...] | None = None
     """Layers of both networks; None takes 2 x 128 on CPUs and the paper's 3 x 512 on a GPU."""
     ppo: training.PPO = field(default_factory=lambda: training.PRE_TRAIN)

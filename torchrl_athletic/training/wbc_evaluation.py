@@ -186,8 +186,8 @@ def _joined(parts: Sequence[Episodes]) -> Episodes:
 
 
 def _told_of(episodes: Episodes) -> dict[str, Any]:
-    told: dict[str, Any] = {"episodes": len(episodes.fell), "falls": episodes.falls()}
-    told |= {name: episodes.mean(f"tracking/{name}") for name in ERRORS}
+    told: dict[str, Any] = {"episodes": len(episodes.fell), "falls": list(episodes.falls())}
+    told |= {name: list(episodes.mean(f"tracking/{name}")) for name in ERRORS}
     return told | {"fallen": [int(row) for row in episodes.fell.nonzero()[0][:50]]}
 
 

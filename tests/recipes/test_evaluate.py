@@ -1,0 +1,99 @@
+"""The examination of a controller: each condition is what it says, and what is done is not done again."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+from recipes.test_commands import load
+
+from torchrl_athletic.networks import pretrained, shipped_path
+from torchrl_athletic.training import examine, table_of, wbc_conditions
+from torchrl_athletic.training import wbc_evaluation as module
+
+recipe = load("recipes/evaluate.py")
+CONDITIONS = wbc_conditions()
+
+
+def test_all_that_was_asked_for_is_examined():
+    names = " ".join(CONDITIONS)
+    for word in ("all randomised", "1 ms", "elliptic", "nominal", "pushes", "slope 5°", "slope 10°", "bumps 5 cm"):
+        assert word in names
+    for axis in ("friction", "restitution", "stiffness", "damping", "stall torque", "masses", "centres", "encoders"):
+        assert names.count(axis) == 2, axis
+
+
+@pytest.mark.parametrize("name", ["masses x 0.5", "friction 4", "delay 30 ms", "encoders +0.05 rad", "slope 10°"])
+def test_a_condition_differs_in_what_it_says_and_in_nothing_else(name):
+    env, nominal = (CONDITIONS[which].env(2, net=None) for which in (name, "nominal"))
+    td, plain = env.reset(), nominal.reset()
+    physics, model = env.base_env.physics, nominal.base_env.physics.model
+    fields = {field: physics.field(field)[0].numpy() for field in physics.fields}
+    changed = {field for field, value in fields.items() if not np.allclose(value, getattr(model, field))}
+    if name == "masses x 0.5":
+        assert changed == {"body_mass", "body_inertia"}
+        assert fields["body_mass"].sum() == pytest.approx(0.5 * model.body_mass.sum())
+    elif name == "friction 4":
+        assert changed == {"geom_friction"}
+        assert fields["geom_friction"][model.geom("floor").id, 0] == 4.0
+    elif name == "delay 30 ms":
+        assert td["action_delay"].flatten().tolist() == [6, 6]
+    elif name == "encoders +0.05 rad":
+        shift = td["joint_position"] - plain["joint_position"]
+        torch.testing.assert_close(shift, torch.full_like(shift, 0.05), atol=1e-6, rtol=0)
+    else:
+        low, high = env.base_env.ground.height(torch.tensor([[-3.0, 0.0], [3.0, 0.0]])).flatten().tolist()
+        assert high - low == pytest.approx(6 * math.tan(math.radians(10)), abs=1e-3)
+
+
+def test_a_finer_simulation_moves_as_often():
+    fine, coarse = (CONDITIONS[name].env(1, net=None) for name in ("all randomised, 1 ms steps", "all randomised"))
+    assert fine.base_env.physics.timestep == 0.001
+    for env in (fine, coarse):
+        env.step(env.rand_action(env.reset()))
+        assert float(env.base_env.physics.time) == pytest.approx(0.02)
+
+
+def test_the_recipe_writes_a_table_a_picture_and_the_episodes_it_counted(tmp_path, capsys, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(
+        recipe.training, "draw_episode", lambda *args, **_: drawn.append(args) or [np.zeros((4, 4, 3), np.uint8)] * 3
+    )
+    monkeypatch.setattr(recipe.training, "write_video", lambda frames, path, rate: path)
+    cfg = recipe.Config(conditions=("nominal", "pushes"), episodes=3, batch=2, seconds=0.4, output=tmp_path)
+    recipe.main(cfg)
+    told = json.loads((tmp_path / "evaluation.json").read_text())
+    assert list(told["conditions"]) == ["nominal", "pushes"]
+    assert told["conditions"]["nominal"]["episodes"] == 3
+    assert "| nominal | 0.0 % (0.0 to" in capsys.readouterr().out
+    assert (tmp_path / "evaluation.svg").stat().st_size > 1000
+    assert len(drawn) == 1  # nobody fell
+    assert drawn[0][0].numel() == 1
+
+
+def test_what_was_examined_is_kept_and_another_policy_s_table_is_refused(tmp_path, monkeypatch):
+    policy, told = pretrained("wbc"), {"episodes": 2, "steps": 5, "progress": False, "net": None}
+    chosen = {name: CONDITIONS[name] for name in ("nominal", "pushes")}
+    first = examine(policy, {"nominal": chosen["nominal"]}, tmp_path / "t.json", made_of="a", **told)
+    played = []
+    monkeypatch.setattr(module, "_play", lambda *args: played.append(args[1]) or real(*args))
+    second = examine(policy, chosen, tmp_path / "t.json", made_of="a", **told)
+    assert played == [chosen["pushes"]]
+    assert second["nominal"] == first["nominal"]
+    assert table_of(second).count("\n") == 3
+    with pytest.raises(ValueError, match=r"made_of 'a', asked for is 'b'.*a file of its own"):
+        examine(policy, chosen, tmp_path / "t.json", made_of="b", **told)
+
+
+real = module._play
+
+
+def test_an_unknown_condition_is_named(tmp_path):
+    with pytest.raises(SystemExit, match="no condition 'moon'"):
+        recipe.main(recipe.Config(conditions=("moon",), output=tmp_path))
+
+
+def test_the_shipped_controller_is_the_default():
+    assert recipe.Config().policy == "wbc"
+    assert shipped_path("wbc").name == "wbc.npz"

@@ -1,0 +1,103 @@
+"""The recipe for pre-training, run for a few iterations in each of its ways."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from recipes.test_commands import load
+
+from torchrl_athletic.identification import Simulator
+from torchrl_athletic.networks import read_network, uan
+from torchrl_athletic.robots import z1
+from torchrl_athletic.training import PRE_TRAIN, CSVTable
+from torchrl_athletic.transforms import CommandSampler, CorrectedActuation, InitialState, UANCorrection
+
+ROOT = Path(__file__).parents[2]
+recipe = load("recipes/pretrain_wbc.py")
+FLAGS = ["--iterations", "3", "--hidden", "16", "--ppo.num-envs", "64", "--ppo.horizon", "4", "--no-video"]
+FEW = replace(PRE_TRAIN, num_envs=32, horizon=3)  # of which the CPU takes an eighth
+
+
+def short(output, **changes):
+    return recipe.Config(iterations=2, hidden=(16,), ppo=FEW, output=output, **({"video": False} | changes))
+
+
+def parts_of(cfg):
+    return {type(part): part for part in recipe.make_env(cfg, 2).transform}
+
+
+def test_it_learns_logs_and_leaves_a_controller_curves_and_a_video(tmp_path, capsys, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(recipe.training, "record_video", lambda env, policy, path, **_: drawn.append(path) or path)
+    recipe.main(short(tmp_path, video=True))
+    rows = CSVTable(tmp_path / "progress.csv").rows
+    assert [row["step"] for row in rows] == ["1", "2"]
+    assert float(rows[-1]["samples"]) == 3 * 4 * 3  # a batch more, for the scale of observations
+    assert 0 < float(rows[-1]["tracking/position"]) < 2
+    policy = read_network(tmp_path / "wbc.npz")
+    assert policy(recipe.make_env(short(tmp_path), 2).reset())["action"].shape == (2, 19)
+    assert (tmp_path / "curves.png").stat().st_size > 1000
+    assert drawn == [tmp_path / "wbc.mp4"]
+    assert "policy:" in capsys.readouterr().out
+
+
+def test_the_same_command_goes_on(tmp_path):
+    recipe.main(short(tmp_path / "parts"))
+    recipe.main(replace(short(tmp_path / "parts"), iterations=4))
+    recipe.main(replace(short(tmp_path / "whole"), iterations=4))
+    parts, whole = (read_network(tmp_path / name / "wbc.npz").state_dict() for name in ("parts", "whole"))
+    for name, value in whole.items():
+        assert torch.equal(parts[name], value), name
+
+
+def test_the_arm_is_driven_as_it_is_told(tmp_path):
+    assert UANCorrection in parts_of(short(tmp_path))
+    assert UANCorrection not in parts_of(short(tmp_path, actuation="ideal"))
+    found = {"schema": "torchrl_athletic/corrected/1", "joint_names": list(z1().joint_names), "trims": []}
+    late = {"effect": "actuation_delay", "joint": "joint2", "parameters": {"delay": {"value": 0.012}}}
+    heavy = {"effect": "reflected_inertia", "joint": "joint2", "parameters": {"armature": {"value": 0.1}}}
+    for name, net in (("diagnosed", None), ("diagnosed_uan", uan())):
+        kind = "none" if net is None else "correction"
+        Simulator(name, z1(), found | {"effects": [late, heavy]}, net, kind).save(tmp_path / name)
+        env = recipe.make_env(short(tmp_path, actuation=str(tmp_path / name)), 2)
+        kinds = {type(part) for part in env.transform}
+        assert CorrectedActuation in kinds
+        assert (UANCorrection in kinds) == (net is not None)
+        model = env.base_env.physics.model
+        dof = model.joint("joint2").dofadr[0]
+        assert model.dof_armature[dof] == pytest.approx(0.1)
+        assert env.rollout(2)["observation"].isfinite().all()
+
+
+def test_ablations_leave_out_what_they_say(tmp_path):
+    env = recipe.make_env(short(tmp_path, without=("gait", "foot_clearance"), history=1), 2)
+    shown = env.reset()
+    assert shown["observation"].shape == (2, 77)
+    assert "gait" not in shown["reward_terms"].keys()
+    nominal = parts_of(short(tmp_path, randomize=False))
+    assert InitialState not in nominal
+    assert CommandSampler in nominal
+
+
+@pytest.mark.slow
+def test_two_processes_train_one_controller(tmp_path):
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    command += ["recipes/pretrain_wbc.py", *FLAGS, "--output", str(tmp_path)]
+    subprocess.run(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, check=True)
+    rows = CSVTable(tmp_path / "progress.csv").rows
+    assert [row["step"] for row in rows] == ["1", "2", "3"]
+    assert float(rows[-1]["samples"]) == 4 * 8 * 4
+    assert (tmp_path / "wbc.npz").exists()
+
+
+@pytest.mark.slow
+def test_robots_on_ray_s_workers_train_a_controller(tmp_path):
+    pytest.importorskip("ray")
+    command = [sys.executable, "recipes/pretrain_wbc.py", "--collectors", "ray", *FLAGS, "--output", str(tmp_path)]
+    subprocess.run(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, check=True)
+    rows = CSVTable(tmp_path / "progress.csv").rows
+    assert float(rows[-1]["samples"]) == 4 * 8 * 4
