@@ -1,14 +1,15 @@
-"""How much of the physics' own speed is left when the whole environment stands around it.
+"""How much of the physics' own speed is left when the whole environment stands around it, and when it is learnt from.
 
-    python benchmarks/control_step.py                                        # 1,024 robots on this machine's CPU
-    python benchmarks/control_step.py --device cuda --num-envs 4096             # on a GPU
+    python benchmarks/control_step.py --learn                                # 512 robots on this machine's CPU
+    python benchmarks/control_step.py --device cuda --num-envs 4096          # on a GPU
     python benchmarks/control_step.py --device cuda --num-envs 4096 --pairs 0 --learn    # whole PPO iterations, alone
 
-The environment is the paper's for pre-training a B2 with a Z1: PD law, Unsupervised Actuator Net, both clips, delay,
-four physics steps per action, commands, gait clock, task phase, a reference, 14 reward terms, ten frames of history,
-resets. Its rival does as many physics steps from the same states, under the torques that acted at the end of each
-control step, and nothing else: MuJoCo's batch on the CPU, a bare CUDA graph of MuJoCo Warp on a GPU. Both are timed in
-turn; each pair gives one ratio.
+The environment is the paper's for pre-training a B2 with a Z1, with everything on: rough ground, randomised robots,
+pushes, random starts, restarts, delays, encoder offsets, PD law, actuator net, both clips, four physics steps per
+action, commands, gait clock, 14 reward terms, ten frames of history. The robots walk as the shipped controller has
+them. The rival does as many physics steps from the same states, with the same robots and the torques that acted at the
+end of each control step, and nothing else: MuJoCo's batch on the CPU, a bare CUDA graph of MuJoCo Warp on a GPU. Both
+are timed in turn; each pair gives one ratio.
 """
 
 from __future__ import annotations
@@ -27,17 +28,16 @@ from typing import Any
 import torch
 import tyro
 from tensordict import TensorDictBase
-from torchrl.envs import ActionScaling, EnvBase
+from torchrl.envs import EnvBase
 from tqdm import trange
 
 from torchrl_athletic.envs import make_physics, whole_body_env
-from torchrl_athletic.networks import actor, critic, uan
+from torchrl_athletic.networks import pretrained
 from torchrl_athletic.physics import Physics
-from torchrl_athletic.robots import Robot, b2z1
-from torchrl_athletic.training import PPO, Learner, iterate
+from torchrl_athletic.robots import Robot, Terrain, b2z1
+from torchrl_athletic.training import PPO, Learner, iterate, wbc_learner
 from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
 from torchrl_athletic.training.ppo import collect, estimate_advantage
-from torchrl_athletic.transforms import ReferenceTrajectory
 
 DECIMATION = 4
 STATE = ("qpos", "qvel", "qacc_warmstart")
@@ -49,20 +49,20 @@ class Config:
 
     device: str = "cpu"
     """Where to run."""
-    num_envs: int = 1024
+    num_envs: int = 512
     """Robots."""
+    flat: bool = False
+    """Whether the ground is a plane."""
     cone: str = "pyramidal"
     """Of friction."""
     pairs: int = 20
     """Ratios; each compares ``steps`` control steps. 0 leaves the comparison out, and its memory."""
     steps: int = 6
     """Control steps of a measurement."""
-    noise: float = 0.3
-    """Standard deviation of the actions about the default pose [rad]: keeps the robots in motion."""
     fuse: bool = False
     """Compile the transforms on the CPU too; on a GPU they are in any case."""
     learn: bool = False
-    """Also time PPO iterations with nets of 3 x 512."""
+    """Also time PPO iterations, with nets of 3 x 512 on a GPU and 2 x 128 on a CPU."""
     iterations: int = 20
     """PPO iterations to time."""
     commit: str = ""
@@ -73,7 +73,8 @@ class Config:
 
 def main(cfg: Config) -> None:
     torch.manual_seed(0)
-    robot = b2z1(cone=cfg.cone)  # type: ignore[arg-type]
+    torch.set_float32_matmul_precision("high")
+    robot = b2z1(cone=cfg.cone, terrain=None if cfg.flat else Terrain())  # type: ignore[arg-type]
     rows = compare(robot, make_env(robot, cfg), cfg) if cfg.pairs else []
     if cfg.learn:
         gc.collect()  # or the environment above would count as memory of the training
@@ -87,29 +88,19 @@ def main(cfg: Config) -> None:
 
 
 def make_env(robot: Robot, cfg: Config) -> EnvBase:
-    swing = torch.stack([torch.linspace(0, 1, 200)] * 7, -1)
-    reference = ReferenceTrajectory({"arm": swing}, table_dt=0.02, dt=0.02)
-    env = whole_body_env(
-        robot, num_envs=cfg.num_envs, device=cfg.device, net=uan().to(cfg.device), extra=(reference,), max_steps=200
-    )
-    pose = torch.tensor(robot.default_pose, dtype=torch.float32)
-    return env.append_transform(ActionScaling(loc=pose, scale=torch.full_like(pose, cfg.noise)))
-
-
-def explore(robot: Robot, cfg: Config) -> Callable[[TensorDictBase], TensorDictBase]:
-    """A policy that costs nothing: noise about the default pose."""
-    size, device = (cfg.num_envs, len(robot.joint_names)), cfg.device
-    return lambda tensordict: tensordict.set("action", torch.randn(size, device=device))
+    return whole_body_env(robot, num_envs=cfg.num_envs, device=cfg.device)
 
 
 def compare(robot: Robot, env: Any, cfg: Config) -> list[tuple[str, str]]:
     if cfg.fuse and cfg.device == "cpu":
         fuse_transforms(env)
-    rollout = CapturedRollout(env, explore(robot, cfg), cfg.steps, keys=["observation", "applied_torque"])
-    rival = make_physics(robot, cfg.num_envs, cfg.device)
+    rollout = CapturedRollout(env, pretrained("wbc").to(cfg.device), cfg.steps, keys=["privileged", "applied_torque"])
+    rollout.current["step_count"].random_(0, 1000)  # so that robots restart at all times
     physics: Physics = env.base_env.physics
+    rival = make_physics(robot, cfg.num_envs, cfg.device, fields=physics.fields)
     for _ in trange(10, desc="set robots in motion"):
         batch = rollout()
+    rival.set_fields({name: physics.field(name) for name in physics.fields})
     bare = rival.capture(lambda: rival.step(DECIMATION), warmup=1)
 
     collected: list[TensorDictBase] = []
@@ -145,34 +136,38 @@ def compare(robot: Robot, env: Any, cfg: Config) -> list[tuple[str, str]]:
 
 def learn(env: Any, cfg: Config) -> list[tuple[str, str]]:
     """Whole PPO iterations: collect, estimate advantages, update."""
-    torch.set_float32_matmul_precision("high")
-    width, actions = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
-    policy = actor(width, actions).to(cfg.device)
-    learner = Learner(
-        env, policy, critic(width).to(cfg.device), PPO(num_envs=cfg.num_envs), cuda_graph=cfg.device != "cpu"
-    )
-    for _ in range(3):
+    on_gpu = cfg.device != "cpu"
+    hidden = (512, 512, 512) if on_gpu else (128, 128)
+    learner = wbc_learner(env, PPO(num_envs=cfg.num_envs), hidden=hidden, cuda_graph=on_gpu)
+    for _ in range(3 if on_gpu else 1):
         iterate(learner)
-    if cfg.device != "cpu":
+    if on_gpu:
         torch.cuda.reset_peak_memory_stats()
     times = [seconds(lambda: iterate(learner), cfg.device) for _ in trange(cfg.iterations, desc="learn")]
-    rows = [(f"PPO iteration of {24 * cfg.num_envs:,} samples", f"{median(times):.3f} s")]
-    if cfg.device != "cpu":
+    rows = [(f"PPO iteration of {24 * cfg.num_envs:,} samples, nets of {hidden}", f"{median(times):.3f} s")]
+    if on_gpu:
         peak, reserved = torch.cuda.max_memory_allocated(), torch.cuda.memory_reserved()
         torch.cuda.empty_cache()
         free, total = torch.cuda.mem_get_info()
         others = total - free - torch.cuda.memory_reserved()
         rows.append(("peak memory: torch's tensors, and all else", f"{peak / 2**30:.2f} + {others / 2**30:.2f} GiB"))
         rows.append(("reserved by torch, caches and graphs included", f"{reserved / 2**30:.2f} GiB"))
-        rows.append(("held with caches emptied", f"{(total - free) / 2**30:.2f} GiB"))
     for name, phase in phases(learner).items():
-        if cfg.device != "cpu":
-            torch.cuda.reset_peak_memory_stats()
-        took = f"{seconds(phase, cfg.device):.3f} s"
-        if cfg.device != "cpu":
-            took += f", torch's tensors up to {torch.cuda.max_memory_allocated() / 2**30:.2f} GiB"
-        rows.append((f"{name} alone", took))
-    return rows
+        rows.append((f"{name} alone", f"{seconds(phase, cfg.device):.3f} s"))
+    physics = env.base_env.physics
+    rival = make_physics(env.base_env.robot, cfg.num_envs, cfg.device, fields=physics.fields)
+    rival.set_fields({name: physics.field(name) for name in physics.fields})
+    bare, state = rival.capture(lambda: rival.step(DECIMATION), warmup=1), {}
+    for name in (*STATE, "qfrc_applied"):
+        state[name] = physics.data(name).clone()
+    alone = []
+    for _ in range(20):
+        for name, value in state.items():
+            rival.data(name).copy_(value)
+        alone.append(seconds(bare, cfg.device))
+    rows.append((f"{DECIMATION} physics steps alone, from states of the training", f"{1e3 * median(alone):.2f} ms"))
+    share = 24 * median(alone) / median(times)
+    return [*rows, ("training samples/s against bare physics", f"{share:.3f}")]
 
 
 def phases(learner: Learner) -> dict[str, Callable[[], object]]:
@@ -204,6 +199,7 @@ def origin(cfg: Config) -> str:
     )
     where = torch.cuda.get_device_name() if cfg.device != "cpu" else f"{len(os.sched_getaffinity(0))} cores"
     flags = f"--device {cfg.device} --num-envs {cfg.num_envs} --cone {cfg.cone}{' --learn' if cfg.learn else ''}"
+    flags += " --flat" if cfg.flat else ""
     flags += (" --fuse" if cfg.fuse else "") + ("" if cfg.pairs else " --pairs 0")
     machine = f"{where} of {platform.machine()}, torch {torch.__version__}"
     return f"`python benchmarks/control_step.py {flags}`, commit {commit}, {machine}."

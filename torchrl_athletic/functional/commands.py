@@ -25,9 +25,9 @@ class CommandRanges:
     box of positions is what the Z1 on a B2 reaches with some help of the legs; Fu et al. draw from a part of a sphere
     shell instead, 0.2 to 0.7 m about the arm's base for a smaller robot. A box is convex: the straight way from one of
     its points to another lies in it, so that no command leads through the robot. A gripper that points away from the
-    shoulder reaches low goals from above and high ones from below: with attitudes about this line of sight, 96 % of the
+    shoulder reaches low goals from above and high ones from below: with attitudes about this line of sight, 95 % of the
     goals are within 2 cm and 2 degrees of what the arm can do on a base that moves by 0.1 m and tilts by 0.25 rad; with
-    attitudes about the base's heading, 74 % were (``benchmarks/command_reach.py``).
+    attitudes about the base's heading, 72 % were (``benchmarks/command_reach.py``).
     """
 
     forward: Range = (-1.0, 1.0)
