@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Sequence
 
 import mujoco
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
@@ -32,8 +32,8 @@ class TorqueEnv(EnvBase):
     - ``torque`` (N, J), the action, unlimited: :class:`~torchrl_athletic.transforms.TorqueSpeedClip` limits it;
     - ``joint_position``, ``joint_velocity``, ``applied_torque``, ``joint_power``, torque times velocity [W] (N, J);
     - with a floating base, ``base_position``, ``base_quaternion`` (wxyz), in the world; ``base_linear_velocity``,
-      ``base_angular_velocity``, ``projected_gravity``, in the base's axes; ``base_height``, over the ground around it,
-      whose bumps are rounded off over ``footprint`` (N, 1);
+      ``base_angular_velocity``, ``projected_gravity``, in the base's axes; where the robot has ground, ``base_height``
+      over it, its bumps rounded off over ``footprint`` (N, 1);
     - the robot's ``sensors``: ``end_effector_position`` and so on, ``foot_force``; with ``foot_position``, also
       ``foot_height`` over the ground below each foot (N, F).
 
@@ -43,8 +43,8 @@ class TorqueEnv(EnvBase):
     takes the mean of ``averaged_keys`` over the steps of an action).
 
     A reset puts the robot at its keyframe, or at ``reset_qpos`` (N, nq) and ``reset_qvel`` (N, nv) where the tensordict
-    given to this environment's reset holds them, as transforms do that choose where an episode starts. Where these put
-    a floating robot into the ground, it is lifted until nothing is.
+    given to this environment's reset holds them, as transforms do that choose where an episode starts. A floating robot
+    that would start in the ground is lifted until nothing is.
 
     Args:
         robot: What to simulate.
@@ -106,7 +106,9 @@ class TorqueEnv(EnvBase):
         late = set(late_columns(model).tolist())
         self._late = {key: set(_numbers(columns)) <= late for key, (columns, _) in self._sensors.items()}
         self.averaged_keys = ("joint_power", *(key for key in self.every_step if self._late[key]))
-        if self._base_qpos is not None:
+        self.wrenches: dict[NestedKey, Tensor] = {}
+        """What :meth:`set_wrench` added to ``xfrc_applied``, by its name. Shape (N, bodies, 6) each."""
+        if self.on_ground:
             self.ground = ground_of(model, robot.ground, physics.device)
             self._ground_around = self.ground.averaged(footprint)
             self.clearance = Clearance.of(model, robot.ground, physics.device)
@@ -147,11 +149,36 @@ class TorqueEnv(EnvBase):
             starts = None if starts is None else starts.reshape(self.batch_size)
             qpos, qvel = tensordict.get("reset_qpos", None), tensordict.get("reset_qvel", None)
         self.physics.reset(starts, self._keyframe, qpos, qvel)
-        if self._base_qpos is not None and qpos is not None:
+        for wrench in self.wrenches.values():  # the physics' reset took them away
+            if starts is None:
+                wrench.zero_()
+            else:
+                wrench.masked_fill_(starts.view(-1, 1, 1), 0.0)
+        if self.on_ground:
             self._lift(starts)
         flag = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
         shown = self._observe(torch.zeros_like(self._copied(self.physics.joint_position)))
         return self._tensordict(shown, done=flag, terminated=flag.clone(), truncated=flag.clone())
+
+    @property
+    def on_ground(self) -> bool:
+        """Whether the robot floats over ground whose height is known."""
+        return self._base_qpos is not None and bool(self.robot.ground)
+
+    def set_wrench(self, name: NestedKey, bodies: Tensor, wrench: Tensor) -> None:
+        """Push and twist bodies from now on, in place of what was set under this name before.
+
+        It is added to what else acts on them. A reset ends it.
+
+        Args:
+            name: Of whoever pushes.
+            bodies: Their numbers in the model, always the same for a name. int64, shape (B,).
+            wrench: Force [N] and torque [N·m] in world axes. Shape (N, B, 6).
+        """
+        acting = self.wrenches.setdefault(name, torch.zeros_like(wrench))
+        applied = self.physics.xfrc_applied
+        applied.index_add_(1, bodies, (wrench - acting).to(applied.dtype))  # a body may be named twice
+        acting.copy_(wrench)
 
     def _lift(self, starts: Tensor | None) -> None:
         """Raise the robots that start with something in the ground."""
@@ -190,7 +217,7 @@ class TorqueEnv(EnvBase):
         if self._base_qpos is not None and not self._sensors.keys() >= _BASE:
             shown |= self._show_base()
         shown |= self._read(self._sensors)
-        if self._base_qpos is not None:
+        if self.on_ground:
             shown |= self.heights(shown["base_position"], shown.get("foot_position"))
         return shown
 

@@ -40,7 +40,8 @@ def surface_height(heights: Tensor, place: Tensor, half_size: tuple[float, float
 
 def _cells(place: Tensor, half_size: float, count: int) -> Tensor:
     """Distance from the first of ``count`` evenly spaced lines, in spacings, within them."""
-    return ((place + half_size) * ((count - 1) / (2 * half_size))).clamp(0, count - 1)
+    cells = (place + half_size) * ((count - 1) / (2 * half_size))
+    return torch.nan_to_num(cells).clamp(0, count - 1)  # a robot that diverged is nowhere, and no index
 
 
 def averaged(heights: Tensor, rows: int, columns: int) -> Tensor:

@@ -199,6 +199,7 @@ class WarpPhysics(Physics):
         elif mask is None or not self._recording():
             for name, found in self._inertial(self._inertial_fields).items():
                 self._write(self._constants[name], found, mask, name)
+            self._stale &= False if mask is None else ~mask
         else:
             self._follow_few(mask)
 

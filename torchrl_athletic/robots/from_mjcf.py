@@ -92,10 +92,11 @@ def from_mjcf(
         sensors={key: tuple(members) for key, members in (sensors or {}).items()},
         build=build,
         keyframe=start,
-        ground=tuple(
-            geom.name for geom in given.worldbody.geoms if geom.name and geom.type == mujoco.mjtGeom.mjGEOM_PLANE
-        ),
+        ground=tuple(geom.name for geom in build().worldbody.geoms if geom.type in _GROUND),
     )
+
+
+_GROUND = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
 
 
 def _is_xml(text_or_path: str) -> bool:
@@ -108,6 +109,9 @@ def _read(text_or_path: str) -> mujoco.MjSpec:
 
 def _build(text_or_path: str, keyframe: str) -> mujoco.MjSpec:
     spec = _read(text_or_path)
+    for number, geom in enumerate(spec.worldbody.geoms):
+        if geom.type in _GROUND and not geom.name:
+            geom.name = f"ground{number}"
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     if keyframe not in [key.name for key in spec.keys]:
         if keyframe != "default":

@@ -90,9 +90,9 @@ class CapturedRollout(Rollout):
         if self.fuse:
             fuse_transforms(self.env)
         self.current = self.current.clone()  # memory of its own, which the graph reads and writes
-        before = self.current.clone()
-        replay: Callable[[], None] = self.physics.capture(self._advance)  # puts the physics back
-        self.current.update_(before)
+        before, state = self.current.clone(), env_state(self.env)
+        replay: Callable[[], None] = self.physics.capture(self._advance)
+        self.current.update_(restore_env(self.env, before, state))  # as if the warm-up had not been
         return replay
 
     def _advance(self) -> None:

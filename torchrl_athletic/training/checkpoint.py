@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+import torch
 from tensordict import TensorDict
 from torch import Tensor
 from torchrl.checkpoint import Checkpoint, CheckpointRotation, GlobalRNGState, StateDictCheckpointAdapter
@@ -181,6 +182,8 @@ def env_state(env: EnvBase) -> dict[str, Any]:
     if physics is not None:
         state["physics"] = {name: physics.data(name).clone() for name in _PHYSICS}
         state["fields"] = {name: physics.field(name).clone() for name in physics.fields}
+        wrenches = getattr(base_env_of(env), "wrenches", {})
+        state["wrenches"] = {name: wrench.clone() for name, wrench in wrenches.items()}
     return state
 
 
@@ -204,6 +207,11 @@ def restore_env(env: EnvBase, current: TensorDict, state: dict[str, Any]) -> Ten
         physics.set_fields(state["fields"])
     for name in state["physics"].keys() - {"qpos", "qvel"}:
         physics.data(name).copy_(state["physics"][name])
+    wrenches = getattr(base_env_of(env), "wrenches", {})
+    for name, wrench in wrenches.items():
+        wrench.zero_()
+    for name, value in state.get("wrenches", {}).items():
+        wrenches.setdefault(name, torch.zeros_like(value, device=env.device)).copy_(value)
     modules = dict(env.transform.named_modules()) if isinstance(env, TransformedEnv) else {}
     for name, value in state["buffers"].items():
         owner, _, leaf = name.rpartition(".")

@@ -51,8 +51,8 @@ class ExternalPush(RandomTransform):
     """Push one body at a time, for a while, then leave the robot alone for a while, and so on.
 
     A push is drawn after a step and acts from the next one on: a force and a torque in world axes, constant until it
-    ends. It is added to what else acts on a body, in ``xfrc_applied``: what this transform added before is taken back,
-    what others wrote there stays.
+    ends. It is added to what else acts on a body (:meth:`~torchrl_athletic.envs.TorqueEnv.set_wrench`). Two of these
+    transforms in one environment need two keys.
 
     Args:
         pushes: Where, and how hard. Each group of bodies is equally likely.
@@ -99,33 +99,29 @@ class ExternalPush(RandomTransform):
                 f"dt {dt} s, rest {rest} s, duration {duration} s and {len(pushes)} groups make no pushes: give times "
                 "(least, greatest) that are not negative, and at least one group."
             )
-        left, stream, on, acting = (beside(push_key, name) for name in ("steps_left", "stream", "on", "acting"))
-        keys = [push_key, left, stream, on, acting]
+        left, stream, on = (beside(push_key, name) for name in ("steps_left", "stream", "on"))
+        keys = [push_key, left, stream, on]
         super().__init__([], keys, seed=seed, first_row=first_row, reset_key=reset_key)
         self.pushes, self.dt, self.rest, self.duration = tuple(pushes), dt, rest, duration
-        self.push_key, self.left_key, self.stream_key, self.on_key, self.acting_key = keys
+        self.push_key, self.left_key, self.stream_key, self.on_key = keys
         self.bodies = tuple(body for push in pushes for body in push.bodies)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.parent is not None:  # else on its way into a buffer
-            push = tensordict.get(self.push_key)
-            wrench = simulated_env(self).physics.xfrc_applied
-            wrench[:, once_per_model(self, self._body_ids)] += (push - tensordict.get(self.acting_key)).to(wrench.dtype)
-            tensordict.set(self.acting_key, push)
+            bodies = once_per_model(self, self._body_ids)
+            simulated_env(self).set_wrench(self.push_key, bodies, tensordict.get(self.push_key))
         return tensordict
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
-        nothing = torch.zeros(*key.shape, len(self.bodies), 6, device=key.device)
         return {
-            self.push_key: nothing,
-            self.acting_key: nothing.clone(),  # a reset of the physics took away what acted
+            self.push_key: torch.zeros(*key.shape, len(self.bodies), 6, device=key.device),
             self.left_key: self._steps(streams.uniform(key, 1), (0.0, self.rest[1])),
             self.stream_key: streams.advance(key).unsqueeze(-1),
             self.on_key: torch.zeros(*key.shape, 1, dtype=torch.bool, device=key.device),
         }
 
     def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
-        push, left, stream, on, acting = (tensordict.get(key) for key in self.out_keys)
+        push, left, stream, on = (tensordict.get(key) for key in self.out_keys)
         left = left - 1
         over = left <= 0
         if left.device.type != "cpu" or torch.compiler.is_compiling() or bool(over.any()):
@@ -139,7 +135,7 @@ class ExternalPush(RandomTransform):
             push = torch.where(over.unsqueeze(-1), new, push)
             stream = torch.where(over, streams.advance(key).unsqueeze(-1), stream)
             on = torch.where(over, begins, on)
-        for entry, value in zip(self.out_keys, (push, left, stream, on, acting), strict=True):
+        for entry, value in zip(self.out_keys, (push, left, stream, on), strict=True):
             next_tensordict.set(entry, value)
 
     def _steps(self, unit: Tensor, seconds: tuple[float, float]) -> Tensor:
@@ -176,7 +172,6 @@ class ExternalPush(RandomTransform):
         batch, device = env.batch_size, env.device
         return {
             self.push_key: Unbounded((*batch, len(self.bodies), 6), device=device),
-            self.acting_key: Unbounded((*batch, len(self.bodies), 6), device=device),
             self.left_key: Unbounded((*batch, 1), dtype=torch.int64, device=device),
             self.stream_key: Unbounded((*batch, 1), dtype=torch.int64, device=device),
             self.on_key: Unbounded((*batch, 1), dtype=torch.bool, device=device),
