@@ -1,6 +1,6 @@
 """Examine a whole-body controller: 1,000 whole episodes of 20 s in each condition, falls and errors.
 
-python recipes/evaluate.py                                            # the shipped one: four hours of two cores
+python recipes/evaluate.py                                            # the shipped one: two hours of two cores
 python recipes/evaluate.py --conditions "all randomised" --episodes 200            # a look, in five minutes
 python recipes/evaluate.py --policy outputs/pretrain_wbc/wbc.npz --device cuda --batch 4096
 
@@ -8,7 +8,6 @@ Leaves ``evaluation.json``, a table and a picture of it, and videos of a good an
 The same command goes on after Ctrl-C. What came out: docs/whole_body.md.
 """
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,7 +17,7 @@ import tyro
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import draw_command
-from torchrl_athletic.networks import pretrained, read_network, shipped_path
+from torchrl_athletic.networks import pretrained, read_metadata, read_network, shipped_path
 
 
 @dataclass(frozen=True)
@@ -35,8 +34,8 @@ class Config:
     """Robots at once."""
     seed: int = 1_000_003
     """Of robots, commands and pushes: other than in training."""
-    net: Literal["uan", "ideal"] = "uan"
-    """Of the arm: the shipped actuator net, or ideal motors."""
+    actuation: str = "uan"
+    """Of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Of the simulation."""
     video: bool = True
@@ -46,14 +45,14 @@ class Config:
 
 
 def main(cfg: Config) -> None:
-    path = Path(cfg.policy)
-    path = path if path.suffix == ".npz" else shipped_path(cfg.policy)
-    policy: Any = (read_network(path) if path == Path(cfg.policy) else pretrained(cfg.policy)).to(cfg.device)
+    own = cfg.policy.endswith(".npz")
+    policy: Any = (read_network(cfg.policy) if own else pretrained(cfg.policy)).to(cfg.device)
+    history = read_metadata(cfg.policy if own else shipped_path(cfg.policy)).get("history", 10)
+    told = {"seed": cfg.seed, "actuation": cfg.actuation, "history": history}
     known = training.wbc_conditions()
     if unknown := [name for name in cfg.conditions if name not in known]:
         raise SystemExit(f"there is no condition {unknown[0]!r}; there are {sorted(known)}.")
     chosen = {name: known[name] for name in cfg.conditions or known}
-    net = None if cfg.net == "ideal" else cfg.net
     results = training.examine(
         policy,
         chosen,
@@ -61,29 +60,28 @@ def main(cfg: Config) -> None:
         episodes=cfg.episodes,
         steps=round(50 * cfg.seconds),
         batch=cfg.batch,
-        seed=cfg.seed,
-        made_of=f"{hashlib.sha256(path.read_bytes()).hexdigest()[:16]} {cfg.net}",
         device=cfg.device,
-        net=net,
+        **told,
     )
     results = {name: results[name] for name in chosen}
     (cfg.output / "evaluation.md").write_text(training.table_of(results) + "\n")
     print(training.table_of(results))
     print("picture:", training.draw_conditions(results, cfg.output / "evaluation.svg"))
     if cfg.video:
-        draw(cfg, policy.to("cpu"), chosen, results, net)
+        draw(cfg, policy.to("cpu"), chosen, results, told)
 
 
-def draw(cfg: Config, policy: Any, chosen: dict[str, training.Condition], results: dict[str, Any], net: Any) -> None:
-    """A good episode of the first condition, and a failed one of whichever has one: the very ones that were counted."""
-    name = next(iter(chosen))
-    good = next(row for row in range(cfg.episodes) if row not in results[name]["fallen"])
-    episodes = {"good": (name, good)}
-    if fallen := {other: row["fallen"][0] for other, row in results.items() if row["fallen"]}:
-        episodes["failed"] = next(iter(fallen.items()))
+def draw(
+    cfg: Config, policy: Any, chosen: dict[str, training.Condition], results: dict[str, Any], told: dict[str, Any]
+) -> None:
+    """The first good and the first failed episode, if there are such: the very ones that were counted."""
+    fell = {(name, row): row in results[name]["fallen"] for name in chosen for row in range(cfg.episodes)}
     steps = round(50 * cfg.seconds)
-    for kind, (condition, row) in episodes.items():
-        env = chosen[condition].env(1, net=net, max_steps=steps, seed=cfg.seed, first_row=row)
+    for kind, wanted in {"good": False, "failed": True}.items():
+        if wanted not in fell.values():
+            continue
+        condition, row = next(key for key, failed in fell.items() if failed == wanted)
+        env = chosen[condition].env(1, max_steps=steps, first_row=row, **told)
         frames = training.draw_episode(env, policy, steps, (360, 480), annotate=draw_command, follow="base")
         print(f"{kind}, {condition}, robot {row}:", training.write_video(frames, cfg.output / f"{kind}.mp4", 50.0))
         last = frames if kind == "good" else frames[-100:]  # the two seconds before the end

@@ -4,6 +4,7 @@ python recipes/pretrain_wbc.py                                     # ten minutes
 python recipes/pretrain_wbc.py --device cuda --logger wandb        # the paper's scale: 4,096 robots, 24 steps
 torchrun --nproc-per-node 2 recipes/pretrain_wbc.py --device cuda  # on two GPUs
 python recipes/pretrain_wbc.py --collectors ray --workers 64       # robots on the CPUs of many hosts
+python recipes/pretrain_wbc.py --start wbc                         # goes on from the shipped controller
 
 The same command goes on after Ctrl-C or a crash. What the shipped controller can do: docs/whole_body.md.
 """
@@ -15,15 +16,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads of torch that spin would take cores from the physics
-# ruff: noqa: E402
 import torch
 import tyro
 from torchrl.envs import TransformedEnv
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, draw_command, whole_body_env, whole_body_rewards
-from torchrl_athletic.identification import Simulator
+from torchrl_athletic.identification import with_actuation
 from torchrl_athletic.robots import Terrain, b2z1
+
+ONE_RUN = ("seed", "actuation", "randomize", "start", "without", "history", "hidden", "ppo", "collectors")
 
 
 @dataclass(frozen=True)
@@ -31,13 +33,14 @@ class Config:
     device: Literal["cpu", "cuda"] = "cpu"  # of simulation and nets
     minutes: float | None = None
     """When to stop [min]; None takes 10 on CPUs and 25 on a GPU."""
-    iterations: int | None = None
-    """When to stop in any case."""
+    iterations: int | None = None  # when to stop in any case
     seed: int = 0  # of weights, robots, commands and exploration
     actuation: str = "uan"
     """Of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     randomize: bool = True
-    """Whether robots, ground, starts and delays differ, and pushes come."""
+    """Whether robots, ground, starts, delays differ, and pushes come."""
+    start: str | None = None
+    """A shipped controller, ``wbc``, or a file that this recipe wrote, to go on from."""
     without: tuple[str, ...] = ()
     """Terms of the reward to leave out."""
     minibatches: Literal["split", "joint"] = "split"
@@ -45,31 +48,33 @@ class Config:
     history: int = 10  # frames that the policy sees
     hidden: tuple[int, ...] | None = None
     """Layers of both networks; None takes 2 x 128 on CPUs and the paper's 3 x 512 on a GPU."""
+    num_envs: int | None = None
+    """Robots, of all processes or workers together; None takes 512 on CPUs and those of ``ppo`` on a GPU."""
     ppo: training.PPO = field(default_factory=lambda: training.PRE_TRAIN)
-    """What else is chosen by hand; CPUs take an eighth of its robots."""
+    """What else is chosen by hand."""
     collectors: Literal["here", "ray"] = "here"
     """Where robots are simulated."""
     workers: int = 2  # of Ray
-    logger: training.LoggerName = "csv"
-    """Where numbers go; wandb stays offline."""
+    logger: training.LoggerName = "csv"  # where numbers go; wandb stays offline
     output: Path = Path("outputs/pretrain_wbc")
     """Folder for all that is written."""
-    video: bool = True
-    """Whether to draw an episode at the end."""
+    video: bool = True  # whether to draw an episode at the end
 
 
 def main(cfg: Config) -> None:
-    processes = training.join_processes(cfg.device)
+    processes, on_gpu = training.join_processes(cfg.device), cfg.device == "cuda"
     torch.manual_seed(processes.seed(cfg.seed))
     torch.set_float32_matmul_precision("high")
-    on_gpu = cfg.device == "cuda"
-    ppo = cfg.ppo if on_gpu else replace(cfg.ppo, num_envs=cfg.ppo.num_envs // 8)
+    ppo = replace(cfg.ppo, num_envs=cfg.num_envs or (cfg.ppo.num_envs if on_gpu else 512))
     ppo = replace(ppo, critic_minibatches=ppo.actor_minibatches if cfg.minibatches == "joint" else 1)
-    make = partial(make_env, cfg, device=processes.device)
+    cfg = replace(cfg, ppo=ppo, hidden=cfg.hidden or ((512, 512, 512) if on_gpu else (128, 128)))
+    same = {name: str(getattr(cfg, name)) for name in ONE_RUN}
+    rows, first_row = processes.share(ppo.num_envs), processes.first_row(ppo.num_envs)
     learner = training.wbc_learner(
-        make(num_envs=processes.share(ppo.num_envs), first_row=processes.first_row(ppo.num_envs)),
+        make_env(cfg, 1 if cfg.collectors == "ray" else rows, first_row, processes.device, staggered=True),
         ppo,
-        hidden=cfg.hidden or ((512, 512, 512) if on_gpu else (128, 128)),
+        start=cfg.start,
+        hidden=cfg.hidden or (),
         seed=cfg.seed,
         cuda_graph=on_gpu,
         collect_by=partial(collect_by_ray, cfg, ppo) if cfg.collectors == "ray" else None,
@@ -77,42 +82,36 @@ def main(cfg: Config) -> None:
     )
     training.train(
         learner,
-        minutes=cfg.minutes or (25.0 if on_gpu else 10.0),
+        minutes=(25.0 if on_gpu else 10.0) if cfg.minutes is None else cfg.minutes,
         iterations=cfg.iterations,
         logger=training.make_logger(cfg.logger, cfg.output, "pretrain_wbc") if processes.rank == 0 else None,
-        checkpoints=training.Checkpoints(cfg.output / "checkpoints"),
+        checkpoints=training.Checkpoints(cfg.output / "checkpoints", made_of=same),
         checkpoint_every=200 if on_gpu else 20,
         show=["reward", "tracking/position", "tracking/velocity"],
     )
     if processes.rank == 0:
-        print("policy:", training.save_wbc(learner, cfg.output, trained_as=str(cfg)))
+        print("policy:", training.save_wbc(learner, cfg.output, trained_as=str(cfg), history=cfg.history))
         if cfg.logger == "csv":
-            curves = training.draw_curves({"": cfg.output / "progress.csv"}, training.CURVES, cfg.output / "curves.png")
-            print("curves:", curves)
+            table, curves = {"": cfg.output / "progress.csv"}, cfg.output / "curves.png"
+            print("curves:", training.draw_curves(table, training.CURVES, curves))
         if cfg.video:
             env, policy, path = make_env(cfg, 1), learner.actor.to("cpu"), cfg.output / "wbc.mp4"
             print("video:", training.record_video(env, policy, path, steps=500, annotate=draw_command))
     processes.leave()
 
 
-def make_env(cfg: Config, num_envs: int, first_row: int = 0, device: str = "cpu") -> TransformedEnv:
-    robot, chain = b2z1(terrain=Terrain(), cone="pyramidal"), None
-    chance = Disturbances() if cfg.randomize else NO_DISTURBANCES
-    if cfg.actuation not in ("uan", "ideal"):
-        simulator = Simulator.load(cfg.actuation, robot)
-        robot, delay = simulator.robot, chance.delay[1]
-        chain = simulator.chain(arm_power=300.0, max_delay=delay, seed=cfg.seed, first_row=first_row)
+def make_env(cfg: Config, num_envs: int, first_row: int = 0, device: str = "cpu", **told: Any) -> TransformedEnv:
+    chance, rows = Disturbances() if cfg.randomize else NO_DISTURBANCES, {"seed": cfg.seed, "first_row": first_row}
+    nominal = b2z1(terrain=Terrain(), cone="pyramidal")
+    robot, chain = with_actuation(nominal, cfg.actuation, delay=chance.delay, **rows)
     terms = whole_body_rewards(robot, "true_joint_position" if cfg.randomize else "joint_position", cfg.without)
-    net = "uan" if cfg.actuation == "uan" else None
-    told: dict[str, Any] = {"net": net, "chain": chain, "terms": terms, "disturbances": chance, "history": cfg.history}
-    return whole_body_env(robot, num_envs=num_envs, device=device, seed=cfg.seed, first_row=first_row, **told)
+    told |= rows | {"chain": chain, "terms": terms, "disturbances": chance, "history": cfg.history}
+    return whole_body_env(robot, num_envs=num_envs, device=device, **told)
 
 
 def collect_by_ray(cfg: Config, ppo: training.PPO, policy: Any, keys: Any) -> training.RayRollout:
-    def make(worker: int) -> TransformedEnv:
-        return make_env(cfg, ppo.num_envs // cfg.workers, first_row=worker * (ppo.num_envs // cfg.workers))
-
-    return training.RayRollout(make, policy, ppo.horizon, workers=cfg.workers, keys=keys, seed=cfg.seed)
+    make, rows = partial(make_env, cfg, staggered=True), ppo.num_envs // cfg.workers
+    return training.RayRollout(make, policy, ppo.horizon, rows=rows, workers=cfg.workers, keys=keys, seed=cfg.seed)
 
 
 if __name__ == "__main__":

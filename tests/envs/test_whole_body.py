@@ -15,7 +15,7 @@ from torchrl_athletic.functional.commands import CommandRanges
 from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.functional.rewards import WBC_SCALES
 from torchrl_athletic.networks import actor, uan
-from torchrl_athletic.robots import Terrain, b2z1, with_timestep
+from torchrl_athletic.robots import Terrain, b2z1, with_options
 from torchrl_athletic.training.rollout import control_step
 from torchrl_athletic.transforms import (
     ActionDelay,
@@ -277,7 +277,7 @@ def test_a_task_brings_phases_terms_and_ends_of_its_own():
 
 def test_a_finer_time_step_leaves_drives_and_policy_at_their_rates():
     coarse = whole_body_env(ROBOT, num_envs=1, **STILL)
-    fine = whole_body_env(with_timestep(ROBOT, 0.001), num_envs=1, substeps=5, **STILL)
+    fine = whole_body_env(with_options(ROBOT, timestep=0.001), num_envs=1, substeps=5, **STILL)
     one, other = (env.rollout(25, stand)["next"][:, -1] for env in (coarse, fine))
     assert float(fine.base_env.physics.time) == pytest.approx(0.5)
     assert one["gait_cycle"].item() == pytest.approx(other["gait_cycle"].item())

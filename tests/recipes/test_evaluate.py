@@ -18,7 +18,17 @@ CONDITIONS = wbc_conditions()
 
 def test_all_that_was_asked_for_is_examined():
     names = " ".join(CONDITIONS)
-    for word in ("all randomised", "1 ms", "elliptic", "nominal", "pushes", "slope 5°", "slope 10°", "bumps 5 cm"):
+    for word in (
+        "all randomised",
+        "1 ms",
+        "elliptic",
+        "100 iterations",
+        "nominal",
+        "pushes",
+        "slope 5°",
+        "slope 10°",
+        "bumps 5 cm",
+    ):
         assert word in names
     for axis in ("friction", "restitution", "stiffness", "damping", "stall torque", "masses", "centres", "encoders"):
         assert names.count(axis) == 2, axis
@@ -26,7 +36,7 @@ def test_all_that_was_asked_for_is_examined():
 
 @pytest.mark.parametrize("name", ["masses x 0.5", "friction 4", "delay 30 ms", "encoders +0.05 rad", "slope 10°"])
 def test_a_condition_differs_in_what_it_says_and_in_nothing_else(name):
-    env, nominal = (CONDITIONS[which].env(2, net=None) for which in (name, "nominal"))
+    env, nominal = (CONDITIONS[which].env(2, actuation="ideal") for which in (name, "nominal"))
     td, plain = env.reset(), nominal.reset()
     physics, model = env.base_env.physics, nominal.base_env.physics.model
     fields = {field: physics.field(field)[0].numpy() for field in physics.fields}
@@ -48,7 +58,9 @@ def test_a_condition_differs_in_what_it_says_and_in_nothing_else(name):
 
 
 def test_a_finer_simulation_moves_as_often():
-    fine, coarse = (CONDITIONS[name].env(1, net=None) for name in ("all randomised, 1 ms steps", "all randomised"))
+    fine, coarse = (
+        CONDITIONS[name].env(1, actuation="ideal") for name in ("all randomised, 1 ms steps", "all randomised")
+    )
     assert fine.base_env.physics.timestep == 0.001
     for env in (fine, coarse):
         env.step(env.rand_action(env.reset()))
@@ -73,17 +85,21 @@ def test_the_recipe_writes_a_table_a_picture_and_the_episodes_it_counted(tmp_pat
 
 
 def test_what_was_examined_is_kept_and_another_policy_s_table_is_refused(tmp_path, monkeypatch):
-    policy, told = pretrained("wbc"), {"episodes": 2, "steps": 5, "progress": False, "net": None}
+    policy, told = pretrained("wbc"), {"episodes": 2, "steps": 5, "progress": False, "actuation": "ideal"}
     chosen = {name: CONDITIONS[name] for name in ("nominal", "pushes")}
-    first = examine(policy, {"nominal": chosen["nominal"]}, tmp_path / "t.json", made_of="a", **told)
+    first = examine(policy, {"nominal": chosen["nominal"]}, tmp_path / "t.json", **told)
     played = []
     monkeypatch.setattr(module, "_play", lambda *args: played.append(args[1]) or real(*args))
-    second = examine(policy, chosen, tmp_path / "t.json", made_of="a", **told)
+    second = examine(policy, chosen, tmp_path / "t.json", **told)
     assert played == [chosen["pushes"]]
     assert second["nominal"] == first["nominal"]
     assert table_of(second).count("\n") == 3
-    with pytest.raises(ValueError, match=r"made_of 'a', asked for is 'b'.*a file of its own"):
-        examine(policy, chosen, tmp_path / "t.json", made_of="b", **told)
+    with pytest.raises(ValueError, match=r"with actuation 'ideal', asked for is 'uan'.*a file of its own"):
+        examine(policy, chosen, tmp_path / "t.json", **told | {"actuation": "uan"})
+    with torch.no_grad():
+        next(policy.parameters()).mul_(2.0)
+    with pytest.raises(ValueError, match=r"with policy '\w+', asked for is"):
+        examine(policy, chosen, tmp_path / "t.json", **told)
 
 
 real = module._play

@@ -18,12 +18,12 @@ from torchrl_athletic.transforms import CommandSampler, CorrectedActuation, Init
 
 ROOT = Path(__file__).parents[2]
 recipe = load("recipes/pretrain_wbc.py")
-FLAGS = ["--iterations", "3", "--hidden", "16", "--ppo.num-envs", "64", "--ppo.horizon", "4", "--no-video"]
-FEW = replace(PRE_TRAIN, num_envs=32, horizon=3)  # of which the CPU takes an eighth
+FLAGS = ["--iterations", "3", "--hidden", "16", "--num-envs", "8", "--ppo.horizon", "4", "--no-video"]
+FEW = replace(PRE_TRAIN, horizon=3)
 
 
 def short(output, **changes):
-    return recipe.Config(iterations=2, hidden=(16,), ppo=FEW, output=output, **({"video": False} | changes))
+    return recipe.Config(iterations=2, hidden=(16,), num_envs=4, ppo=FEW, output=output, **({"video": False} | changes))
 
 
 def parts_of(cfg):

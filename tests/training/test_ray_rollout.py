@@ -14,20 +14,20 @@ from torchrl_athletic.training.ray_rollout import _made
 WORKERS, ROWS, HORIZON = 2, 16, 8
 
 
-def repeat_env(worker):
-    return TransformedEnv(Repeat(ROWS), StepCounter(4))
+def repeat_env(rows, first_row):
+    return TransformedEnv(Repeat(rows), StepCounter(4))
 
 
-def arm_rows(worker):
-    return arm_env(2, first_row=2 * worker)
+def arm_rows(rows, first_row):
+    return arm_env(rows, first_row=first_row)
 
 
-def joined(make_env, policy, seeds, horizon, keys, change, count=2):
+def joined(make_env, rows, policy, seeds, horizon, keys, change, count=2):
     """What plain rollouts with the workers' seeds collect, each alone, with the policy changed in between."""
     parts = []
     for worker, seed in enumerate(seeds):
         torch.manual_seed(seed)
-        rollout = Rollout(make_env(worker), policy, horizon, keys=keys)
+        rollout = Rollout(make_env(rows, worker * rows), policy, horizon, keys=keys)
         before = {name: value.clone() for name, value in policy.state_dict().items()}
         batches = []
         for _ in range(count):
@@ -70,7 +70,7 @@ def seen(importable):
     theirs = repeat_learner(WORKERS * ROWS)
     policy, critic = theirs.actor, theirs.critic
     start = {name: value.clone() for name, value in policy.state_dict().items()}
-    with RayRollout(repeat_env, policy, HORIZON, workers=WORKERS, keys=["observation"], seed=3) as rollout:
+    with RayRollout(repeat_env, policy, HORIZON, workers=WORKERS, rows=ROWS, keys=["observation"], seed=3) as rollout:
         seeds = [rollout._seed(worker) for worker in range(WORKERS)]
         first = rollout()
         where, first = first["observation"].data_ptr(), first.clone()
@@ -78,7 +78,7 @@ def seen(importable):
         second = rollout()
         again, second = second["observation"].data_ptr(), second.clone()
         policy.load_state_dict(start)
-        wanted = joined(repeat_env, policy, seeds, HORIZON, ["observation"], bigger)
+        wanted = joined(repeat_env, ROWS, policy, seeds, HORIZON, ["observation"], bigger)
         ours = Learner(rollout.env, policy, critic, theirs.config, rollout=rollout)
         rewards = torch.stack([iterate(ours)["reward"] for _ in range(12)])
         state = ours.state_dict()["rollout"]
@@ -133,9 +133,9 @@ def test_physics_travels_and_a_run_goes_on_with_new_episodes(importable):
     def learn(_):
         normalizer.update(torch.linspace(-1, 2, 14).view(2, 7))
 
-    rollout = RayRollout(arm_rows, policy, 6, workers=2, keys=["action_delay"], seed=1)
+    rollout = RayRollout(arm_rows, policy, 6, workers=2, rows=2, keys=["action_delay"], seed=1)
     seeds = [rollout._seed(worker) for worker in range(2)]
-    wanted = joined(arm_rows, policy, seeds, 6, ["action_delay"], learn)
+    wanted = joined(arm_rows, 2, policy, seeds, 6, ["action_delay"], learn)
     assert wanted[0]["action_delay"].unique().numel() > 1
     before = {name: value.clone() for name, value in policy.state_dict().items()}
     for theirs in wanted:
@@ -144,7 +144,7 @@ def test_physics_travels_and_a_run_goes_on_with_new_episodes(importable):
     policy.load_state_dict(before)
     rollout.load_state_dict({"batches": 5})
     seeds = [rollout._seed(worker) for worker in range(2)]
-    assert_same(rollout(), joined(arm_rows, policy, seeds, 6, ["action_delay"], learn, count=1)[0])
+    assert_same(rollout(), joined(arm_rows, 2, policy, seeds, 6, ["action_delay"], learn, count=1)[0])
     rollout.close()
 
 
@@ -152,7 +152,7 @@ def test_physics_travels_and_a_run_goes_on_with_new_episodes(importable):
 def idle(monkeypatch):
     """Nothing is started before the first call."""
     monkeypatch.setattr("torchrl_athletic.training.ray_rollout.find_spec", lambda name: object())
-    return RayRollout(repeat_env, repeat_learner(ROWS).actor, HORIZON, workers=3)
+    return RayRollout(repeat_env, repeat_learner(ROWS).actor, HORIZON, workers=3, rows=ROWS)
 
 
 def test_workers_explore_differently_and_anew_after_a_resumption(idle):
@@ -174,25 +174,33 @@ def test_the_learner_counts_the_rows_of_all_workers(idle):
     Learner(idle.env, nets.actor, nets.critic, PPO(num_envs=3 * ROWS), rollout=idle)
 
 
-def test_workers_with_unlike_numbers_of_rows_are_refused():
-    with pytest.raises(ValueError, match="Give each worker as many"):
-        _made(lambda worker: Repeat(2 + worker), 1, 2, seed=0)
+def test_a_worker_of_another_number_of_rows_is_refused_and_the_learner_makes_one_row(idle):
+    assert (idle.env.numel(), idle.num_envs) == (1, 3 * ROWS)
+    with pytest.raises(ValueError, match=r"make_env\(2, 2\) has 3 rows.*Make an environment of 2"):
+        _made(lambda rows, first_row: Repeat(3), 2, 1, seed=0)
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="CPUs cannot be shared out here")
 def test_a_workers_physics_starts_one_thread():
     before = os.sched_getaffinity(0)
-    assert _made(lambda worker: arm_env(8), 1, 8, seed=0).base_env.physics.batch.nthread == 1
+    assert _made(lambda rows, first_row: arm_env(rows), 8, 1, seed=0).base_env.physics.batch.nthread == 1
     assert os.sched_getaffinity(0) == before
 
 
 def test_without_ray_the_way_to_get_it_is_told(monkeypatch):
     monkeypatch.setattr("torchrl_athletic.training.ray_rollout.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'torchrl-athletic\[ray\]'"):
-        RayRollout(repeat_env, repeat_learner(ROWS).actor, HORIZON, workers=2)
+        RayRollout(repeat_env, repeat_learner(ROWS).actor, HORIZON, workers=2, rows=ROWS)
 
 
-@pytest.mark.parametrize(("options", "advice"), [({"workers": 0}, "1 or more"), ({"workers": 1}, "at least 1 step")])
+@pytest.mark.parametrize(
+    ("options", "advice"),
+    [
+        ({"workers": 0, "rows": 2}, "1 or more"),
+        ({"workers": 1, "rows": 0}, "rows is 0"),
+        ({"workers": 1, "rows": 2}, "at least 1 step"),
+    ],
+)
 def test_nothing_to_collect_is_refused(options, advice):
     with pytest.raises(ValueError, match=advice):
-        RayRollout(repeat_env, repeat_learner(ROWS).actor, 0 if options["workers"] else 1, **options)
+        RayRollout(repeat_env, repeat_learner(ROWS).actor, 0 if options["workers"] * options["rows"] else 1, **options)

@@ -153,7 +153,7 @@ def exact_training(processes):
     shown = {key: torch.stack([report[key] for report in reports]) for key in ("reward", "kl", "actor_lr")}
     return shown | {
         "weights": weights(learner),
-        "normalizer": learner.normalizers["observation"].state_dict(),
+        "normalizer": learner.normalizers["joint_position"].state_dict(),
         "seen": learner.samples,
     }
 

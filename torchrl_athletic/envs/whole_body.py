@@ -36,6 +36,7 @@ from torchrl_athletic.transforms import (
     RandomizationRanges,
     RewardTerm,
     RewardTerms,
+    StaggeredEpisodes,
     StartRanges,
     TaskPhase,
 )
@@ -124,6 +125,7 @@ def whole_body_env(
     max_steps: int = 1000,
     task_width: int = 4,
     extra: Sequence[Transform] = (),
+    staggered: bool = False,
     substeps: int = 1,
     seed: int = 0,
     first_row: int = 0,
@@ -158,6 +160,7 @@ def whole_body_env(
         max_steps: Length of an episode [policy steps]: 20 s.
         task_width: Places kept for the embedding of tasks to come.
         extra: More transforms, after those that command: a reference trajectory, an object.
+        staggered: Whether the first episodes begin at random ages, as a training wants.
         substeps: Physics steps that each torque is held for: 5 for a robot whose time step is 1 ms.
         seed: Of all draws.
         first_row: Number of the first row, for parts of a larger batch.
@@ -199,6 +202,7 @@ def whole_body_env(
             *sensing,
             *chain,
             StepCounter(max_steps),
+            *([StaggeredEpisodes(max_steps, **rows)] if staggered else []),
             *starting,
             *([ExternalPush(chance.pushes, dt=dt, **rows)] if chance.pushes else []),
             CommandSampler(commands, dt, **rows),

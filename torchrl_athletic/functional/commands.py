@@ -26,8 +26,8 @@ class CommandRanges:
     shell instead, 0.2 to 0.7 m about the arm's base for a smaller robot. A box is convex: the straight way from one of
     its points to another lies in it, so that no command leads through the robot. A gripper that points away from the
     shoulder reaches low goals from above and high ones from below: with attitudes about this line of sight, 95 % of the
-    goals are within 2 cm and 2 degrees of what the arm can do on a base that moves by 0.1 m and tilts by 0.25 rad; with
-    attitudes about the base's heading, 72 % were (``benchmarks/command_reach.py``).
+    goals bring the hand's key points to a mean distance of under 2 cm, by the arm on a base that moves by 0.1 m and
+    tilts by 0.25 rad; with attitudes about the base's heading, 72 % (``benchmarks/command_reach.py``).
     """
 
     forward: Range = (-1.0, 1.0)

@@ -3,6 +3,7 @@
 They explain a mismatch by numbers alone, which is what ``diagnosis`` is measured against.
 """
 
+from torchrl_athletic.identification.actuation import with_actuation
 from torchrl_athletic.identification.actuator_net import ActuatorNetTraining, identify_actuator_net
 from torchrl_athletic.identification.cem import CEM, identify_cem
 from torchrl_athletic.identification.comparison import Result, compare, every_seed, figure, name_of_uan, table
@@ -38,4 +39,5 @@ __all__ = [
     "read_correction",
     "score",
     "table",
+    "with_actuation",
 ]

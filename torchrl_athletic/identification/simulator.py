@@ -124,6 +124,7 @@ class Simulator:
         limits: bool = True,
         arm_power: float | None = None,
         max_delay: int = 0,
+        min_delay: int = 0,
         decimation: int = 4,
         randomize: bool = True,
         seed: int = 0,
@@ -139,6 +140,7 @@ class Simulator:
             limits: Whether the motors' limits by speed apply.
             arm_power: Greatest power of the arm [W]; None sets no limit.
             max_delay: Greatest delay of the action, drawn per episode [physics steps].
+            min_delay: Least delay.
             decimation: Physics steps per action; with 1 the chain has no :class:`Decimation`.
             randomize: Whether to draw another robot for each episode, where the method does.
             seed: Of the draws.
@@ -165,7 +167,8 @@ class Simulator:
             chain.append(PowerClip(arm_power, joints=group))
         chain += self._motor(group, limits) + self._law(command, limits)
         if max_delay:
-            chain.append(ActionDelay(max_delay, before=robot.default_pose, seed=seed, first_row=first_row))
+            before = robot.default_pose
+            chain.append(ActionDelay(max_delay, min_delay, before=before, seed=seed, first_row=first_row))
         if decimation > 1:
             chain.append(Decimation(decimation))
         if randomize and self.randomization is not None:

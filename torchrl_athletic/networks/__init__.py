@@ -3,11 +3,19 @@
 Checkpoints are written and read here too.
 """
 
-from torchrl_athletic.networks.actor_critic import actor, critic
+from torchrl_athletic.networks.actor_critic import actor, critic, trunk_of
 from torchrl_athletic.networks.actuator_net import Sizes, sizes_of, uan, uan_actor
 from torchrl_athletic.networks.checkpoint import load_checkpoint, save_checkpoint
 from torchrl_athletic.networks.normalizer import RunningNormalizer
-from torchrl_athletic.networks.pretrained import describe, pretrained, read_network, shipped_path, write_network
+from torchrl_athletic.networks.pretrained import (
+    describe,
+    digest_of,
+    pretrained,
+    read_metadata,
+    read_network,
+    shipped_path,
+    write_network,
+)
 from torchrl_athletic.networks.roa import deploy, roa_actor
 
 __all__ = [
@@ -17,13 +25,16 @@ __all__ = [
     "critic",
     "deploy",
     "describe",
+    "digest_of",
     "load_checkpoint",
     "pretrained",
+    "read_metadata",
     "read_network",
     "roa_actor",
     "save_checkpoint",
     "shipped_path",
     "sizes_of",
+    "trunk_of",
     "uan",
     "uan_actor",
     "write_network",

@@ -94,6 +94,22 @@ def actor(
     return gaussian_actor(GaussianHead(trunk, action_size, scale, device), in_keys)
 
 
+def trunk_of(network: nn.Module) -> Trunk:
+    """Where a network of :func:`actor` or :func:`critic` takes its inputs in.
+
+    Raises:
+        ValueError: If it is another network.
+
+    Example:
+        >>> trunk_of(actor(5, 2, hidden=(8,))).mlp[0].in_features
+        5
+    """
+    for module in network.modules():
+        if isinstance(module, Trunk):
+            return module
+    raise ValueError(f"{type(network).__name__} has no Trunk. Give a network of networks.actor or networks.critic.")
+
+
 def gaussian_actor(head: nn.Module, in_keys: Sequence[NestedKey]) -> ProbabilisticActor:
     """Policy around a network that gives mean and standard deviation."""
     return ProbabilisticActor(

@@ -24,15 +24,17 @@ from torchrl_athletic.networks.normalizer import RunningNormalizer
 FORMAT = "torchrl_athletic/network/1"
 
 
-def pretrained(name: str) -> nn.Module:
-    """A network that comes with the library, ready to act.
+def pretrained(name: str, *, trainable: bool = False) -> nn.Module:
+    """A network that comes with the library, ready to act, or to go on learning.
 
     Args:
         name: ``"wbc"``, the whole-body controller of a B2 with a Z1, a policy that reads ``observation``;
             ``"wbc_critic"``, its value function; ``"uan"``, the actuator net of the arm that both were trained with.
 
+        trainable: Whether it shall learn; else its parameters take no gradients.
+
     Returns:
-        On the CPU, without gradients. :func:`describe` tells what it is and how good it is.
+        On the CPU. :func:`describe` tells what it is and how good it is.
 
     Raises:
         ValueError: If there is no such network, or its file is not the one that was shipped.
@@ -41,7 +43,7 @@ def pretrained(name: str) -> nn.Module:
         >>> sum(parameter.numel() for parameter in pretrained("uan").parameters())
         21889
     """
-    return read_network(shipped_path(name), _index()[name]["sha256"])
+    return read_network(shipped_path(name), _index()[name]["sha256"], trainable=trainable)
 
 
 def describe(name: str) -> dict[str, Any]:
@@ -80,7 +82,7 @@ def write_network(path: str | Path, network: nn.Module, **told: Any) -> str:
     extra = {name: value for name, value in state.items() if name not in arrays}
     metadata = {"format": FORMAT, **_kind_and_sizes(network), "extra": extra, **told}
     content = io.BytesIO()
-    arrays["metadata"] = np.frombuffer(json.dumps(metadata).encode(), np.uint8)
+    arrays["metadata"] = np.frombuffer(_json(path, metadata).encode(), np.uint8)
     np.savez(content, **arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}")
@@ -89,12 +91,13 @@ def write_network(path: str | Path, network: nn.Module, **told: Any) -> str:
     return hashlib.sha256(content.getvalue()).hexdigest()
 
 
-def read_network(path: str | Path, sha256: str | None = None) -> nn.Module:
+def read_network(path: str | Path, sha256: str | None = None, *, trainable: bool = False) -> nn.Module:
     """Build a network from a file. Nothing in it is run.
 
     Args:
         path: Of :func:`write_network`.
         sha256: That the file must have; None takes any.
+        trainable: As of :func:`pretrained`.
 
     Raises:
         ValueError: If it is another file, or holds something else than a network of this library.
@@ -107,12 +110,12 @@ def read_network(path: str | Path, sha256: str | None = None) -> nn.Module:
             f"{path.name} has SHA-256 {found}, expected is {sha256}: it is damaged or was replaced. Install the "
             "library again, or read a network of your own without a digest."
         )
-    metadata = read_metadata(path)
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        metadata = _metadata(path, arrays)
         state: dict[str, Any] = {name: torch.from_numpy(arrays[name]) for name in arrays.files if name != "metadata"}
     network = _build(path, metadata)
     network.load_state_dict(state | metadata["extra"])
-    return network.eval().requires_grad_(False)
+    return network.train(trainable).requires_grad_(trainable)
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
@@ -123,10 +126,38 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
     """
     path = Path(path)
     with np.load(path, allow_pickle=False) as arrays:
-        metadata = json.loads(arrays["metadata"].tobytes()) if "metadata" in arrays.files else {}
+        return _metadata(path, arrays)
+
+
+def digest_of(network: nn.Module) -> str:
+    """Names a network by its numbers alone, whatever file it came from.
+
+    Example:
+        >>> digest_of(pretrained("wbc")) == digest_of(pretrained("wbc")) != digest_of(pretrained("uan"))
+        True
+    """
+    total = hashlib.sha256()
+    for name, value in sorted(network.state_dict().items()):
+        total.update(name.encode())
+        total.update(value.cpu().numpy().tobytes() if isinstance(value, Tensor) else repr(value).encode())
+    return total.hexdigest()[:16]
+
+
+def _metadata(path: Path, arrays: Any) -> dict[str, Any]:
+    metadata = json.loads(arrays["metadata"].tobytes()) if "metadata" in arrays.files else {}
     if metadata.get("format") != FORMAT:
         raise ValueError(f"{path.name} is not a network of format {FORMAT}. Write it with write_network.")
     return dict(metadata)
+
+
+def _json(path: Path, metadata: Mapping[str, Any]) -> str:
+    try:
+        return json.dumps(metadata, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path.name} cannot hold what was told of the network: {error}. Give what JSON has: text, finite numbers, "
+            "lists and dictionaries of them."
+        ) from None
 
 
 def _kind_and_sizes(network: Any) -> dict[str, Any]:

@@ -119,7 +119,8 @@ class Clearance:
     """How far above the ground the lowest point of all that may touch it is.
 
     Shapes are taken as points with a radius: a capsule's two ends, a box's corners. The ground is taken as high as it
-    is anywhere near a point, so that what this calls clear touches nothing.
+    is anywhere near a point, so that what is far above it there does not touch it, but a long shape may touch a bump
+    between two of its points.
     """
 
     bodies: Tensor

@@ -6,7 +6,7 @@ A robot is data. What moves it lives in ``physics``, and what it is asked to do 
 from torchrl_athletic.robots.b2z1 import b2z1
 from torchrl_athletic.robots.corrected import with_correction
 from torchrl_athletic.robots.from_mjcf import from_mjcf
-from torchrl_athletic.robots.robot import Joint, Robot, with_timestep
+from torchrl_athletic.robots.robot import Joint, Robot, with_options
 from torchrl_athletic.robots.terrain import Terrain
 from torchrl_athletic.robots.tools import Bucket, Dumbbell, with_bucket
 from torchrl_athletic.robots.z1 import z1
@@ -21,6 +21,6 @@ __all__ = [
     "from_mjcf",
     "with_bucket",
     "with_correction",
-    "with_timestep",
+    "with_options",
     "z1",
 ]

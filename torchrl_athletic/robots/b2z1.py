@@ -99,6 +99,8 @@ def _leg_joints(leg: str) -> tuple[Joint, Joint, Joint]:
 
 
 LEG_JOINTS = tuple(joint for leg in LEGS for joint in _leg_joints(leg))
+SOLVER_ITERATIONS = (10, 20)
+"""Most of Newton's, and of its line search. On a GPU the slowest of thousands of robots rules the time of a step."""
 STAND_HEIGHT = FOOT_RADIUS + THIGH_LENGTH * float(np.cos(0.67)) + CALF_LENGTH * float(np.cos(0.67 - 1.3))
 """Of the base's origin with the feet just touching the floor in the default pose, 0.589 [m]."""
 
@@ -178,6 +180,7 @@ class _Blueprint:
 
     def __call__(self) -> mujoco.MjSpec:
         spec = empty_scene("b2z1", self.cone)
+        spec.option.iterations, spec.option.ls_iterations = SOLVER_ITERATIONS
         base = spec.worldbody.add_body(name="base", pos=[0, 0, STAND_HEIGHT])
         base.add_freejoint(name="root")
         set_inertial(base, _BASE)

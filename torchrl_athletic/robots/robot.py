@@ -84,27 +84,38 @@ class Robot:
         return self.build().compile()
 
 
-def with_timestep(robot: Robot, timestep: float) -> Robot:
-    """A robot whose physics takes other steps [s]: finer ones tell what is the solver's error.
+def with_options(robot: Robot, **options: float) -> Robot:
+    """A robot in another simulation: of finer steps, or a solver that goes on for longer.
+
+    Args:
+        robot: As it is.
+        options: Of MuJoCo's ``mjOption``: ``timestep`` [s], ``iterations``, ``ls_iterations``...
+
+    Raises:
+        ValueError: If MuJoCo has no such option, or time would stand still.
 
     Example:
         >>> from torchrl_athletic.robots import z1
-        >>> with_timestep(z1(), 0.001).model().opt.timestep
+        >>> with_options(z1(), timestep=0.001).model().opt.timestep
         0.001
     """
-    if not timestep > 0:
-        raise ValueError(f"timestep is {timestep} s, and time would stand still. Give more than 0.")
-    return replace(robot, build=_WithTimestep(robot.build, timestep))
+    known = vars(mujoco.MjOption)
+    if unknown := [name for name in options if name not in known or name.startswith("_")]:
+        raise ValueError(f"MuJoCo has no option {unknown[0]!r}. Give one of mjOption: timestep, iterations, cone...")
+    if not options.get("timestep", 1.0) > 0:
+        raise ValueError(f"timestep is {options['timestep']} s, and time would stand still. Give more than 0.")
+    return replace(robot, build=_WithOptions(robot.build, tuple(options.items())))
 
 
 @dataclass(frozen=True)
-class _WithTimestep:
+class _WithOptions:
     build: Callable[[], mujoco.MjSpec]
-    timestep: float
+    options: tuple[tuple[str, float], ...]
 
     def __call__(self) -> mujoco.MjSpec:
         spec = self.build()
-        spec.option.timestep = self.timestep
+        for name, value in self.options:
+            setattr(spec.option, name, value)
         return spec
 
 

@@ -35,7 +35,6 @@ def empty_scene(name: str, cone: Cone) -> mujoco.MjSpec:
     spec.option.timestep = TIMESTEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = cones[cone]
-    spec.option.iterations, spec.option.ls_iterations = 10, 20  # few states need more; on a GPU the slowest would rule
     spec.option.impratio = 10.0  # at 1 the soft contacts let loaded feet slide away within seconds
     spec.add_texture(
         name="floor",

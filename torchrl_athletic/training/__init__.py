@@ -28,7 +28,7 @@ from torchrl_athletic.training.uan import (
 )
 from torchrl_athletic.training.uan_gradient import DifferentiableTorqueEnv, GradientLearner, descend
 from torchrl_athletic.training.video import draw_episode, frame_strip, record_video, write_video
-from torchrl_athletic.training.wbc import CURVES, save_wbc, wbc_learner
+from torchrl_athletic.training.wbc import CURVES, read_wbc, save_wbc, wbc_learner
 from torchrl_athletic.training.wbc_evaluation import Condition, draw_conditions, examine, table_of, wbc_conditions
 
 __all__ = [
@@ -71,6 +71,7 @@ __all__ = [
     "learn_remainder",
     "make_logger",
     "play",
+    "read_wbc",
     "record_video",
     "save_wbc",
     "set_aside",

@@ -208,7 +208,7 @@ def restore_env(env: EnvBase, current: TensorDict, state: dict[str, Any]) -> Ten
     for name in state["physics"].keys() - {"qpos", "qvel"}:
         physics.data(name).copy_(state["physics"][name])
     wrenches = getattr(base_env_of(env), "wrenches", {})
-    for name, wrench in wrenches.items():
+    for wrench in wrenches.values():
         wrench.zero_()
     for name, value in state.get("wrenches", {}).items():
         wrenches.setdefault(name, torch.zeros_like(value, device=env.device)).copy_(value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,7 @@ from tqdm import tqdm
 
 from torchrl_athletic.losses import AdaptiveKL, SplitClipPPOLoss, SplitOptimizationStepper
 from torchrl_athletic.networks import RunningNormalizer
+from torchrl_athletic.physics import CapacityError
 from torchrl_athletic.training.captured import CapturedRollout
 from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.distributed import (
@@ -29,6 +31,7 @@ from torchrl_athletic.training.distributed import (
 from torchrl_athletic.training.finite import check_finite
 from torchrl_athletic.training.logging import MetricLogger
 from torchrl_athletic.training.rollout import Rollout, under_next
+from torchrl_athletic.transforms.stateful import base_env_of
 
 
 @dataclass(frozen=True)
@@ -332,6 +335,8 @@ def train(
             metrics |= {"samples": float(learner.samples), "seconds": learner.seconds}
             if logger is not None:
                 logger.log_metrics(metrics, step=learner.iteration)
+            if share == 1 or learner.iteration % checkpoint_every == 0:
+                _check_room(learner)
             if checkpoints is not None and (share == 1 or learner.iteration % checkpoint_every == 0):
                 checkpoints.save(learner, logger)
             rate = (learner.samples - first_sample) / (learner.seconds - started)
@@ -341,6 +346,16 @@ def train(
     if not metrics and evaluate is not None:  # an earlier run had come to its end
         return dict(processes.of_first(evaluate))
     return metrics
+
+
+def _check_room(learner: Any) -> None:
+    """Tell if contacts were left out: a training outlives one now and then, its user should know."""
+    physics = getattr(base_env_of(getattr(learner, "env", None)), "physics", None)
+    try:
+        if physics is not None:
+            physics.check()
+    except CapacityError as error:
+        warnings.warn(str(error), stacklevel=3)
 
 
 def _numbers(report: TensorDict) -> dict[str, float]:

@@ -33,12 +33,13 @@ class RayRollout(Rollout):
     not drawn before.
 
     Args:
-        make_env: Makes the environment of a worker, given the worker's number; of as many rows for each. It tells
-            transforms which rows they are by ``first_row=worker * rows``. It travels to the workers: a function of a
-            script may, one of a module has to be importable there.
+        make_env: Makes the environment of a worker, given how many rows it has and the number of its first one, of
+            which it tells the transforms. It travels to the workers: a function of a script may, one of a module has to
+            be importable there.
         policy: As of :class:`~.Rollout`; it acts on the workers' CPUs.
         horizon: As of :class:`~.Rollout`.
         workers: How many; each takes one CPU.
+        rows: Of each worker.
         keys: As of :class:`~.Rollout`. What is not asked for does not travel.
         seed: Of the workers' exploration.
         device: Where batches are put; None where the policy is.
@@ -47,14 +48,14 @@ class RayRollout(Rollout):
         init: Further arguments of ``ray.init``.
 
     Attributes:
-        env: As the first worker's, for its specs and for :class:`~.Learner`; nobody steps it.
+        env: Of one row, for its specs and for :class:`~.Learner`; nobody steps it.
         num_envs: Rows of all workers.
 
     Raises:
         ModuleNotFoundError: If Ray is not installed.
 
     Example:
-        >>> with RayRollout(make_env, policy, 24, workers=8, keys=critic.in_keys) as rollout:  # doctest: +SKIP
+        >>> with RayRollout(make_env, policy, 24, workers=8, rows=64) as rollout:  # doctest: +SKIP
         ...     config = PPO(num_envs=rollout.num_envs, horizon=24)
         ...     learner = Learner(rollout.env, policy, critic, config, rollout=rollout)
         ...     train(learner, minutes=60)
@@ -62,11 +63,12 @@ class RayRollout(Rollout):
 
     def __init__(
         self,
-        make_env: Callable[[int], EnvBase],
+        make_env: Callable[[int, int], EnvBase],
         policy: Policy,
         horizon: int,
         *,
         workers: int,
+        rows: int,
         keys: Sequence[NestedKey] | None = None,
         seed: int = 0,
         device: torch.device | str | None = None,
@@ -74,8 +76,9 @@ class RayRollout(Rollout):
         init: Mapping[str, Any] | None = None,
     ) -> None:
         check_horizon(horizon)
-        if workers < 1:
-            raise ValueError(f"workers is {workers}, so that nobody would collect. Give 1 or more.")
+        for name, count in (("workers", workers), ("rows", rows)):
+            if count < 1:
+                raise ValueError(f"{name} is {count}, so that nobody would collect. Give 1 or more.")
         if find_spec("ray") is None:
             raise ModuleNotFoundError(
                 "ray is not installed, which starts the workers and talks to them. Install it with "
@@ -84,8 +87,9 @@ class RayRollout(Rollout):
             )
         self.make_env, self.policy, self.horizon, self.keys = make_env, policy, horizon, keys
         self.workers, self.seed, self.address, self.init = workers, seed, address, dict(init or {})
-        self.env = make_env(0)
-        self.num_envs = workers * self.env.numel()
+        self.rows = rows
+        self.env = make_env(1, 0)
+        self.num_envs = workers * rows
         self.batches = 0
         """Collected so far, earlier runs included; names the workers' random numbers when they start."""
         self.device = device if device is not None else _device_of(policy)
@@ -147,7 +151,7 @@ class RayRollout(Rollout):
         try:
             self._check_resources(ray.cluster_resources())
             self._collector = RayCollector(
-                [partial(_made, self.make_env, w, self.env.numel(), self._seed(w)) for w in range(self.workers)],
+                [partial(_made, self.make_env, self.rows, w, self._seed(w)) for w in range(self.workers)],
                 deepcopy(self.policy).cpu() if isinstance(self.policy, nn.Module) else self.policy,
                 frames_per_batch=self.horizon * self.num_envs,
                 total_frames=sys.maxsize,  # the default of -1 ends before the first batch
@@ -183,15 +187,15 @@ class RayRollout(Rollout):
         return zlib.crc32(f"{self.seed}/{worker}/{self.batches}".encode())
 
 
-def _made(make_env: Callable[[int], EnvBase], worker: int, rows: int, seed: int) -> EnvBase:
+def _made(make_env: Callable[[int, int], EnvBase], rows: int, worker: int, seed: int) -> EnvBase:
     """What a worker begins with."""
     torch.manual_seed(seed)
     with _one_cpu():
-        env = make_env(worker)
+        env = make_env(rows, worker * rows)
     if env.numel() != rows:
         raise ValueError(
-            f"make_env({worker}) has {env.numel()} rows and make_env(0) has {rows}: their batches would not fit "
-            "together. Give each worker as many."
+            f"make_env({rows}, {worker * rows}) has {env.numel()} rows: batches would not have the size that was asked "
+            f"for. Make an environment of {rows}."
         )
     return env
 

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from tensordict import NestedKey
 from tensordict.nn import TensorDictModuleBase
+from torch import nn
 from torchrl.envs import EnvBase
 
-from torchrl_athletic.networks import RunningNormalizer, actor, critic, write_network
+from torchrl_athletic.networks import (
+    RunningNormalizer,
+    actor,
+    critic,
+    read_network,
+    shipped_path,
+    trunk_of,
+    write_network,
+)
 from torchrl_athletic.training.distributed import ALONE, Processes
 from torchrl_athletic.training.ppo import PPO, PRE_TRAIN, Learner
 from torchrl_athletic.training.rollout import Rollout, under_next
@@ -34,6 +43,7 @@ def wbc_learner(
     env: EnvBase,
     config: PPO = PRE_TRAIN,
     *,
+    start: str | Path | None = None,
     hidden: Sequence[int] = (512, 512, 512),
     scale: float = 0.5,
     seed: int = 0,
@@ -41,19 +51,23 @@ def wbc_learner(
     collect_by: MakeRollout | None = None,
     processes: Processes = ALONE,
 ) -> Learner:
-    """A new policy that reads ``observation`` and a critic that reads ``privileged``, ready to be trained.
+    """A policy that reads ``observation`` and a critic that reads ``privileged``, ready to be trained.
 
-    The policy starts at the default pose. The first episodes start at random ages, so that they do not all end at once.
+    A new policy starts at the default pose.
 
     Args:
         env: Of :func:`~torchrl_athletic.envs.whole_body_env`, or a task that shows the same entries.
         config: Numbers chosen by hand.
-        hidden: Layers of both networks.
-        scale: First standard deviation of the actions [1].
+        start: A shipped policy, ``"wbc"``, or a file of :func:`save_wbc`, to go on from; None begins anew.
+        hidden: Layers of both networks, if they are new.
+        scale: First standard deviation of the actions, if they are new [1].
         seed: Of the order of samples.
         cuda_graph: Capture control step and update, on a GPU only.
         collect_by: Makes what collects in place of ``env``: a :class:`~.RayRollout`.
         processes: Those that train together.
+
+    Raises:
+        ValueError: If a network to start from sees or does something else than this environment shows and takes.
 
     Source:
         Fey et al. 2025, section II-B. Its critic is of the policy's size; what it sees is not said.
@@ -66,15 +80,20 @@ def wbc_learner(
     """
     shown = env.observation_spec
     seen, known = (shown[key].shape[-1] for key in ("observation", "privileged"))
-    device = None if env.device is None else str(env.device)
-    scales = {
-        key: RunningNormalizer(size, device=device) for key, size in (("observation", seen), ("privileged", known))
-    }
     width = env.action_spec.shape[-1]
-    policy = actor(seen, width, hidden=hidden, scale=scale, gain=0.01, normalizer=scales["observation"], device=device)
-    value = critic(known, in_keys=["privileged"], hidden=hidden, normalizer=scales["privileged"], device=device)
+    if start is None:
+        policy = actor(seen, width, hidden=hidden, scale=scale, gain=0.01, normalizer=RunningNormalizer(seen))
+        value = critic(known, in_keys=["privileged"], hidden=hidden, normalizer=RunningNormalizer(known))
+    else:
+        policy, value = read_wbc(start, trainable=True)
+        _check_sizes(str(start), {"observation": (policy, seen, width), "privileged": (value, known, 1)})
+    policy, value = policy.to(env.device), value.to(env.device)
+    scales: dict[NestedKey, Any] = {
+        "observation": trunk_of(policy).normalizer,
+        "privileged": trunk_of(value).normalizer,
+    }
     rollout = None if collect_by is None else collect_by(policy, ["privileged", *under_next(WATCHED)])
-    learner = Learner(
+    return Learner(
         env if rollout is None else rollout.env,
         policy,
         value,
@@ -86,9 +105,6 @@ def wbc_learner(
         rollout=rollout,
         processes=processes,
     )
-    if rollout is None:
-        learner.rollout.current["step_count"].random_(0, _longest_episode(env))
-    return learner
 
 
 def save_wbc(learner: Learner, folder: str | Path, **told: Any) -> Path:
@@ -109,6 +125,36 @@ def save_wbc(learner: Learner, folder: str | Path, **told: Any) -> Path:
     return folder / "wbc.npz"
 
 
-def _longest_episode(env: Any) -> int:
-    """Policy steps."""
-    return max([1, *(part.max_steps for part in env.transform if getattr(part, "max_steps", None))])
+def read_wbc(name: str | Path, *, trainable: bool = False) -> tuple[Any, Any]:
+    """A policy and its critic.
+
+    Args:
+        name: A shipped policy, ``"wbc"``, or a file of :func:`save_wbc`; the critic's lies beside it.
+        trainable: Whether they shall learn.
+
+    Raises:
+        FileNotFoundError: If a file is missing.
+
+    Example:
+        >>> policy, value = read_wbc("wbc")
+        >>> policy.in_keys, value.in_keys
+        (['observation'], ['privileged'])
+    """
+    path = Path(name) if Path(name).suffix else shipped_path(str(name))
+    beside = path.with_name(f"{path.stem}_critic{path.suffix}")
+    for file in (path, beside):
+        if not file.exists():
+            raise FileNotFoundError(
+                f"{file} is missing: a policy goes on with its critic, {path.name} and {beside.name}."
+            )
+    return read_network(path, trainable=trainable), read_network(beside, trainable=trainable)
+
+
+def _check_sizes(start: str, wanted: Mapping[str, tuple[Any, int, int]]) -> None:
+    for key, (network, seen, made) in wanted.items():
+        layers = [layer for layer in trunk_of(network).mlp if isinstance(layer, nn.Linear)]
+        if (layers[0].in_features, layers[-1].out_features) != (seen, made):
+            raise ValueError(
+                f"{start} makes {layers[-1].out_features} numbers of {layers[0].in_features} of {key!r}, asked is "
+                f"for {made} of {seen}. Give both the same robot, history and randomisation, or begin anew."
+            )

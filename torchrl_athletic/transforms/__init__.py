@@ -27,6 +27,7 @@ from torchrl_athletic.transforms.observation_history import ObservationHistory
 from torchrl_athletic.transforms.pose_error import PoseError
 from torchrl_athletic.transforms.reference_trajectory import ReferenceTrajectory
 from torchrl_athletic.transforms.reward_terms import RewardTerm, RewardTerms, Term
+from torchrl_athletic.transforms.staggered_episodes import StaggeredEpisodes
 from torchrl_athletic.transforms.stateful import RandomTransform, StatefulTransform
 from torchrl_athletic.transforms.task_phase import TaskPhase
 
@@ -55,6 +56,7 @@ __all__ = [
     "ReferenceTrajectory",
     "RewardTerm",
     "RewardTerms",
+    "StaggeredEpisodes",
     "StartRanges",
     "StatefulTransform",
     "TaskPhase",

@@ -22,9 +22,8 @@ Axes = tuple[float, float, float]
 class StartRanges:
     """How far a start may lie from the keyframe, either way, each number being drawn by itself.
 
-    The paper randomises the initial joint and body states and states no figures: the defaults are ours. A robot that
-    stands on legs may start with feet some centimetres in the ground, from where it is pushed out: take 0.1 rad
-    where that matters.
+    The paper randomises the initial joint and body states and states no figures: the defaults are ours.
+    :class:`~torchrl_athletic.envs.TorqueEnv` lifts a floating robot whose start would be in the ground.
     """
 
     joint_position: float = 0.2
