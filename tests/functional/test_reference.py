@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchrl_athletic.functional.reference import pad_references, sample_reference
+from torchrl_athletic.functional.reference import PEAK_SPEED, interpolate_poses, pad_references, sample_reference
 
 SHORT, LONG = torch.randn(4, 2), torch.randn(7, 2)
 TABLE, LENGTHS = pad_references([SHORT, LONG])
@@ -61,3 +61,26 @@ def test_one_reference_and_several_of_one_length_need_no_list():
 def test_references_that_make_no_table_are_refused(references):
     with pytest.raises(ValueError, match="at least one sample and the same D"):
         pad_references(references)
+
+
+def test_a_motion_passes_its_key_poses_at_rest_and_is_fastest_half_way():
+    times, poses = torch.tensor([0.0, 1.0, 3.0]).double(), torch.tensor([[0.0, 1.0], [2.0, -1.0], [2.0, 3.0]]).double()
+    t = torch.linspace(0, 3, 3001).double().requires_grad_()
+    assert torch.equal(interpolate_poses(times, poses, times), poses)
+    for column in range(2):
+        [speed] = torch.autograd.grad(interpolate_poses(times, poses, t)[:, column].sum(), t, create_graph=True)
+        [acceleration] = torch.autograd.grad(speed.sum(), t)
+        rests = torch.tensor([1, 999, 1001, 2999])  # 1 ms beside the key poses
+        assert speed[rests].abs().max() < 1e-3
+        assert acceleration[rests].abs().max() < 0.2
+        for leg, middle in enumerate((500, 2000)):
+            mean = (poses[leg + 1, column] - poses[leg, column]) / (times[leg + 1] - times[leg])
+            assert speed[middle].item() == pytest.approx(PEAK_SPEED * mean.item())
+            between = speed[1000 * leg : 1000 + 2000 * leg]
+            assert between.abs().max().item() <= PEAK_SPEED * abs(mean.item()) + 1e-9
+
+
+def test_before_and_after_its_key_poses_a_motion_stays_there():
+    times, poses = torch.tensor([0.0, 1.0]), torch.tensor([[1.0], [2.0]])
+    assert interpolate_poses(times, poses, torch.tensor([-1.0, 0.0, 1.0, 5.0])).flatten().tolist() == [1, 1, 2, 2]
+    assert interpolate_poses(times[:1], poses[:1], torch.tensor([-1.0, 5.0])).flatten().tolist() == [1, 1]

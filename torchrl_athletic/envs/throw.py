@@ -14,6 +14,7 @@ from torchrl_athletic.envs.actuation_chain import actuation_chain
 from torchrl_athletic.envs.torque_env import TorqueEnv
 from torchrl_athletic.functional import ball, rewards
 from torchrl_athletic.functional.phase import throw_phases
+from torchrl_athletic.functional.reference import interpolate_poses
 from torchrl_athletic.robots import Bucket, Robot
 from torchrl_athletic.transforms import (
     ActionHistory,
@@ -81,11 +82,7 @@ def throw_reference(robot: Robot, waypoints: Sequence[tuple[float, Sequence[floa
     home = torch.tensor(robot.default_pose)[arm]
     poses = torch.stack([home if pose is None else torch.tensor(pose) for _, pose in waypoints])
     times = torch.tensor([time for time, _ in waypoints])
-    t = torch.arange(round(float(times[-1]) / DT) + 1) * DT
-    leg = (torch.searchsorted(times, t, right=True) - 1).clamp(0, len(times) - 2)
-    share = ((t - times[leg]) / (times[leg + 1] - times[leg])).clamp(0, 1).unsqueeze(-1)
-    smooth = share**3 * (10 - 15 * share + 6 * share**2)
-    return poses[leg] + smooth * (poses[leg + 1] - poses[leg])
+    return interpolate_poses(times, poses, torch.arange(round(float(times[-1]) / DT) + 1) * DT)
 
 
 def throw_env(

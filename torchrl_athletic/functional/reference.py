@@ -10,6 +10,39 @@ from torch import Tensor
 
 AtEnd: TypeAlias = Literal["hold", "loop"]
 """What follows the last sample: the same again for ever, or the first one."""
+PEAK_SPEED = 15 / 8
+"""Of the way between two key poses in :func:`interpolate_poses`, by its mean speed [1]."""
+
+
+def interpolate_poses(times: Tensor, poses: Tensor, t: Tensor) -> Tensor:
+    r"""A motion through key poses, which rests at each of them.
+
+    Each column follows the quintic whose speed and acceleration are zero at both ends,
+
+    .. math:: x_i + (x_{i+1} - x_i)\,(10 s^3 - 15 s^4 + 6 s^5), \quad s = (t - t_i) / (t_{i+1} - t_i)
+
+    whose speed is greatest in the middle, :data:`PEAK_SPEED` times the mean. Before the first key pose and after the
+    last one it stays there.
+
+    Args:
+        times: Of the key poses, rising [s]. Shape (P,).
+        poses: Shape (P, D).
+        t: When to read [s]. Shape (T,).
+
+    Returns:
+        Shape (T, D).
+
+    Example:
+        >>> times, poses = torch.tensor([0.0, 2.0]), torch.tensor([[0.0], [8.0]])
+        >>> interpolate_poses(times, poses, torch.tensor([0.0, 0.5, 1.0, 2.0, 9.0])).squeeze(-1).tolist()
+        [0.0, 0.828125, 4.0, 8.0, 8.0]
+    """
+    if len(times) == 1:
+        return poses.expand(len(t), -1)
+    leg = (torch.searchsorted(times, t, right=True) - 1).clamp(0, len(times) - 2)
+    share = ((t - times[leg]) / (times[leg + 1] - times[leg])).clamp(0, 1).unsqueeze(-1)
+    smooth = share**3 * (10 - 15 * share + 6 * share**2)
+    return poses[leg] + smooth * (poses[leg + 1] - poses[leg])
 
 
 def pad_references(references: Tensor | Sequence[Tensor]) -> tuple[Tensor, Tensor]:
