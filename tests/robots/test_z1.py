@@ -72,6 +72,28 @@ def test_each_joint_turns_its_way():
     assert np.linalg.norm(seen(6, -1.0)[2]) > np.linalg.norm(jaws) + 0.02  # open
 
 
+@pytest.mark.parametrize("roll", [0.0, 1.57, 2.7])
+def test_the_tips_of_its_jaws_stand_on_the_ground_and_the_hand_feels_it(roll):
+    plant = Plant(z1())
+    plant.hold(0.5)
+    assert not plant.sensed("hand_force")
+    down = np.array([0.0, 2.9, -1.3, 0.0, 0.0, roll, 0.0])
+    for share in np.linspace(0, 1, 20):
+        plant.hold(0.1, plant.robot.default_pose + share * (down - plant.robot.default_pose))
+    plant.hold(2.0, down)
+    felt, force = plant.sensed("hand_force"), np.zeros(6)
+    link, axis = plant.data.body("link06").xpos, plant.data.body("link06").xmat.reshape(3, 3)[:, 0]
+    assert axis[2] < -0.6  # it points down, and would reach 8 cm into the ground
+    assert abs((link + 0.2 * axis)[2]) < 0.02
+    pressed = 0.0
+    for number in range(plant.data.ncon):
+        mujoco.mj_contactForce(plant.model, plant.data, number, force)
+        pressed += force[0]
+    assert pressed > 50.0
+    assert felt == pytest.approx(pressed)
+    assert plant.sensed("arm_force").max() == 0  # gripper, wrist and elbow stay off the ground
+
+
 def test_its_gains_hold_it_against_gravity_with_a_sag_of_torque_over_gain():
     plant = Plant(z1())
     plant.hold(5.0)

@@ -12,10 +12,12 @@ from torch import Tensor, nn
 from torchrl.envs import ActionScaling, CatFrames, Compose, EnvBase, RewardSum, StepCounter, Transform
 
 from torchrl_athletic.envs import TorqueEnv
-from torchrl_athletic.robots import z1
+from torchrl_athletic.functional.phase import Phase, PhaseSchedule
+from torchrl_athletic.robots import Dumbbell, Robot, z1
 from torchrl_athletic.testing import TransformContract
 from torchrl_athletic.transforms import (
     ActionDelay,
+    AddedMass,
     Decimation,
     DomainRandomization,
     ExternalPush,
@@ -25,6 +27,7 @@ from torchrl_athletic.transforms import (
     PowerClip,
     Push,
     RandomizationRanges,
+    TaskPhase,
     TorqueSpeedClip,
     UANCorrection,
 )
@@ -136,11 +139,12 @@ class OnARobot(TransformContract):
     """There the entries' names and types are given, and rows differ by their torques and by what is drawn."""
 
     fields: ClassVar[Sequence[str]] = ()
+    robot: ClassVar[Robot] = z1()
 
     def make_env(self, num_envs: int | None = 3, first_row: int = 0, shortest: int = 2, **settings: Any) -> EnvBase:
         if num_envs is None or settings.keys() - {"device"} or settings.get("device", "cpu") != "cpu":
             raise NotImplementedError("TorqueEnv is a batch, with plain keys, of single precision")
-        return TorqueEnv(z1(), num_envs=num_envs, terminate=fast, fields=self.fields)
+        return TorqueEnv(self.robot, num_envs=num_envs, terminate=fast, fields=self.fields)
 
     @pytest.mark.skip(reason="a simulation cannot be copied in the midst of an episode")
     def test_copies_in_use(self) -> None: ...
@@ -169,6 +173,15 @@ class TestExternalPush(OnARobot):
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         pushes = [Push(("link03", "link06")), Push(("link04",))]
         return ExternalPush(pushes, dt=0.005, rest=(0.0, 0.02), duration=(0.005, 0.02), first_row=first_row)
+
+
+class TestAddedMass(OnARobot):
+    robot = z1(tool=Dumbbell())
+    fields = AddedMass.fields
+
+    def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
+        phases = PhaseSchedule((Phase("reach", 0.01, leave_probability=0.7), Phase("lift", start_probability=0.2)))
+        return Compose(TaskPhase(phases, dt=0.005, first_row=first_row), AddedMass(first_row=first_row))
 
 
 # Stock transforms, as a control

@@ -191,6 +191,7 @@ ARM_SENSORS: dict[str, tuple[str, ...]] = {
     "end_effector_linear_velocity": ("end_effector_linear_velocity",),
     "end_effector_angular_velocity": ("end_effector_angular_velocity",),
     "arm_force": ("elbow_force", "wrist_force", "gripper_force"),
+    "hand_force": ("hand_force",),
 }
 
 
@@ -286,8 +287,9 @@ def add_round(
     rgba: tuple[float, ...] = _GREY,
     contype: int = 0,
     mass: float = 0.0,
+    group: int = 0,
 ) -> None:
-    """A capsule or a cylinder from point to point [m]; contacts only where asked for."""
+    """A capsule or a cylinder from point to point [m]; contacts only where asked for, hidden in groups from 3 on."""
     kind = mujoco.mjtGeom.mjGEOM_CYLINDER if cylinder else mujoco.mjtGeom.mjGEOM_CAPSULE
     body.add_geom(
         name=name,
@@ -298,6 +300,7 @@ def add_round(
         contype=contype,
         conaffinity=0,
         mass=mass,
+        group=group,
     )
 
 
@@ -324,6 +327,8 @@ def _add_shapes(spec: mujoco.MjSpec) -> None:
     add_box(link("link06"), "z1_gripper", (0.082, 0, 0), (0.07, 0.076, 0.066), rgba=_DARK, contype=touching)
     add_box(link("link06"), "z1_jaw", (0.16, 0, -0.0205), (0.08, 0.06, 0.023), contype=OBJECT)
     add_box(link("gripperMover"), "z1_moving_jaw", (0.055, 0, 0.004), (0.09, 0.06, 0.026), contype=OBJECT)
+    # what meets the ground in place of the two closed jaws: one shape, since each costs a search for contacts
+    add_round(link("link06"), "z1_hand", (0.13, 0, -0.007), (0.172, 0, -0.007), 0.028, contype=GROUND, group=4)
 
 
 def _add_sensors(spec: mujoco.MjSpec) -> None:
@@ -339,5 +344,6 @@ def _add_sensors(spec: mujoco.MjSpec) -> None:
     spec.body("link02").add_site(name="elbow", type=sphere, pos=[-0.35, 0, 0], size=[0.06] * 3, group=4)
     spec.body("link04").add_site(name="wrist", type=solid, pos=[0.035, 0, 0], size=[0.075, 0.04, 0.04], group=4)
     link06.add_site(name="gripper", type=solid, pos=[0.082, 0, 0], size=[0.042, 0.045, 0.04], group=4)
-    for name in ("elbow", "wrist", "gripper"):
+    link06.add_site(name="hand", type=solid, pos=[0.125, 0, 0], size=[0.085, 0.045, 0.045], group=4)
+    for name in ("elbow", "wrist", "gripper", "hand"):
         add_sensor(spec, "touch", name, f"{name}_force")

@@ -14,7 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_athletic.training.checkpoint import env_state, restore_env
 from torchrl_athletic.training.rollout import Policy, Rollout, control_step
-from torchrl_athletic.transforms import Decimation, DomainRandomization, ExternalPush
+from torchrl_athletic.transforms import AddedMass, Decimation, DomainRandomization, ExternalPush
 from torchrl_athletic.transforms.stateful import base_env_of
 
 
@@ -119,7 +119,7 @@ _OF_PHYSICS = (
     "field",
 )
 """What a compiler must not look into."""
-_NOT_COMPILED = (DomainRandomization, ExternalPush)
+_NOT_COMPILED = (AddedMass, DomainRandomization, ExternalPush)
 """They write to the physics. TorchRL's StepCounter looks up specs in its reset, which cannot be traced either."""
 
 

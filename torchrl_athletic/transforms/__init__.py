@@ -14,6 +14,7 @@ from torchrl_athletic.transforms.actuation import (
     UANCorrection,
 )
 from torchrl_athletic.transforms.actuator_net import ActuatorNet
+from torchrl_athletic.transforms.added_mass import AddedMass
 from torchrl_athletic.transforms.command_sampler import CommandSampler
 from torchrl_athletic.transforms.corrected_actuation import CorrectedActuation
 from torchrl_athletic.transforms.decimation import Decimation
@@ -36,6 +37,7 @@ __all__ = [
     "ActionDelay",
     "ActionHistory",
     "ActuatorNet",
+    "AddedMass",
     "CommandSampler",
     "CorrectedActuation",
     "Decimation",

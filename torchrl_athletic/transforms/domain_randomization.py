@@ -10,14 +10,12 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
-from torchrl.envs import TransformedEnv
 
 from torchrl_athletic.functional import randomization, streams
-from torchrl_athletic.transforms.simulated import once_per_model, simulated_env
+from torchrl_athletic.transforms.simulated import once_per_model, refuse_undeclared, refuse_undoing, simulated_env
 from torchrl_athletic.transforms.stateful import (
     Joints,
     RandomTransform,
-    base_env_of,
     joint_index,
     reset_mask,
     unbounded_like,
@@ -299,7 +297,7 @@ class DomainRandomization(RandomTransform):
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
         self._check_declared()
-        self._check_alone()
+        refuse_undoing(self, self.written())
         shown = observation_spec.keys(True)
         if self.drawn_key in shown:
             raise ValueError(
@@ -314,28 +312,10 @@ class DomainRandomization(RandomTransform):
 
     def _check_declared(self) -> None:
         """Raise unless the model can differ as it shall."""
-        physics = getattr(base_env_of(self.parent), "physics", None)
-        declared = () if physics is None else physics.fields
-        if missing := [field for field in self.fields if field not in declared]:
-            raise ValueError(
-                f"DomainRandomization writes the model's fields {list(self.fields)}, but all rows of the environment "
-                f"share {missing}. Make it with TorqueEnv(..., fields=randomization.fields), or set the ranges that "
-                "need them to None."
-            )
+        mend = "Make it with TorqueEnv(..., fields=randomization.fields), or set the ranges that need them to None."
+        refuse_undeclared(self, self.fields, mend)
 
-    def _check_alone(self) -> None:
-        """Raise if another of these transforms writes the same."""
-        chosen = self._written()
-        earlier = self.parent.transform.modules() if isinstance(self.parent, TransformedEnv) else ()
-        for other in (part for part in earlier if isinstance(part, DomainRandomization)):
-            twice = [name for name, rows in other._written().items() if rows & chosen.get(name, set())]
-            if twice:
-                raise ValueError(
-                    f"two DomainRandomization write {twice} of the same bodies, geoms or joints: the later one would "
-                    "undo the other. Set these ranges of one of them to None, or give them other bodies and joints."
-                )
-
-    def _written(self) -> dict[str, set[int]]:
+    def written(self) -> dict[str, set[int]]:
         """Rows of each field that this transform writes."""
         if not self.fields:
             return {}

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
-from torchrl.envs import Transform
+from torchrl.envs import Transform, TransformedEnv
 
 from torchrl_athletic.transforms.stateful import base_env_of
 
@@ -44,3 +44,40 @@ def once_per_model(transform: Transform, make: Callable[[Any], Result]) -> Resul
     if held is None or held[0] is not env.physics.model:
         held = transform.__dict__["_per_model"] = (env.physics.model, make(env))
     return held[1]
+
+
+def refuse_undeclared(transform: Transform, fields: Sequence[str], mend: str) -> None:
+    """Raise unless each env has values of its own for these fields of the model.
+
+    Args:
+        transform: That writes them.
+        fields: By name.
+        mend: What to do about it.
+    """
+    physics = getattr(base_env_of(transform.parent), "physics", None)
+    declared = () if physics is None else physics.fields
+    if missing := [field for field in fields if field not in declared]:
+        raise ValueError(
+            f"{type(transform).__name__} writes the model's fields {list(fields)}, but all rows of the environment "
+            f"share {missing}. {mend}"
+        )
+
+
+def refuse_undoing(transform: Transform, rows: Mapping[str, set[int]]) -> None:
+    """Raise if a transform before this one writes the same of the model: each of these has a method ``written``.
+
+    Args:
+        transform: That writes.
+        rows: Of each field, by its name: what ``transform.written()`` gives.
+    """
+    parent = transform.parent
+    earlier = parent.transform.modules() if isinstance(parent, TransformedEnv) else ()
+    for other in (part for part in earlier if hasattr(part, "written")):
+        twice = [name for name, written in other.written().items() if written & rows.get(name, set())]
+        if twice:
+            names = type(other).__name__, type(transform).__name__
+            who = f"two {names[0]}" if names[0] == names[1] else " and ".join(names)
+            raise ValueError(
+                f"{who} write {twice} of the same bodies, geoms or joints: the later one would undo the other. Give "
+                "them other bodies and joints, or set these ranges of a DomainRandomization to None."
+            )
