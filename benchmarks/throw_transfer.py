@@ -48,13 +48,13 @@ from benchmarks.throw_report import (  # noqa: E402
     markdown,
     samples_table,
 )
-from torchrl_athletic.envs import BallFlight, throw_distance, throw_env, throw_task  # noqa: E402
+from torchrl_athletic.envs import throw_distance, throw_env, throw_task  # noqa: E402
 from torchrl_athletic.envs.throw import ARM_POWER, BUCKET, STEPS  # noqa: E402
 from torchrl_athletic.identification import Simulator  # noqa: E402
 from torchrl_athletic.networks import load_checkpoint  # noqa: E402
 from torchrl_athletic.robots import with_bucket, z1  # noqa: E402
 from torchrl_athletic.training.evaluation import acting  # noqa: E402
-from torchrl_athletic.transforms import Decimation  # noqa: E402
+from torchrl_athletic.transforms import BallFlight, Decimation  # noqa: E402
 from torchrl_athletic.transforms.stateful import StatefulTransform, spread  # noqa: E402
 
 RECIPE = ROOT / "recipes" / "throw_arm.py"
@@ -276,7 +276,7 @@ def simulated_env(simulator: Simulator, count: int, first_row: int = 0) -> EnvBa
 def real_env(arms: Sequence[ConcealedArm], starts: Tensor) -> EnvBase:
     """The task on arms, each with a throw of its own."""
     task = throw_task(arms[0].robot, ends=False, tolerance=TOLERANCE)
-    flight = [BallFlight(1 / arms[0].rate), AtRelease("link_velocity")]
+    flight = [BallFlight(1 / arms[0].rate, rim=BUCKET.rim, radius=BUCKET.ball_radius), AtRelease("link_velocity")]
     return TransformedEnv(ArmEnv(arms, starts), Compose(*flight, Decimation(4), *task))
 
 
@@ -300,8 +300,8 @@ class AtRelease(StatefulTransform):
     """Keep what was when the ball left the bucket; zeros until then.
 
     Writes ``release_time`` (N, 1) since the episode's start [s], ``release_velocity`` (N, 3) of the ball [m/s] and
-    ``release_joint_velocity`` (N, J) [rad/s]. It stands behind :class:`~torchrl_athletic.envs.BallFlight`, at the same
-    rate.
+    ``release_joint_velocity`` (N, J) [rad/s]. It stands behind :class:`~torchrl_athletic.transforms.BallFlight`, at
+    the same rate.
 
     Args:
         velocity_key: Joint velocities.

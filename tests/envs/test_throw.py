@@ -1,5 +1,7 @@
 """The throw: what is shown, what is rewarded, what counts, and where the ball goes."""
 
+from functools import partial
+
 import mujoco
 import numpy as np
 import pytest
@@ -8,7 +10,6 @@ from tensordict import TensorDict
 from torchrl.envs import Compose, TransformedEnv, check_env_specs
 
 from torchrl_athletic.envs import (
-    BallFlight,
     ThrowFailure,
     TorqueEnv,
     actuation_chain,
@@ -17,16 +18,17 @@ from torchrl_athletic.envs import (
     throw_reference,
     throw_task,
 )
-from torchrl_athletic.envs.throw import BUCKET, DT, PLACED_AT, SENSED, STEPS, throw_rewards
+from torchrl_athletic.envs.throw import BUCKET, DT, PLACED_AT, STEPS, throw_rewards
 from torchrl_athletic.functional.ball import GRAVITY
 from torchrl_athletic.networks import uan
 from torchrl_athletic.robots import Bucket, with_bucket, z1
 from torchrl_athletic.testing import no_host_sync
 from torchrl_athletic.training import CapturedRollout, Rollout
-from torchrl_athletic.transforms import Decimation, DomainRandomization, RandomizationRanges
+from torchrl_athletic.transforms import BallFlight, Decimation, DomainRandomization, RandomizationRanges
 
 ROBOT = with_bucket(z1(), BUCKET)
 REFERENCE = throw_reference(ROBOT)
+BALL = {"rim": BUCKET.rim, "radius": BUCKET.ball_radius}
 
 
 def follow(env, offset=0.0, steps=STEPS):
@@ -273,11 +275,11 @@ def test_the_task_needs_no_simulation_of_ours():
 
 def test_no_time_is_no_flight():
     with pytest.raises(ValueError, match="hang in the air"):
-        BallFlight(0.0)
+        BallFlight(0.0, **BALL)
 
 
 def test_sensors_at_the_physics_rate_are_fresh():
-    env = TorqueEnv(ROBOT, num_envs=1, every_step=SENSED)
+    env = TorqueEnv(ROBOT, num_envs=1, every_step=BallFlight.every_step)
     env.reset()
     torque = torch.full((1, 7), 5.0)
     for _ in range(5):
@@ -300,10 +302,10 @@ def test_a_sensor_that_is_not_there_is_refused():
 def test_the_ball_flies_the_same_whatever_stands_outside():
     """Its physics is inside Decimation: the same steps one by one."""
     torques = torch.full((1, 7), -3.0)
-    inside = TransformedEnv(
-        TorqueEnv(ROBOT, num_envs=1, every_step=SENSED), Compose(BallFlight(0.005, placed_at=0.01), Decimation(4))
-    )
-    alone = TransformedEnv(TorqueEnv(ROBOT, num_envs=1), BallFlight(0.005, placed_at=0.01))
+    flight = partial(BallFlight, 0.005, **BALL, placed_at=0.01)
+    base = TorqueEnv(ROBOT, num_envs=1, every_step=BallFlight.every_step)
+    inside = TransformedEnv(base, Compose(flight(), Decimation(4)))
+    alone = TransformedEnv(TorqueEnv(ROBOT, num_envs=1), flight())
     act = lambda td: td.set("torque", torques)  # noqa: E731
     few, many = inside.rollout(5, act)["next"], alone.rollout(20, act)["next"]
     for key in ("ball_position", "ball_linear_velocity", "ball_away", "ball_age"):

@@ -6,7 +6,7 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from torchrl_athletic.networks import RunningNormalizer, actor, critic
+from torchrl_athletic.networks import RunningNormalizer, actor, critic, open_inputs, trunk_of
 
 
 def test_the_papers_networks_have_three_layers_of_512_and_elu():
@@ -75,3 +75,36 @@ def test_it_holds_for_any_leading_dims():
     flat = policy(TensorDict({"observation": states}, [6]))["loc"]
     deep = policy(TensorDict({"observation": states.view(2, 3, 3)}, [2, 3]))["loc"]
     torch.testing.assert_close(deep.view(6, 2), flat)
+
+
+def trained(size, make):
+    torch.manual_seed(0)
+    normalizer = RunningNormalizer(size)
+    normalizer.update(torch.cat((torch.randn(100, size - 1), torch.zeros(100, 1)), -1))  # one input was always 0
+    return make(normalizer)
+
+
+def test_inputs_that_are_opened_change_nothing_at_first_but_can_be_learnt_to():
+    policy = trained(4, lambda normalizer: actor(4, 2, hidden=(8,), normalizer=normalizer))
+    silent = torch.cat((torch.randn(5, 3), torch.zeros(5, 1)), -1)
+    spoken = silent + torch.tensor([0.0, 0.0, 0.0, 1.0])
+    before = policy(TensorDict({"observation": silent}, [5]))["loc"]
+    assert (policy(TensorDict({"observation": spoken}, [5]))["loc"] - before).abs().max() > 0.1
+    open_inputs(policy, [3])
+    after = policy(TensorDict({"observation": spoken}, [5]))["loc"]
+    torch.testing.assert_close(after, before, rtol=0, atol=1e-6)
+    after.sum().backward()
+    gradient = trunk_of(policy).mlp[0].weight.grad[:, 3]
+    assert gradient.abs().max() > 0
+    assert trunk_of(policy).normalizer(spoken)[:, 3].tolist() == [1.0] * 5
+
+
+def test_a_critic_takes_more_inputs_behind_those_it_has():
+    value = trained(4, lambda normalizer: critic(4, hidden=(8,), normalizer=normalizer))
+    seen = torch.randn(5, 4)
+    before = value(TensorDict({"observation": seen}, [5]))["state_value"]
+    open_inputs(value, width=6)
+    more = torch.cat((seen, 100 * torch.randn(5, 2)), -1)
+    torch.testing.assert_close(value(TensorDict({"observation": more}, [5]))["state_value"], before)
+    with pytest.raises(ValueError, match="has 6 inputs, asked is for 5"):
+        open_inputs(value, width=5)

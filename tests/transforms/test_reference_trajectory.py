@@ -1,9 +1,10 @@
 import pytest
 import torch
-from torchrl.envs import TransformedEnv
+from torchrl.envs import Compose, TransformedEnv
 
+from torchrl_athletic.functional.phase import Phase, PhaseSchedule
 from torchrl_athletic.testing import ToyEnv, TransformContract
-from torchrl_athletic.transforms import ReferenceTrajectory
+from torchrl_athletic.transforms import ReferenceTrajectory, TaskPhase
 
 DT = 0.02
 LENGTHS = (30, 18, 9)
@@ -44,6 +45,18 @@ class TestContractOfResetState(TransformContract):
         raise NotImplementedError
 
 
+PHASES = PhaseSchedule((Phase("a", 0.06, 0.6), Phase("b", 0.04, start_probability=0.3), Phase("c")))
+"""Of a few steps each."""
+
+
+class TestContractByPhase(TransformContract):
+    def make_transform(self, key=str, first_row=0):
+        names = {"phase_key": "task_phase", "index_key": "index", "step_key": "age", "last_key": "last"}
+        phase = TaskPhase(PHASES, DT, first_row=first_row, **{name: key(entry) for name, entry in names.items()})
+        keys = (key("index"), key("age"))
+        return Compose(phase, ReferenceTrajectory({"qpos": QPOS}, DT, DT, phase_keys=keys, reference_key=key("hint")))
+
+
 def environment(num_envs=3, shortest=2, **settings):
     settings = {"table_dt": DT, "dt": DT, **settings}
     return TransformedEnv(ToyEnv(num_envs, shortest=shortest), ReferenceTrajectory(TABLES, **settings))
@@ -74,6 +87,19 @@ def test_an_episode_sees_its_reference_from_the_beginning_at_its_own_time():
     assert (advanced[same_episode] == 1).all()
     assert (steps["reference_id"][:, 1:] == steps["reference_id"][:, :-1])[same_episode].all()
     assert torch.equal(steps["reference"], at(QPOS, steps))
+
+
+def test_by_phase_the_reference_is_the_phase_s_at_its_age():
+    shown = ReferenceTrajectory({"qpos": QPOS}, DT, DT, phase_keys=("task_phase_index", "task_phase_step"))
+    env = TransformedEnv(ToyEnv(20, shortest=9), Compose(TaskPhase(PHASES, DT), shown))
+    steps = env.rollout(40, break_when_any_done=False)
+    phase, age = (steps[key][..., 0] for key in ("task_phase_index", "task_phase_step"))
+    assert {0, 1, 2} == set(phase[begins(steps)].tolist()) | {2}
+    assert age[phase == 0].max() > 3  # some stay, and are shown the first reference as it goes on
+    assert set(phase.flatten().tolist()) == {0, 1, 2}
+    for index, table in enumerate(QPOS):
+        here = phase == index
+        assert torch.equal(steps["reference"][here], table[age[here].clamp(max=len(table) - 1)])
 
 
 def test_look_ahead_shows_now_what_a_later_step_shows():
@@ -150,6 +176,7 @@ def test_the_tables_of_the_reset_are_not_shown_unless_asked_for():
         ({"lookahead": ()}, "one time to show"),
         ({"probability": (0.5, 0.5)}, "each of the 3 references"),
         ({"probability": (0.5, 0.2, 0.2)}, "a sum of 1"),
+        ({"phase_keys": ("index", "age"), "random_start": True}, "the task's phase chooses the reference"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(arguments, told):

@@ -5,11 +5,13 @@ rate.
 """
 
 from torchrl_athletic.envs.actuation_chain import actuation_chain
-from torchrl_athletic.envs.drawing import draw_command
+from torchrl_athletic.envs.ball_throw import ball_throw_distance, ball_throw_env, ball_throw_rewards
+from torchrl_athletic.envs.drawing import draw_ball, draw_command, draw_sled
+from torchrl_athletic.envs.dumbbell_snatch import dumbbell_snatch_env, dumbbell_snatch_rewards
 from torchrl_athletic.envs.reach import PoseGoal, draw_goal, reach_errors, reachable_poses
 from torchrl_athletic.envs.replay import ReplayTakes, Takes, replay_env
+from torchrl_athletic.envs.task_parts import references
 from torchrl_athletic.envs.throw import (
-    BallFlight,
     ThrowFailure,
     throw_distance,
     throw_env,
@@ -23,7 +25,6 @@ from torchrl_athletic.envs.whole_body_rewards import whole_body_rewards
 
 __all__ = [
     "NO_DISTURBANCES",
-    "BallFlight",
     "Disturbances",
     "PoseGoal",
     "ReplayTakes",
@@ -31,11 +32,19 @@ __all__ = [
     "ThrowFailure",
     "TorqueEnv",
     "actuation_chain",
+    "ball_throw_distance",
+    "ball_throw_env",
+    "ball_throw_rewards",
+    "draw_ball",
     "draw_command",
     "draw_goal",
+    "draw_sled",
+    "dumbbell_snatch_env",
+    "dumbbell_snatch_rewards",
     "make_physics",
     "reach_errors",
     "reachable_poses",
+    "references",
     "replay_env",
     "throw_distance",
     "throw_env",

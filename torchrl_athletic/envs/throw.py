@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
-from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
+from torchrl.data import Composite, TensorSpec
 from torchrl.envs import CatTensors, Compose, StepCounter, Transform, TransformedEnv, UnaryTransform
 
 from torchrl_athletic.envs.actuation_chain import actuation_chain
@@ -18,6 +18,7 @@ from torchrl_athletic.functional.reference import interpolate_poses
 from torchrl_athletic.robots import Bucket, Robot
 from torchrl_athletic.transforms import (
     ActionHistory,
+    BallFlight,
     InitialState,
     ObservationHistory,
     ReferenceTrajectory,
@@ -39,8 +40,6 @@ ARM_POWER = 300.0
 """Of the arm's supply [W]. The paper gives no figure."""
 PLACED_AT = 1.5
 """When the ball is put into the bucket [s]. Fey et al. 2025, appendix B-A."""
-SENSED = ("bucket_position", "bucket_linear_velocity", "bucket_axis")
-"""What :class:`BallFlight` reads at every physics step."""
 FRAME = ("arm_position", "arm_velocity", "last_action", "reference", "task_phase")
 """What the policy observes of one step.
 
@@ -50,7 +49,6 @@ Source:
 PRIVILEGED = ("ball_position", "ball_linear_velocity", "bucket_position", "bucket_linear_velocity")
 """What the critic sees besides."""
 
-_ABSENT, _IN_BUCKET, _AWAY = 0, 1, 2
 _WAYPOINTS = (  # [s], then the joints of the arm [rad]
     (0.0, None),
     (1.9, (0.0, 0.8, -2.3, -0.8, 0.0, 0.0)),
@@ -126,14 +124,14 @@ def throw_env(
     """
     chain = actuation_chain(robot, arm_power=ARM_POWER) if chain is None else chain
     fields = {field for transform in (*sensing, *chain, *extra) for field in getattr(transform, "fields", ())}
-    base = TorqueEnv(robot, num_envs=num_envs, device=device, fields=sorted(fields), every_step=SENSED)
+    base = TorqueEnv(robot, num_envs=num_envs, device=device, fields=sorted(fields), every_step=BallFlight.every_step)
     still = StartRanges(spread, 0.0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3)
     return TransformedEnv(
         base,
         Compose(
             *sensing,
             InitialState(still, seed=seed, first_row=first_row),
-            BallFlight(base.physics.timestep),
+            BallFlight(base.physics.timestep, rim=BUCKET.rim, radius=BUCKET.ball_radius, placed_at=PLACED_AT),
             *chain,
             *extra,
             *throw_task(robot, tolerance=tolerance, ends=ends, privileged=privileged),
@@ -144,7 +142,7 @@ def throw_env(
 def throw_task(
     robot: Robot, *, tolerance: float = 0.01, ends: bool = True, privileged: Sequence[str] = ()
 ) -> list[Transform]:
-    """The task alone, for any environment that takes position targets and shows what :data:`SENSED` and joints are.
+    """The task alone, for any environment that takes position targets and shows joints and ``BallFlight.every_step``.
 
     Phases, timer and reward are the paper's. The set-up is never prolonged and no episode starts with settling, which
     the paper does so that a robot on legs learns not to fall: this one is bolted to the floor.
@@ -192,11 +190,11 @@ def throw_rewards(robot: Robot) -> tuple[dict[str, RewardTerm], dict[str, float]
     Source:
         Fey et al. 2025, appendix B-A, and appendix A, table of WBC rewards, below the dashed line.
     """
-    schedule = throw_phases()
+    schedule, arm = throw_phases(), list(robot.joint_groups["arm"])
     set_up, throw = schedule.index("throw-set-up"), schedule.index("throw")
     shared = ("mechanical_power", "action_smoothness", "joint_deviation", "collision", "joint_limits")
     terms: dict[str, RewardTerm] = {
-        "reference": lambda before, after: _in_phase(set_up, before, _off_reference(after)),
+        "reference": lambda before, after: _in_phase(set_up, before, _off_reference(after, arm)),
         "forward": lambda before, after: _in_phase(throw, before, _ball_speed(after, 0).clamp(min=0)),
         "upward": lambda before, after: _in_phase(throw, before, _ball_speed(after, 2).clamp(min=0)),
         "lateral": lambda before, after: _in_phase(throw, before, _ball_speed(after, 1).square()),
@@ -220,10 +218,9 @@ def _in_phase(index: int, before: TensorDictBase, value: Tensor) -> Tensor:
     return (before["task_phase_index"] == index) * value
 
 
-def _off_reference(after: TensorDictBase) -> Tensor:
-    reference = after["reference"]
-    joints = reference.shape[-1] // 2  # the reference now, and that of later
-    return rewards.absolute_error(after["joint_position"][..., :joints], reference[..., :joints])
+def _off_reference(after: TensorDictBase, arm: Sequence[int]) -> Tensor:
+    now = after["reference"][..., : len(arm)]  # that of later stands behind it
+    return rewards.absolute_error(after["joint_position"][..., arm[0] : arm[-1] + 1], now)
 
 
 def _ball_speed(after: TensorDictBase, axis: int) -> Tensor:
@@ -281,69 +278,6 @@ class AroundReference(Transform):
         targets = action[self.action_key]
         action[self.action_key] = unbounded_like(targets, (*targets.shape[:-1], self.width))
         return input_spec
-
-
-class BallFlight(StatefulTransform):
-    """Follow a ball that is put into the bucket, until it lies on the floor.
-
-    See :mod:`torchrl_athletic.functional.ball`. It runs at the physics rate: put it before
-    :class:`~torchrl_athletic.transforms.Decimation` in Compose, on an environment that shows :data:`SENSED` at every
-    step. Until the ball is there, its position is 0.
-
-    Writes ``ball_position``, ``ball_linear_velocity`` (N, 3) in world axes; ``ball_away`` (N, 1), whether it has left
-    the bucket; and ``ball_age`` (N, 1), steps since the episode's start.
-
-    Args:
-        dt: Of a step at this place in the chain [s].
-        bucket: Gives the ball's radius and the height of the rim.
-        placed_at: When the ball is put into the bucket [s].
-
-    Raises:
-        ValueError: If a step takes no time.
-
-    Example:
-        >>> from torchrl_athletic.robots import with_bucket, z1
-        >>> base = TorqueEnv(with_bucket(z1(), BUCKET), num_envs=1, every_step=SENSED)
-        >>> shown = TransformedEnv(base, BallFlight(0.005, placed_at=0.01)).rollout(2)["next"]
-        >>> (shown["ball_position"] == shown["bucket_position"]).all(-1)  # put in at the second step
-        tensor([[False,  True]])
-    """
-
-    def __init__(self, dt: float, bucket: Bucket = BUCKET, placed_at: float = PLACED_AT) -> None:
-        if not dt > 0:
-            raise ValueError(f"dt is {dt} s, needed is more than 0: the ball would hang in the air.")
-        out_keys: list[NestedKey] = ["ball_position", "ball_linear_velocity", "ball_away", "ball_age"]
-        super().__init__(list(SENSED), out_keys)
-        self.dt, self.rim, self.radius = dt, bucket.rim, bucket.ball_radius
-        self.placed = round(placed_at / dt)
-
-    def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
-        position = torch.zeros_like(tensordict_reset.get("bucket_position"))
-        age = torch.zeros_like(position[..., :1], dtype=torch.int64)
-        values = (position, position.clone(), torch.zeros_like(age, dtype=torch.bool), age)
-        return dict(zip(self.out_keys, values, strict=True))
-
-    def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
-        bucket_position, bucket_velocity, axis = (next_tensordict.get(key) for key in SENSED)
-        position, velocity, away, age = (tensordict.get(key) for key in self.out_keys)
-        age = age + 1
-        inside = ball.carry(
-            position, velocity, bucket_position, bucket_velocity, axis, tensordict.get("bucket_axis"), self.rim, self.dt
-        )
-        outside = ball.fly(position, velocity, self.dt, self.radius)
-        position, velocity = (torch.where(away, *pair) for pair in zip(outside, inside, strict=False))
-        is_put, to_come = age == self.placed, age < self.placed
-        position = torch.where(is_put, bucket_position, position).masked_fill(to_come, 0.0)
-        velocity = torch.where(is_put, bucket_velocity, velocity).masked_fill(to_come, 0.0)
-        away = (away | inside[2]) & (age > self.placed)
-        for key, value in zip(self.out_keys, (position, velocity, away, age), strict=True):
-            next_tensordict.set(key, value)
-
-    def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
-        place = observation_spec["bucket_position"]
-        flag = Bounded(0, 1, shape=(*place.shape[:-1], 1), dtype=torch.bool, device=place.device)
-        age = Unbounded(shape=flag.shape, dtype=torch.int64, device=place.device)
-        return dict(zip(self.out_keys, (place.clone(), place.clone(), flag, age), strict=True))
 
 
 class ThrowFailure(StatefulTransform):

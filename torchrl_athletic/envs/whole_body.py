@@ -112,7 +112,7 @@ def whole_body_env(
     device: torch.device | str = "cpu",
     net: nn.Module | str | None = "uan",
     chain: Sequence[Transform] | None = None,
-    commands: CommandRanges | None = None,
+    commands: CommandRanges | Sequence[Transform] | None = None,
     schedule: PhaseSchedule | None = None,
     terms: tuple[Mapping[str, RewardTerm], Mapping[str, float]] | None = None,
     terminate: Callable[[TensorDictBase], Tensor] | None = None,
@@ -124,6 +124,7 @@ def whole_body_env(
     history: int = 10,
     max_steps: int = 1000,
     task_width: int = 4,
+    objects: Sequence[Transform] = (),
     extra: Sequence[Transform] = (),
     staggered: bool = False,
     substeps: int = 1,
@@ -147,7 +148,8 @@ def whole_body_env(
         net: Unsupervised Actuator Net of the arm, or the name of a shipped one; None leaves the arm's motors ideal.
         chain: What stands between position targets and motors, from the joint outwards, in place of that with the net:
             that of a :class:`~torchrl_athletic.identification.Simulator`, say. It delays actions itself.
-        commands: What is commanded.
+        commands: What is commanded; or transforms that write ``base_velocity_command`` and ``end_effector_command`` in
+            place of the :class:`~torchrl_athletic.transforms.CommandSampler`, after the phases of the task.
         schedule: Phases of a task; None shows zeros in their places.
         terms: Of the reward, by name, and their scales; None takes :func:`whole_body_rewards`.
         terminate: Whether an episode has failed; None takes :func:`fallen`.
@@ -159,7 +161,9 @@ def whole_body_env(
         history: Frames that the policy sees.
         max_steps: Length of an episode [policy steps]: 20 s.
         task_width: Places kept for the embedding of tasks to come.
-        extra: More transforms, after those that command: a reference trajectory, an object.
+        objects: Transforms that run at every step of the physics, a ball or a rope: sensors that they name in
+            ``every_step`` are shown to them.
+        extra: More transforms, after those that command; they see phases and commands.
         staggered: Whether the first episodes begin at random ages, as a training wants.
         substeps: Physics steps that each torque is held for: 5 for a robot whose time step is 1 ms.
         seed: Of all draws.
@@ -176,6 +180,7 @@ def whole_body_env(
     """
     robot = b2z1(terrain=Terrain(), cone="pyramidal") if robot is None else robot
     commands = CommandRanges() if commands is None else commands
+    ranges = commands if isinstance(commands, CommandRanges) else CommandRanges()
     chance = Disturbances() if disturbances is None else disturbances
     rows: dict[str, Any] = {"seed": seed, "first_row": first_row}
     if chain is None:
@@ -184,14 +189,16 @@ def whole_body_env(
         chain = actuation_chain(robot, net=net, arm_power=arm_power, max_delay=greatest, min_delay=least, **rows)
     dt = _policy_step(robot, chain, substeps)
     sensing, starting = _sensing(chance, rows), _starting(chance, rows)
-    fields = {field for transform in (*chain, *starting, *extra) for field in getattr(transform, "fields", ())}
+    fields = {field for part in (*objects, *chain, *starting, *extra) for field in getattr(part, "fields", ())}
+    sensed = [key for key in robot.sensors if key.endswith("_force")]
+    sensed += [key for part in objects for key in getattr(part, "every_step", ())]
     base = TorqueEnv(
         robot,
         num_envs=num_envs,
         device=device,
         terminate=fallen if terminate is None else terminate,
         fields=sorted(fields),
-        every_step=[key for key in robot.sensors if key.endswith("_force")],
+        every_step=list(dict.fromkeys(sensed)),
         substeps=substeps,
     )
     position = "true_joint_position" if sensing else "joint_position"
@@ -200,16 +207,17 @@ def whole_body_env(
         base,
         Compose(
             *sensing,
+            *objects,
             *chain,
             StepCounter(max_steps),
             *([StaggeredEpisodes(max_steps, **rows)] if staggered else []),
             *starting,
             *([ExternalPush(chance.pushes, dt=dt, **rows)] if chance.pushes else []),
-            CommandSampler(commands, dt, **rows),
-            GaitClock(dt, **rows),
             TaskPhase(schedule, dt, width=task_width, **rows),
+            *([CommandSampler(commands, dt, **rows)] if isinstance(commands, CommandRanges) else commands),
+            GaitClock(dt, **rows),
             *extra,
-            PoseError(commands.frame_height),
+            PoseError(ranges.frame_height),
             TrackingErrors(),
             _scaling(robot, action_offset, action_scale),
             ActionHistory(3, before=torch.zeros(len(robot.joint_names))),

@@ -3,7 +3,7 @@
 Checkpoints are written and read here too.
 """
 
-from torchrl_athletic.networks.actor_critic import actor, critic, trunk_of
+from torchrl_athletic.networks.actor_critic import actor, critic, open_inputs, trunk_of
 from torchrl_athletic.networks.actuator_net import Sizes, sizes_of, uan, uan_actor
 from torchrl_athletic.networks.checkpoint import load_checkpoint, save_checkpoint
 from torchrl_athletic.networks.normalizer import RunningNormalizer
@@ -27,6 +27,7 @@ __all__ = [
     "describe",
     "digest_of",
     "load_checkpoint",
+    "open_inputs",
     "pretrained",
     "read_metadata",
     "read_network",

@@ -10,6 +10,8 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor, ValueOperator
 
+from torchrl_athletic.networks.normalizer import RunningNormalizer
+
 HIDDEN = (512, 512, 512)
 """Layer sizes of the paper's whole-body controller and its critic."""
 
@@ -108,6 +110,50 @@ def trunk_of(network: nn.Module) -> Trunk:
         if isinstance(module, Trunk):
             return module
     raise ValueError(f"{type(network).__name__} has no Trunk. Give a network of networks.actor or networks.critic.")
+
+
+@torch.no_grad()
+def open_inputs(network: nn.Module, columns: Sequence[int] = (), width: int | None = None) -> None:
+    """Make a trained network deaf to some of its inputs, and add others, so that it may learn to listen to them.
+
+    In pre-training such an input was always 0: weights that it left as they were drawn, and a normaliser that has seen
+    no spread, would make a new policy of the first number that comes. With weights of 0 the network does what it did.
+
+    Args:
+        network: Of :func:`actor` or :func:`critic`; is changed.
+        columns: Inputs to begin with anew.
+        width: Of all inputs from now on; new ones stand behind those it has. None adds none.
+
+    Raises:
+        ValueError: If there shall be fewer inputs than there are.
+
+    Source:
+        Fey et al. 2025, section II-C: the task embedding is added for fine-tuning.
+
+    Example:
+        >>> value = critic(3, in_keys=["privileged"], hidden=(8,))
+        >>> before = value(privileged=torch.ones(1, 3))[1]
+        >>> open_inputs(value, width=5)
+        >>> after = value(privileged=torch.tensor([[1.0, 1.0, 1.0, 7.0, -7.0]]))[1]
+        >>> bool((before == after).all())
+        True
+    """
+    trunk = trunk_of(network)
+    first = trunk.mlp[0]
+    width = first.in_features if width is None else width
+    more = width - first.in_features
+    if more < 0:
+        raise ValueError(
+            f"the network has {first.in_features} inputs, asked is for {width}: it would go blind to some."
+        )
+    first.weight[:, list(columns)] = 0.0
+    first.weight = nn.Parameter(nn.functional.pad(first.weight, (0, more)), first.weight.requires_grad)
+    first.in_features = width
+    normalizer = trunk.normalizer
+    if isinstance(normalizer, RunningNormalizer):
+        normalizer.mean[list(columns)], normalizer.variance[list(columns)] = 0.0, 1.0
+        normalizer.mean = nn.functional.pad(normalizer.mean, (0, more))
+        normalizer.variance = nn.functional.pad(normalizer.variance, (0, more), value=1.0)
 
 
 def gaussian_actor(head: nn.Module, in_keys: Sequence[NestedKey]) -> ProbabilisticActor:

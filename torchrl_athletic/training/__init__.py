@@ -4,7 +4,8 @@ from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
 from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.curves import draw_curves
 from torchrl_athletic.training.distributed import Processes, join_processes, standardized
-from torchrl_athletic.training.evaluation import Episodes, play, whole_episodes
+from torchrl_athletic.training.evaluation import Episodes, last_of, play, whole_episodes, whole_rollout
+from torchrl_athletic.training.fine_tune import FineTune, fine_tune, task_learner
 from torchrl_athletic.training.finite import NonFiniteError, check_finite
 from torchrl_athletic.training.logging import CSVTable, LoggerName, MetricLogger, make_logger
 from torchrl_athletic.training.ppo import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
@@ -44,6 +45,7 @@ __all__ = [
     "Credit",
     "DifferentiableTorqueEnv",
     "Episodes",
+    "FineTune",
     "GradientLearner",
     "JointRollout",
     "Knows",
@@ -63,11 +65,13 @@ __all__ = [
     "draw_curves",
     "draw_episode",
     "examine",
+    "fine_tune",
     "for_training",
     "frame_strip",
     "fuse_transforms",
     "iterate",
     "join_processes",
+    "last_of",
     "learn_remainder",
     "make_logger",
     "play",
@@ -78,6 +82,7 @@ __all__ = [
     "standardized",
     "table_of",
     "takes_of",
+    "task_learner",
     "torque_unit",
     "train",
     "uan_learner",
@@ -86,6 +91,7 @@ __all__ = [
     "wbc_conditions",
     "wbc_learner",
     "whole_episodes",
+    "whole_rollout",
     "with_gains_of",
     "write_video",
 ]

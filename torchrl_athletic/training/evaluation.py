@@ -128,5 +128,55 @@ def whole_episodes(
     return Episodes(fell.flatten().cpu().numpy(), count.flatten().cpu().numpy(), means)
 
 
+@torch.no_grad()
+def whole_rollout(
+    env: EnvBase, policy: Policy, keys: Sequence[NestedKey], steps: int, *, progress: str | None = None
+) -> TensorDict:
+    """Play one episode of each environment to its end, by the policy's mean, and keep entries of what was shown.
+
+    Args:
+        env: N environments.
+        policy: Writes the action.
+        keys: Entries to keep.
+        steps: The longest episode [policy steps].
+        progress: Label of a progress bar; None shows none.
+
+    Returns:
+        The entries, ``terminated``, and ``counts``, whether the step belongs to the row's episode, bool (N, T, 1): what
+        comes after its end does not. Shape (N, T).
+
+    Example:
+        >>> from torchrl.envs import GymEnv, SerialEnv, StepCounter, TransformedEnv
+        >>> env = TransformedEnv(SerialEnv(2, lambda: GymEnv("Pendulum-v1")), StepCounter(5))
+        >>> whole_rollout(env, env.rand_action, ["observation"], steps=5)["observation"].shape
+        torch.Size([2, 5, 3])
+    """
+    tensordict = env.reset()
+    goes = torch.ones(*env.batch_size, 1, dtype=torch.bool, device=env.device)
+    kept = []
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        for _ in trange(steps, desc=progress, disable=progress is None):
+            step, tensordict = control_step(env, policy, tensordict)
+            shown = step.get("next")
+            kept.append(shown.select(*keys, "terminated").clone().set("counts", goes.clone()))
+            goes &= ~done_rows(env, shown)
+            if not goes.any():
+                break
+    return torch.stack(kept, env.ndim).cpu()
+
+
+def last_of(episodes: TensorDict, key: NestedKey) -> Tensor:
+    """What an entry of :func:`whole_rollout` was when each episode ended. (N, T, ...) to (N, ...).
+
+    Example:
+        >>> counts = torch.tensor([[[True], [True], [False]]])
+        >>> last_of(TensorDict(counts=counts, x=torch.tensor([[[1.0], [2.0], [9.0]]]), batch_size=[1, 3]), "x")
+        tensor([[2.]])
+    """
+    last = episodes["counts"].squeeze(-1).sum(-1) - 1
+    value: Tensor = episodes[key]
+    return value[torch.arange(len(value)), last]
+
+
 def _name(key: NestedKey) -> str:
     return key if isinstance(key, str) else "/".join(key)

@@ -86,7 +86,7 @@ def wbc_learner(
         value = critic(known, in_keys=["privileged"], hidden=hidden, normalizer=RunningNormalizer(known))
     else:
         policy, value = read_wbc(start, trainable=True)
-        _check_sizes(str(start), {"observation": (policy, seen, width), "privileged": (value, known, 1)})
+        check_sizes(str(start), {"observation": (policy, seen, width), "privileged": (value, known, 1)})
     policy, value = policy.to(env.device), value.to(env.device)
     scales: dict[NestedKey, Any] = {
         "observation": trunk_of(policy).normalizer,
@@ -107,12 +107,13 @@ def wbc_learner(
     )
 
 
-def save_wbc(learner: Learner, folder: str | Path, **told: Any) -> Path:
+def save_wbc(learner: Learner, folder: str | Path, name: str = "wbc", **told: Any) -> Path:
     """Write ``wbc.npz`` and ``wbc_critic.npz``, for :func:`~torchrl_athletic.networks.read_network`.
 
     Args:
         learner: Of :func:`wbc_learner`.
         folder: Is made.
+        name: Of the policy, in place of ``wbc``.
         told: What else a reader should know, in what JSON can hold.
 
     Returns:
@@ -120,9 +121,9 @@ def save_wbc(learner: Learner, folder: str | Path, **told: Any) -> Path:
     """
     folder = Path(folder)
     told |= {"samples": learner.samples, "seconds": learner.seconds}
-    write_network(folder / "wbc_critic.npz", learner.critic, **told)
-    write_network(folder / "wbc.npz", learner.actor, **told)
-    return folder / "wbc.npz"
+    write_network(folder / f"{name}_critic.npz", learner.critic, **told)
+    write_network(folder / f"{name}.npz", learner.actor, **told)
+    return folder / f"{name}.npz"
 
 
 def read_wbc(name: str | Path, *, trainable: bool = False) -> tuple[Any, Any]:
@@ -150,7 +151,16 @@ def read_wbc(name: str | Path, *, trainable: bool = False) -> tuple[Any, Any]:
     return read_network(path, trainable=trainable), read_network(beside, trainable=trainable)
 
 
-def _check_sizes(start: str, wanted: Mapping[str, tuple[Any, int, int]]) -> None:
+def check_sizes(start: str, wanted: Mapping[str, tuple[Any, int, int]]) -> None:
+    """Make sure that networks take in and give what an environment shows and takes.
+
+    Args:
+        start: Where they come from.
+        wanted: By the entry that it reads, a network, and how many numbers it shall take in and give.
+
+    Raises:
+        ValueError: If one has other sizes.
+    """
     for key, (network, seen, made) in wanted.items():
         layers = [layer for layer in trunk_of(network).mlp if isinstance(layer, nn.Linear)]
         if (layers[0].in_features, layers[-1].out_features) != (seen, made):

@@ -15,20 +15,25 @@ from torchrl_athletic.transforms.actuation import (
 )
 from torchrl_athletic.transforms.actuator_net import ActuatorNet
 from torchrl_athletic.transforms.added_mass import AddedMass
+from torchrl_athletic.transforms.ball_flight import BallFlight
 from torchrl_athletic.transforms.command_sampler import CommandSampler
 from torchrl_athletic.transforms.corrected_actuation import CorrectedActuation
 from torchrl_athletic.transforms.decimation import Decimation
 from torchrl_athletic.transforms.domain_randomization import DomainRandomization, RandomizationRanges
+from torchrl_athletic.transforms.early_termination import EarlyTermination
 from torchrl_athletic.transforms.encoder_offset import EncoderOffset
 from torchrl_athletic.transforms.external_push import B2Z1_PUSHES, ExternalPush, Push
 from torchrl_athletic.transforms.gait_clock import GaitClock
 from torchrl_athletic.transforms.initial_state import InitialState, StartRanges
 from torchrl_athletic.transforms.limited_target import LimitedTarget
 from torchrl_athletic.transforms.observation_history import ObservationHistory
+from torchrl_athletic.transforms.peak_power import PeakPower
 from torchrl_athletic.transforms.pose_error import PoseError
 from torchrl_athletic.transforms.reference_trajectory import ReferenceTrajectory
-from torchrl_athletic.transforms.reward_terms import RewardTerm, RewardTerms, Term
+from torchrl_athletic.transforms.reward_terms import InPhase, RewardTerm, RewardTerms, Term
+from torchrl_athletic.transforms.sled_rope import SledRope
 from torchrl_athletic.transforms.staggered_episodes import StaggeredEpisodes
+from torchrl_athletic.transforms.start_line import StartLine
 from torchrl_athletic.transforms.stateful import RandomTransform, StatefulTransform
 from torchrl_athletic.transforms.task_phase import TaskPhase
 
@@ -38,18 +43,22 @@ __all__ = [
     "ActionHistory",
     "ActuatorNet",
     "AddedMass",
+    "BallFlight",
     "CommandSampler",
     "CorrectedActuation",
     "Decimation",
     "DomainRandomization",
+    "EarlyTermination",
     "EncoderOffset",
     "EquivalentTarget",
     "ExternalPush",
     "GaitClock",
+    "InPhase",
     "InitialState",
     "LimitedTarget",
     "ObservationHistory",
     "PDControl",
+    "PeakPower",
     "PoseError",
     "PowerClip",
     "Push",
@@ -58,7 +67,9 @@ __all__ = [
     "ReferenceTrajectory",
     "RewardTerm",
     "RewardTerms",
+    "SledRope",
     "StaggeredEpisodes",
+    "StartLine",
     "StartRanges",
     "StatefulTransform",
     "TaskPhase",

@@ -11,7 +11,7 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 
 from torchrl_athletic.functional import history
 from torchrl_athletic.transforms.keys import beside
-from torchrl_athletic.transforms.stateful import StatefulTransform, unbounded_like
+from torchrl_athletic.transforms.stateful import StatefulTransform, full_action_spec, unbounded_like
 
 
 class ActionHistory(StatefulTransform):
@@ -68,7 +68,7 @@ class ActionHistory(StatefulTransform):
         return tensordict.set(self.history_key, history.push(past, action))
 
     def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
-        action = self.parent.full_action_spec[self.action_key]
+        action = full_action_spec(self)[self.action_key]
         before = action.zero() if self.before is None else self.before.to(action.dtype).expand(action.shape)
         fresh = torch.ones(*action.shape[:-1], 1, dtype=torch.bool, device=before.device)
         return {self.history_key: history.tile(before, self.length), self.fresh_key: fresh}
@@ -78,7 +78,7 @@ class ActionHistory(StatefulTransform):
             next_tensordict.set(key, tensordict.get(key))
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
-        action = self.parent.full_action_spec[self.action_key]
+        action = full_action_spec(self)[self.action_key]
         fresh = Unbounded(shape=(*action.shape[:-1], 1), dtype=torch.bool, device=action.device)
         shape = (*action.shape[:-1], self.length, action.shape[-1])
         return {self.history_key: unbounded_like(action, shape), self.fresh_key: fresh}

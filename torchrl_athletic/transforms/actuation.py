@@ -12,7 +12,14 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Transform
 
 from torchrl_athletic.functional import actuation, actuator_dynamics, history, streams
-from torchrl_athletic.transforms.stateful import Joints, RandomTransform, StatefulTransform, joint_index, unbounded_like
+from torchrl_athletic.transforms.stateful import (
+    Joints,
+    RandomTransform,
+    StatefulTransform,
+    full_action_spec,
+    joint_index,
+    unbounded_like,
+)
 
 PerJoint = Tensor | Sequence[float] | float
 """One value for every joint, or one for all."""
@@ -35,13 +42,12 @@ class _Law(_Torque):
 
     action_key: NestedKey
 
-    def transform_input_spec(self, input_spec: Composite) -> Composite:
-        action = input_spec["full_action_spec"]
-        torque = action[self.torque_key]
+    def transform_action_spec(self, action_spec: Composite) -> Composite:
+        torque = action_spec[self.torque_key]
         if unravel_key(self.torque_key) != unravel_key(self.action_key):
-            del action[self.torque_key]
-        action[self.action_key] = unbounded_like(torque, torque.shape)
-        return input_spec
+            del action_spec[self.torque_key]
+        action_spec[self.action_key] = unbounded_like(torque, torque.shape)
+        return action_spec
 
 
 class PDControl(_Law):
@@ -491,7 +497,7 @@ class ActionDelay(RandomTransform):
         return specs if self.age_key is None else specs | {self.age_key: steps.clone()}
 
     def _action_spec(self) -> TensorSpec:
-        return self.parent.full_action_spec[self.action_key]
+        return full_action_spec(self)[self.action_key]
 
 
 def _nothing_remembered(transform: Transform, key: NestedKey) -> KeyError:

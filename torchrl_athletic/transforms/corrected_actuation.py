@@ -376,15 +376,13 @@ class CorrectedActuation(StatefulTransform):
             specs[self.fresh_key] = Unbounded((*position.shape[:-1], 1), dtype=torch.bool, device=position.device)
         return specs
 
-    def transform_input_spec(self, input_spec: Composite) -> Composite:
-        input_spec = super().transform_input_spec(input_spec)
+    def transform_action_spec(self, action_spec: Composite) -> Composite:
         if self.closed_loop:
-            action = input_spec["full_action_spec"]
-            torque = action[self.torque_key]
+            torque = action_spec[self.torque_key]
             if self.torque_key != self.policy_key:
-                del action[self.torque_key]
-            action[self.policy_key] = unbounded_like(torque, torque.shape)
-        return input_spec
+                del action_spec[self.torque_key]
+            action_spec[self.policy_key] = unbounded_like(torque, torque.shape)
+        return action_spec
 
     def _check_environment(self, joints: int) -> None:
         """Raise unless the environment is the one that the correction is for."""

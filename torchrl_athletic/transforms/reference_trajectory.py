@@ -25,6 +25,10 @@ class ReferenceTrajectory(RandomTransform):
     (reference state initialisation): the transform hands it over as :class:`~torchrl_athletic.envs.TorqueEnv` reads it.
     An environment that resets itself in its step cannot be told, so there the reference is shown only.
 
+    A task in phases has a reference for each: with ``phase_keys``, those of a :class:`~.TaskPhase` that stands before,
+    the reference is that of the phase that is on, at the phase's own age. So a phase that lasts longer, or that an
+    episode starts in, is shown what belongs to it.
+
     Columns are interpolated one by one. Where a table holds quaternions, let ``dt`` be a multiple of ``table_dt``, so
     that every time is a sample's, or set ``interpolate=False``.
 
@@ -40,6 +44,8 @@ class ReferenceTrajectory(RandomTransform):
         interpolate: Linearly between samples; otherwise the last sample that was passed holds.
         random_start: Start at any step of the reference, drawn anew for each episode.
         probability: Of each reference, shape (R,); None makes them equally likely.
+        phase_keys: Of the number of the task's phase and its age [steps], for references of phases, in their order.
+            Number and time of the reference are then those of the phase, and are not shown again.
         reset_state: From what the environment reads at its reset to the table that holds it, such as
             ``{"reset_qpos": "qpos", "reset_qvel": "qvel"}``. Around a ParallelEnv, which drops what its workers' specs
             do not name, this does nothing: there the transform belongs within the workers.
@@ -81,6 +87,7 @@ class ReferenceTrajectory(RandomTransform):
         interpolate: bool = True,
         random_start: bool = False,
         probability: Sequence[float] | None = None,
+        phase_keys: tuple[NestedKey, NestedKey] | None = None,
         reset_state: Mapping[str, str] | None = None,
         reference_key: NestedKey = "reference",
         id_key: NestedKey = "reference_id",
@@ -99,9 +106,17 @@ class ReferenceTrajectory(RandomTransform):
                 f"to show are {names} at {list(lookahead)} steps from now, and to reset from {list(resets.values())}, "
                 f"but there are tables of {list(references)}. Name at least one table and one time to show."
             )
+        if phase_keys is not None and (random_start or probability is not None or resets):
+            raise ValueError(
+                "with phase_keys the task's phase chooses the reference and its time, which leaves nothing to say for "
+                "random_start, probability and reset_state. Leave them out, or the keys."
+            )
         prefix = reference_key if isinstance(reference_key, tuple) else (reference_key,)
         keys: list[NestedKey] = [reference_key] if flatten else [(*prefix, name) for name in names]
-        super().__init__([], [*keys, id_key, step_key], seed=seed, first_row=first_row, reset_key=reset_key)
+        memory = [id_key, step_key] if phase_keys is None else []
+        seen = [] if phase_keys is None else list(phase_keys)
+        super().__init__(seen, [*keys, *memory], seed=seed, first_row=first_row, reset_key=reset_key)
+        self.phase_keys = phase_keys
         self.names, self.keys, self.flatten, self.reset_state = names, keys, flatten, resets
         self.samples_per_step, self.lookahead = dt / table_dt, tuple(lookahead)
         self.at_end, self.interpolate, self.random_start = at_end, interpolate, random_start
@@ -153,10 +168,16 @@ class ReferenceTrajectory(RandomTransform):
         return tensordict
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
+        if self.phase_keys is not None:
+            return self._values(*(tensordict_reset.get(key) for key in self.phase_keys))
         return self._entries(*self._choose(key))
 
     def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
-        for key, value in self._entries(tensordict.get(self.id_key), tensordict.get(self.step_key) + 1).items():
+        if self.phase_keys is None:
+            entries = self._entries(tensordict.get(self.id_key), tensordict.get(self.step_key) + 1)
+        else:
+            entries = self._values(*(next_tensordict.get(key) for key in self.phase_keys))
+        for key, value in entries.items():
             next_tensordict.set(key, value)
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
@@ -164,8 +185,10 @@ class ReferenceTrajectory(RandomTransform):
         times = () if len(self.lookahead) == 1 else (len(self.lookahead),)
         tails = [(len(self.lookahead) * sum(self.widths),)] if self.flatten else [(*times, w) for w in self.widths]
         last = len(self.lengths) - 1
-        return {
-            **{key: Unbounded((*batch, *tail), device=device) for key, tail in zip(self.keys, tails, strict=True)},
+        shown = {key: Unbounded((*batch, *tail), device=device) for key, tail in zip(self.keys, tails, strict=True)}
+        if self.phase_keys is not None:
+            return shown
+        return shown | {
             self.id_key: Bounded(0, last, shape=(*batch, 1), dtype=torch.int64, device=device),
             self.step_key: Unbounded((*batch, 1), dtype=torch.int64, device=device),
         }
@@ -183,12 +206,14 @@ class ReferenceTrajectory(RandomTransform):
         return reference, torch.minimum((unit[..., 1:] * count).long(), count - 1)
 
     def _entries(self, reference: Tensor, step: Tensor) -> dict[NestedKey, Tensor]:
+        return self._values(reference, step) | {self.id_key: reference, self.step_key: step}
+
+    def _values(self, reference: Tensor, step: Tensor) -> dict[NestedKey, Tensor]:
         times = [step + ahead if ahead else step for ahead in self.lookahead]
         position = (times[0] if len(times) == 1 else torch.cat(times, -1)) * self.samples_per_step
         value = sample_reference(self.table, self.lengths, reference, position, self.at_end, self.interpolate)
-        memory: dict[NestedKey, Tensor] = {self.id_key: reference, self.step_key: step}
         if self.flatten:
-            return {self.keys[0]: value.flatten(-2)} | memory
+            return {self.keys[0]: value.flatten(-2)}
         if len(times) == 1:
             value = value.squeeze(-2)
-        return dict(zip(self.keys, value.split(self.widths, -1), strict=True)) | memory
+        return dict(zip(self.keys, value.split(self.widths, -1), strict=True))

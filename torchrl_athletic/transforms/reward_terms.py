@@ -10,7 +10,7 @@ from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor, nn
 from torchrl.data import Composite, TensorSpec
 
-from torchrl_athletic.transforms.stateful import StatefulTransform, unbounded_like
+from torchrl_athletic.transforms.stateful import StatefulTransform, full_reward_spec, unbounded_like
 
 RewardTerm: TypeAlias = Callable[[TensorDictBase, TensorDictBase], Tensor]
 """Of what a step started from and what it led to, one value per row: shape (*B, 1) or (*B,)."""
@@ -44,6 +44,37 @@ class Term(nn.Module):
     def forward(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> Tensor:
         held = {name: getattr(self, f"constant_{name}") for name in self.tensors}
         return self.function(*(next_tensordict[key] for key in self.keys), **self.constants, **held)
+
+
+class InPhase(nn.Module):
+    """A term that counts only for actions taken in some phases of a task, and is 0 in the others.
+
+    Args:
+        phases: Their numbers.
+        term: As of :class:`RewardTerms`.
+        phase_key: Of the number of the phase, as :class:`~.TaskPhase` shows it.
+
+    Source:
+        Fey et al. 2025, appendix B: the indicators of its task rewards.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> step = TensorDict(task_phase_index=[[0], [1]], batch_size=[2])
+        >>> InPhase([1], lambda before, after: torch.full((2, 1), 7.0))(step, step).flatten()
+        tensor([0., 7.])
+    """
+
+    def __init__(self, phases: Iterable[int], term: RewardTerm, phase_key: NestedKey = "task_phase_index") -> None:
+        super().__init__()
+        self.phases, self.term, self.phase_key = tuple(phases), term, phase_key
+
+    def forward(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> Tensor:
+        index = tensordict.get(self.phase_key)
+        counts = torch.zeros_like(index, dtype=torch.bool)
+        for phase in self.phases:
+            counts = counts | (index == phase)
+        value = self.term(tensordict, next_tensordict)
+        return torch.where(counts, value.reshape(counts.shape), 0.0)
 
 
 class RewardTerms(StatefulTransform):
@@ -154,7 +185,7 @@ class RewardTerms(StatefulTransform):
         return {key: unbounded_like(reward, reward.shape) for key in (*self.shown, *self.sums)}
 
     def _reward_spec(self) -> TensorSpec:
-        return self.parent.full_reward_spec[self.reward_key]
+        return full_reward_spec(self)[self.reward_key]
 
 
 def _under(key: NestedKey, names: Iterable[str]) -> list[tuple[str, ...]]:

@@ -11,7 +11,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
-from torchrl.envs import EnvBase, Transform, TransformedEnv
+from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 from torchrl.envs.batched_envs import BatchedEnvBase
 
 from torchrl_athletic.functional import streams
@@ -116,21 +116,40 @@ class StatefulTransform(Transform):
         return self._reset(tensordict, tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        for key, spec in self.state_spec(observation_spec).items():
+        self.__dict__["_state_spec"] = specs = dict(self.state_spec(observation_spec))
+        for key, spec in specs.items():
             observation_spec[key] = spec
         return observation_spec
 
     def transform_input_spec(self, input_spec: Composite) -> Composite:
         """A manual reset hands over what the state spec names, and the rows that go on need their memory."""
         input_spec = super().transform_input_spec(input_spec)
-        shown = self.parent.full_observation_spec
+        specs = self.__dict__.get("_state_spec")  # asked of the parent anew, they would cost the square of a chain
+        if specs is None:
+            specs = self.state_spec(self.parent.full_observation_spec)
         state = input_spec["full_state_spec"]
         if state is None:
             state = Composite(shape=input_spec.shape, device=input_spec.device)
-        for key, spec in self.state_spec(shown).items():
+        for key, spec in specs.items():
             state[key] = spec.clone()
         input_spec["full_state_spec"] = state
         return input_spec
+
+    def empty_cache(self) -> None:
+        """Called where what lies further in has changed."""
+        super().empty_cache()
+        self.__dict__.pop("_state_spec", None)
+
+    def reset_parent(self) -> None:
+        """Called where it leaves its place in a chain."""
+        super().reset_parent()
+        self.__dict__.pop("_state_spec", None)
+
+    def clone(self) -> StatefulTransform:
+        """A copy, for another place."""
+        copied = super().clone()
+        copied.__dict__.pop("_state_spec", None)
+        return copied
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Refused: what this transform adds depends on the steps before, which a sample or a module does not have."""
@@ -231,6 +250,36 @@ def base_env_of(env: EnvBase | None) -> EnvBase | None:
     while isinstance(env, TransformedEnv):
         env = env.base_env
     return env
+
+
+def full_action_spec(transform: Transform) -> Composite:
+    """What the transforms further in take, without asking for what they show, as ``parent.full_action_spec`` would."""
+    parent = transform.parent
+    base = parent.base_env
+    spec = Composite(full_action_spec=base.full_action_spec.clone(), full_state_spec=None, shape=base.batch_size)
+    for part in _in_order(parent.transform):
+        if isinstance(part, StatefulTransform):
+            spec["full_action_spec"] = part.transform_action_spec(spec["full_action_spec"])
+        else:
+            spec = part.transform_input_spec(spec)
+    found: Composite = spec["full_action_spec"]
+    return found
+
+
+def full_reward_spec(transform: Transform) -> Composite:
+    """What the transforms further in earn, without asking for what they show, as ``parent.full_reward_spec`` would."""
+    parent = transform.parent
+    spec = parent.base_env.full_reward_spec.clone()
+    for part in _in_order(parent.transform):
+        spec = part.transform_reward_spec(spec)
+    return spec
+
+
+def _in_order(transform: Transform) -> list[Transform]:
+    """The parts of a chain, of chains within it too."""
+    if isinstance(transform, Compose):
+        return [part for inner in transform.transforms for part in _in_order(inner)]
+    return [transform]
 
 
 def joint_index(transform: Transform, joints: Joints) -> slice | Tensor:

@@ -1,0 +1,82 @@
+"""Teach a B2 with a Z1 to pull a heavy sled backwards on a straight line.
+
+python recipes/finetune_sled.py                  # ten minutes of two cores: a reward that rises, and a video
+python recipes/finetune_sled.py --device cuda    # the paper's scale: 4,096 robots, 15 minutes
+python recipes/finetune_sled.py --actuation outputs/identification/diagnosed   # in an identified simulator
+
+Starts from the shipped whole-body controller. The same command goes on after Ctrl-C or a crash.
+What came out: docs/tasks.md.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads of torch that spin would take cores from the physics
+import torch
+import tyro
+from tensordict import TensorDict
+from torchrl.envs import TransformedEnv
+
+from torchrl_athletic import training
+from torchrl_athletic.envs import draw_sled, sled_drift, sled_pull_env
+from torchrl_athletic.envs.sled_pull import KNOWN
+from torchrl_athletic.identification import with_actuation
+from torchrl_athletic.robots import Handle, Terrain, b2z1
+
+CURVES = {
+    "reward": "reward per step",
+    "reward_terms/velocity": "velocity error",
+    "reward_terms/lateral_drift": "lateral drift",
+    "reward_terms/heading_drift": "heading drift",
+    "terminated": "falls per step",
+}
+STEPS = 1000
+
+
+@dataclass(frozen=True)
+class Config(training.FineTune):
+    output: Path = Path("outputs/finetune_sled")
+    """Folder for all that is written."""
+
+
+def main(cfg: Config) -> None:
+    training.fine_tune(
+        cfg,
+        lambda num_envs, **told: make_env(cfg.actuation, num_envs, **told),
+        name="sled",
+        known=KNOWN,
+        curves=CURVES,
+        look_at=["base_position", "base_quaternion", "start_line", "sled_position", "sled_mass", "rope_tension"],
+        judge=judge,
+        annotate=draw_sled,
+        steps=STEPS,
+    )
+
+
+def make_env(actuation: str, num_envs: int, *, seed: int = 0, first_row: int = 0, **told: Any) -> TransformedEnv:
+    nominal = b2z1(terrain=Terrain(), cone="pyramidal", tool=Handle())
+    robot, chain = with_actuation(nominal, actuation, delay=(0, 6), seed=seed, first_row=first_row)
+    return sled_pull_env(robot, num_envs=num_envs, chain=chain, seed=seed, first_row=first_row, **told)
+
+
+def judge(episodes: TensorDict) -> dict[str, float]:
+    """How far sleds came, and how far to the side the robots were when their episodes ended."""
+    keys = ("base_position", "base_quaternion", "start_line")
+    last = TensorDict({key: training.last_of(episodes, key) for key in keys}, [len(episodes)])
+    lateral, heading = sled_drift(last)
+    sled = torch.linalg.vector_norm(
+        training.last_of(episodes, "sled_position") - episodes["sled_position"][:, 0], dim=-1
+    )
+    return {
+        "sled_moved_m": float(sled.mean()),
+        "lateral_drift_m": float(lateral.abs().mean()),
+        "heading_drift_rad": float(heading.abs().mean()),
+        "mean_tension_n": float(episodes["rope_tension"][episodes["counts"]].mean()),
+        "failed": float(training.last_of(episodes, "terminated").float().mean()),
+    }
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))

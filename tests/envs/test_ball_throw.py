@@ -1,0 +1,119 @@
+"""The throw of the whole robot: ball, phases, rewards, distance."""
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import check_env_specs
+
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, ball_throw_distance, ball_throw_env, ball_throw_rewards
+from torchrl_athletic.envs.ball_throw import BUCKET, KNOWN
+from torchrl_athletic.functional.phase import throw_phases
+from torchrl_athletic.robots import b2z1, with_bucket
+from torchrl_athletic.transforms import BallFlight, Decimation, StartRanges
+
+ROBOT = with_bucket(b2z1(), BUCKET)
+PHASES = throw_phases(stay_probability=0.0, settle_probability=0.0)
+
+
+def hold(td):
+    """The pose to which the motion takes the arm, the legs as they stand."""
+    action = torch.zeros(*td.shape, 19)
+    default = torch.tensor(ROBOT.default_pose)[12:18]
+    action[..., 12:18] = (td["joint_reference"][..., 12:18] - default) / 0.5
+    return td.set("action", action)
+
+
+@pytest.fixture(scope="module")
+def played():
+    env = ball_throw_env(ROBOT, num_envs=2, net=None, schedule=PHASES, disturbances=NO_DISTURBANCES, max_steps=180)
+    return env.rollout(180, hold, break_when_any_done=False)
+
+
+def test_specs_match_data():
+    check_env_specs(ball_throw_env(num_envs=2))
+
+
+def test_the_policy_sees_what_the_controller_sees_and_the_critic_the_ball():
+    env = ball_throw_env(num_envs=2)
+    shown = env.reset()
+    assert shown["observation"].shape == (2, 770)
+    widths = [shown[key].flatten(1).shape[-1] for key in KNOWN]
+    assert widths == [3, 1, 3, 3]
+    torch.testing.assert_close(shown["privileged"][:, -3:], shown["bucket_axis"])
+
+
+def test_the_ball_runs_at_the_rate_of_the_physics():
+    kinds = [type(part) for part in ball_throw_env(ROBOT, num_envs=1).transform]
+    assert kinds.index(BallFlight) < kinds.index(Decimation)
+
+
+def test_the_motion_holds_the_ball_from_1_5_s_on_and_throws_it_forward_in_its_phase(played):
+    there = (played["next", "ball_position"] != 0).any(-1)
+    assert there.int().argmax(1).tolist() == [74, 74]  # what a step leads to: 1.5 s
+    away = played["next", "ball_away"].squeeze(-1)
+    leaves = away.int().argmax(1)
+    assert ((leaves > 125) & (leaves <= 175)).all()
+    assert not played["next", "terminated"][:, :150].any()
+    assert (ball_throw_distance(played["next"][:, -1]) > 0.3).all()
+    assert (played["next", "peak_power"].diff(dim=1) >= 0).all()
+
+
+def test_terms_count_in_their_phases(played):
+    terms, phase = played["next", "reward_terms"], played["task_phase_index"]
+    assert terms["forward"][phase != 1].abs().max() == 0
+    assert terms["reference"][phase != 0].abs().max() == 0
+    assert terms["stance"][phase == 1].abs().max() == 0
+    assert terms["stance"][phase == 2].abs().max() > 0
+    throw = phase.squeeze(-1) == 1
+    velocity = played["next", "ball_linear_velocity"][throw]
+    torch.testing.assert_close(terms["upward"][throw], 20 * 0.02 * velocity[:, 2:].clamp(min=0))
+
+
+def test_forward_is_where_the_robot_looked_at_its_start():
+    terms, scales = ball_throw_rewards(ROBOT, PHASES)
+    before = TensorDict(task_phase_index=[[1]], batch_size=[1])
+
+    def earned(name, velocity, yaw):
+        after = TensorDict(ball_linear_velocity=[velocity], start_line=[[3.0, 1.0, yaw]], batch_size=[1])
+        return scales[name] * float(terms[name](before, after))
+
+    left = math.pi / 2
+    assert earned("forward", [0.0, 2.0, 0.0], left) == pytest.approx(40.0)
+    assert earned("forward", [0.0, -2.0, 0.0], left) == 0.0
+    assert earned("lateral", [2.0, 0.0, 0.0], left) == pytest.approx(-2.0)
+    assert earned("upward", [0.0, 0.0, 3.0], left) == pytest.approx(60.0)
+
+
+def test_the_distance_is_ahead_of_the_start_whatever_way_the_robot_looks():
+    flies = TensorDict(
+        ball_position=[[2.0, 5.0, 0.035]] * 3,
+        ball_linear_velocity=torch.zeros(3, 3),
+        ball_away=[[True], [True], [False]],
+        start_line=[[2.0, 1.0, math.pi / 2], [2.0, 1.0, 0.0], [2.0, 1.0, math.pi / 2]],
+        batch_size=[3],
+    )
+    assert ball_throw_distance(flies).flatten().tolist() == pytest.approx([4.0, 0.0, 0.0], abs=1e-5)
+
+
+def test_robots_that_look_elsewhere_throw_as_far():
+    heading = StartRanges(0.0, 0.0, (0.0,) * 3, (0.0, 0.0, 3.0), (0.0,) * 3, (0.0,) * 3)
+    turned = Disturbances(None, (), heading, (0.0, 0.0), (0, 0))
+    env = ball_throw_env(ROBOT, num_envs=3, net=None, schedule=PHASES, disturbances=turned, max_steps=180)
+    steps = env.rollout(180, hold, break_when_any_done=False)
+    assert steps["start_line"][:, 0, 2].std() > 0.1
+    away = steps["next", "ball_away"].squeeze(-1).int().argmax(1)
+    distance = ball_throw_distance(steps["next"][torch.arange(3), away])
+    assert distance.std() < 0.2 * distance.mean()
+
+
+def test_a_ball_that_is_lost_in_the_set_up_ends_the_episode_and_one_that_is_thrown_does_not(played):
+    env = ball_throw_env(ROBOT, num_envs=1, net=None, schedule=PHASES, disturbances=NO_DISTURBANCES)
+    still = lambda td: td.set("action", torch.zeros(1, 19))  # noqa: E731  the bucket hangs upside down in front
+    steps = env.rollout(120, still)
+    assert 75 < steps.shape[1] < 100
+    assert steps["next", "terminated"][0, -1]
+    throws = played["next", "ball_away"] & (played["task_phase_index"] == 1)
+    assert throws.any()
+    assert not played["next", "terminated"][throws].any()

@@ -1,0 +1,83 @@
+"""The tasks as Gymnasium sees them."""
+
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+
+from torchrl_athletic.envs.gymnasium_env import TASKS, GymnasiumVectorEnv
+from torchrl_athletic.gymnasium_plugin import TASKS as NAMES
+
+
+def test_every_task_is_registered_under_its_name():
+    assert tuple(TASKS) == NAMES
+    for name in NAMES:
+        spec = gymnasium.spec(f"torchrl_athletic/{name}-v0")
+        assert spec.kwargs == {"task": name}
+
+
+def test_no_import_of_ours_is_needed_and_gymnasium_stays_light():
+    lines = "import sys, gymnasium; print('torchrl_athletic/SledPull-v0' in gymnasium.registry, 'torch' in sys.modules)"
+    told = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=True)
+    assert told.stdout.split() == ["True", "False"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gymnasium_s_own_checker_finds_nothing(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*infinity.*")  # bounds that a robot has not
+        check_env(gymnasium.make(f"torchrl_athletic/{name}-v0").unwrapped, skip_render_check=True)
+
+
+def test_many_at_once_start_anew_in_the_step_and_show_their_last_observation():
+    envs = gymnasium.make_vec("torchrl_athletic/SledPull-v0", num_envs=3, max_steps=2)
+    assert isinstance(envs.unwrapped, GymnasiumVectorEnv)
+    first, _ = envs.reset(seed=4)
+    assert envs.observation_space.contains(first)
+    action = np.zeros((3, 19), np.float32)
+    _, reward, terminated, truncated, infos = envs.step(action)
+    assert reward.shape == (3,)
+    assert not (terminated | truncated).any()
+    assert infos == {}
+    shown, _, _, truncated, infos = envs.step(action)
+    assert truncated.all()
+    assert infos["_final_obs"].all()
+    assert np.abs(shown - infos["final_obs"]).max(1).min() > 0
+    history = shown.reshape(3, 10, 77)
+    assert (history == history[:, :1]).all()  # an episode starts with its first frame in every place
+
+
+def test_a_seed_says_what_happens():
+    def played(seed):
+        envs = gymnasium.make_vec("torchrl_athletic/WholeBody-v0", num_envs=2)
+        envs.reset(seed=1)
+        start, _ = envs.reset(seed=seed)
+        return np.stack([start, *(envs.step(np.zeros((2, 19), np.float32))[0] for _ in range(3))])
+
+    assert (played(7) == played(7)).all()
+    assert (played(7) != played(8)).any()
+
+
+def test_it_earns_what_the_environment_earns():
+    envs = GymnasiumVectorEnv("WholeBody", 2, seed=3)
+    envs.reset()
+    env = TASKS["WholeBody"](num_envs=2, seed=3)
+    td = env.reset()
+    for _ in range(3):
+        td = env.step(td.set("action", torch.full((2, 19), 0.1)))["next"]
+        shown, reward, *_ = envs.step(np.full((2, 19), 0.1, np.float32))
+        np.testing.assert_array_equal(shown, td["observation"].numpy())
+        np.testing.assert_array_equal(reward, td["reward"].flatten().numpy())
+
+
+def test_an_unknown_task_and_a_step_before_the_start_are_refused():
+    with pytest.raises(ValueError, match=r"no task is called 'Jump'.*'SledPull'"):
+        GymnasiumVectorEnv("Jump")
+    with pytest.raises(gymnasium.error.ResetNeeded, match="Call reset first"):
+        GymnasiumVectorEnv("WholeBody", 1).step(np.zeros((1, 19), np.float32))

@@ -1,0 +1,85 @@
+"""What the tasks share."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from torchrl_athletic.envs import references
+from torchrl_athletic.envs.task_parts import (
+    auxiliary_rewards,
+    bent_wrist,
+    change_of,
+    off_reference,
+    pose_tracking,
+    position_key_of,
+    stance,
+)
+from torchrl_athletic.envs.whole_body_rewards import AUXILIARY
+from torchrl_athletic.functional.phase import sled_phases, throw_phases
+from torchrl_athletic.robots import b2z1
+
+ROBOT = b2z1()
+
+
+def value(term, phase=1, before=None, **after):
+    """A term, of one row."""
+    first = TensorDict({"task_phase_index": torch.tensor([[phase]]), **(before or {})}, [1])
+    return float(term(first, TensorDict({key: torch.tensor([entry]) for key, entry in after.items()}, [1])))
+
+
+def test_terms_count_in_their_phases_alone():
+    parts = {"base_height": [0.5], "projected_gravity": [0.6, 0.0, -0.8]}
+    assert [round(value(stance([0, 2]), phase, **parts), 5) for phase in (0, 1, 2)] == [0.37, 0.0, 0.37]
+
+
+def test_the_arm_is_compared_with_its_own_joints_and_not_with_the_legs():
+    term = off_reference([1], list(ROBOT.joint_groups["arm"]), "joint_position")
+    position, reference = [0.0] * 19, [0.0] * 19
+    position[0], position[13], reference[14] = 5.0, 0.2, -0.3
+    assert value(term, joint_position=position, joint_reference=reference) == pytest.approx(0.5)
+
+
+def test_a_straight_wrist_costs_nothing():
+    position = [0.0] * 19
+    position[12:15] = [1.0, 1.0, -1.0]  # the joints before the wrist
+    assert value(bent_wrist([1], ROBOT, "joint_position"), joint_position=position) == 0.0
+    position[15:18] = [0.1, -0.2, 0.3]
+    assert value(bent_wrist([1], ROBOT, "joint_position"), joint_position=position) == pytest.approx(0.14)
+
+
+def test_a_force_that_stays_costs_nothing():
+    before = {"hand_force": torch.tensor([[3.0, 0.0]])}
+    assert value(change_of([1], "hand_force"), before=before, hand_force=[3.0, 0.0]) == 0.0
+    assert value(change_of([1], "hand_force"), before=before, hand_force=[0.0, 4.0]) == pytest.approx(5.0)
+
+
+def test_the_pose_that_is_asked_for_earns_one():
+    assert value(pose_tracking([1]), pose_error=[[0.0] * 3] * 4) == 1.0
+    assert value(pose_tracking([1]), pose_error=[[0.5, 0.0, 0.0]] * 4) == pytest.approx(0.36788, rel=1e-4)
+
+
+def test_what_stands_below_the_dashed_line_of_the_paper_s_table_serves_every_task():
+    terms, scales = auxiliary_rewards(ROBOT)
+    assert set(terms) == set(scales) == set(AUXILIARY)
+    assert "gait" not in terms
+    assert "ee_pose_tracking" not in terms
+
+
+def test_rewards_read_the_joints_behind_their_encoders():
+    assert position_key_of((-0.05, 0.05)) == "true_joint_position"
+    assert position_key_of((0.0, 0.0)) == "joint_position"
+
+
+def test_a_motion_of_another_task_is_refused():
+    with pytest.raises(ValueError, match=r"has the phases \['throw-set-up'.*the task \['sled-set-up', 'pull'\]"):
+        references("throw", ROBOT, sled_phases())
+
+
+def test_commands_are_those_of_the_motion():
+    made = {part.keys[0]: part for part in references("throw", ROBOT, throw_phases())}
+    assert made["end_effector_command"].table.shape[-1] == 9
+    assert made["base_velocity_command"].table.shape[-1] == 3
+    assert made["joint_reference"].table.shape[-1] == 19
+    torch.testing.assert_close(
+        made["joint_reference"].table[0, 0], torch.tensor(ROBOT.default_pose, dtype=torch.float32)
+    )

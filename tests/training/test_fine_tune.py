@@ -1,0 +1,94 @@
+"""Tuning begins as the controller that it goes on from, and leaves all that it says."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from torchrl_athletic.envs import ball_throw_env, whole_body_env
+from torchrl_athletic.envs.ball_throw import KNOWN
+from torchrl_athletic.networks import pretrained, read_network
+from torchrl_athletic.training import FINE_TUNE, PPO, CSVTable, FineTune, fine_tune, iterate, task_learner
+
+SMALL = replace(FINE_TUNE, num_envs=4, horizon=4)
+
+
+@pytest.fixture(scope="module")
+def env():
+    return ball_throw_env(num_envs=4)
+
+
+def actions(policy, shown):
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        return policy(shown.clone())["action"]
+
+
+def test_the_policy_acts_at_first_as_the_controller_does_whatever_phase_it_is_told(env):
+    learner, controller = task_learner(env, SMALL, known=KNOWN), pretrained("wbc")
+    shown = env.reset().select("observation")
+    frames = shown["observation"].unflatten(-1, (10, 77))
+    assert frames[..., -4:].abs().max() == 1.0  # it is told a phase
+    silent = shown.clone()
+    silent["observation"].unflatten(-1, (10, 77))[..., -4:] = 0.0  # as in the pre-training
+    torch.testing.assert_close(actions(learner.actor, shown), actions(controller, silent), rtol=0, atol=1e-5)
+    assert (actions(controller, shown) - actions(controller, silent)).abs().max() > 0.01
+
+
+def test_it_explores_as_the_pre_training_did_at_its_end_and_learns_slowly(env):
+    learner = task_learner(env, SMALL, known=KNOWN)
+    shown = env.reset().select("observation")
+    torch.testing.assert_close(learner.actor(shown)["scale"], pretrained("wbc")(shown)["scale"])
+    before = [parameter.clone() for parameter in learner.actor.parameters()]
+    report = iterate(learner)
+    assert report["actor_lr"] < 1e-4
+    moved = max((new - old).abs().max() for new, old in zip(learner.actor.parameters(), before, strict=True))
+    assert 0 < moved < 1e-3
+
+
+def test_the_critic_values_what_it_did_and_takes_in_the_task(env):
+    learner = task_learner(env, SMALL, known=KNOWN)
+    shown = env.reset().select("privileged")
+    old = shown["privileged"][:, :-10].clone()
+    old[:, 73:77] = 0.0
+    value = pretrained("wbc_critic")(shown.clone().set("privileged", old))["state_value"]
+    torch.testing.assert_close(learner.critic(shown.clone())["state_value"], value, rtol=1e-4, atol=1e-4)
+
+
+def test_without_a_start_it_begins_anew(env):
+    learner = task_learner(env, SMALL, start=None, known=KNOWN)
+    assert actions(learner.actor, env.reset().select("observation")).abs().max() < 0.1
+
+
+def test_a_controller_of_other_sizes_is_refused(env):
+    with pytest.raises(ValueError, match="of 'privileged'"):
+        task_learner(env, SMALL)  # what the task adds is not named
+    with pytest.raises(ValueError, match="of 'observation'"):
+        task_learner(whole_body_env(num_envs=4, history=2), SMALL)
+
+
+def test_it_leaves_policy_curves_and_figures_and_goes_on(tmp_path):
+    cfg = FineTune(
+        iterations=2, ppo=PPO(horizon=2, entropy_coeff=0.0), num_envs=4, episodes=3, output=tmp_path, video=False
+    )
+    told = {"name": "throw", "known": KNOWN, "curves": {"reward": "reward"}, "look_at": ["reward"], "steps": 2}
+    seen = []
+
+    def judge(episodes):
+        seen.append(episodes)
+        return {"mean": float(episodes["reward"].mean())}
+
+    figures = fine_tune(cfg, ball_throw_maker, judge=judge, **told)
+    assert seen[0].shape == (3, 2)
+    assert json.loads((tmp_path / "figures.json").read_text()) == figures
+    assert (tmp_path / "curves.png").stat().st_size > 5000
+    assert read_network(tmp_path / "throw.npz").in_keys == ["observation"]
+    fine_tune(replace(cfg, iterations=3), ball_throw_maker, judge=judge, **told)
+    assert [row["step"] for row in CSVTable(tmp_path / "progress.csv").rows] == ["1", "2", "3"]
+    with pytest.raises(ValueError, match="seed"):
+        fine_tune(replace(cfg, iterations=4, seed=1), ball_throw_maker, judge=judge, **told)
+
+
+def ball_throw_maker(num_envs, **told):
+    return ball_throw_env(num_envs=num_envs, **told)

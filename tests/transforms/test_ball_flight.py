@@ -1,0 +1,44 @@
+"""The ball and the phases of its task; its way is tested with the arm that throws it."""
+
+from functools import partial
+
+import torch
+from torchrl.envs import Compose, StepCounter, TransformedEnv
+
+from torchrl_athletic.envs import TorqueEnv
+from torchrl_athletic.functional.phase import Phase, PhaseSchedule
+from torchrl_athletic.robots import Bucket, with_bucket, z1
+from torchrl_athletic.transforms import BallFlight, Decimation, TaskPhase
+
+BUCKET = Bucket()
+FLIGHT = partial(BallFlight, 0.005, rim=BUCKET.rim, radius=BUCKET.ball_radius, placed_at=0.06)
+
+
+def shown(schedule, steps=10, **told):
+    base = TorqueEnv(with_bucket(z1(), BUCKET), num_envs=8, every_step=BallFlight.every_step)
+    env = TransformedEnv(base, Compose(FLIGHT(**told), Decimation(4), StepCounter(steps), TaskPhase(schedule, 0.02)))
+    return env.rollout(2 * steps, lambda td: td.set("torque", torch.zeros(8, 7)), break_when_any_done=False)
+
+
+def placed(steps):
+    return (steps["next", "ball_position"] != 0).any(-1)
+
+
+def test_the_time_of_the_ball_counts_from_its_phase_and_an_episode_past_it_has_none():
+    schedule = PhaseSchedule((Phase("set-up", 0.1), Phase("settle", start_probability=0.5)))
+    steps = shown(schedule, phase=0)
+    for episode in (slice(0, 10), slice(10, 20)):
+        first = steps["task_phase_index"][:, episode][:, 0, 0]
+        assert placed(steps)[:, episode][first == 0].int().tolist() == [[0, 0, *[1] * 8]] * int((first == 0).sum())
+        assert not placed(steps)[:, episode][first == 1].any()
+    assert 0 < steps["task_phase_index"][:, 0].sum() < 8
+
+
+def test_a_ball_stays_there_when_its_phase_is_over():
+    schedule = PhaseSchedule((Phase("set-up", 0.04), Phase("throw")))
+    assert placed(shown(schedule, phase=0))[:, :10].int().tolist() == [[0, 0, *[1] * 8]] * 8
+
+
+def test_without_a_phase_it_counts_from_the_start_of_the_episode():
+    schedule = PhaseSchedule((Phase("set-up", 0.1), Phase("settle", start_probability=0.5)))
+    assert placed(shown(schedule)).int().tolist() == [[0, 0, *[1] * 8] * 2] * 8

@@ -1,0 +1,49 @@
+"""A task's own end of an episode."""
+
+import torch
+from torchrl.envs import TransformedEnv
+
+from torchrl_athletic.testing import ToyEnv, TransformContract
+from torchrl_athletic.transforms import EarlyTermination
+
+
+class IsFast:
+    """A condition that can be copied to a worker."""
+
+    def __init__(self, key):
+        self.key = key
+
+    def __call__(self, tensordict, next_tensordict):
+        return tensordict[self.key][..., :1] > 1.5
+
+
+class TestContract(TransformContract):
+    def make_transform(self, key=str, first_row=0):
+        return EarlyTermination(IsFast(key("joint_velocity")))
+
+
+def test_it_ends_the_rows_that_it_says_as_failed_and_leaves_ends_that_others_found():
+    second = EarlyTermination(lambda before, after: torch.tensor([[False], [True], [False]]))
+    plain, ended = ToyEnv(3, shortest=2), TransformedEnv(ToyEnv(3, shortest=2), second)
+    action = torch.zeros(3, 3)
+    before, after = (env.reset().set("action", action) for env in (plain, ended))
+    for _ in range(2):
+        one, other = plain.step(before.clone())["next"], ended.step(after.clone())["next"]
+        expected = one["terminated"] | torch.tensor([[False], [True], [False]])
+        assert other["terminated"].equal(expected)
+        assert other["done"].equal(one["done"] | expected)
+        assert other["truncated"].equal(one["truncated"])
+        before, after = one.set("action", action), other.set("action", action)
+
+
+def test_the_condition_sees_what_the_step_started_from():
+    seen = []
+
+    def condition(before, after):
+        seen.append((before["joint_position"].clone(), after["joint_position"].clone()))
+        return torch.zeros(1, 1, dtype=torch.bool)
+
+    steps = TransformedEnv(ToyEnv(1, shortest=9), EarlyTermination(condition)).rollout(2)
+    for time, (before, after) in enumerate(seen[-2:]):
+        assert before.equal(steps["joint_position"][:, time])
+        assert after.equal(steps["next", "joint_position"][:, time])

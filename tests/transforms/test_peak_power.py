@@ -1,0 +1,36 @@
+"""The most that joints gave at once, within an action too."""
+
+import torch
+from torchrl.envs import Compose, TransformedEnv
+
+from torchrl_athletic.envs import TorqueEnv
+from torchrl_athletic.robots import z1
+from torchrl_athletic.testing import ToyEnv, TransformContract
+from torchrl_athletic.transforms import Decimation, PeakPower
+
+
+class TestContract(TransformContract):
+    env_settings = {"extra": {"joint_power": (3,)}}  # noqa: RUF012
+
+    def make_transform(self, key=str, first_row=0):
+        return PeakPower([0, 2], power_key=key("joint_power"), peak_key=key("peak_power"))
+
+
+def test_it_is_the_greatest_sum_since_the_episode_s_start():
+    env = TransformedEnv(ToyEnv(3, shortest=4, extra={"joint_power": (3,)}), PeakPower([0, 2]))
+    steps = env.rollout(14, break_when_any_done=False)["next"]
+    peak = torch.zeros(3, 1)
+    for time in range(14):
+        peak = torch.maximum(peak, steps["joint_power"][:, time, [0, 2]].sum(-1, keepdim=True))
+        torch.testing.assert_close(steps["peak_power"][:, time], peak)
+        peak = torch.where(steps["done"][:, time], 0.0, peak)
+
+
+def test_it_reads_every_step_of_the_physics_and_not_the_mean_of_an_action():
+    torque = torch.tensor([[0.0, 30.0, 20.0, 0.0, 0.0, 0.0, 0.0]])
+    act = lambda td: td.set("torque", torque)  # noqa: E731
+    inside = TransformedEnv(TorqueEnv(z1()), Compose(PeakPower("arm"), Decimation(4)))
+    alone = TransformedEnv(TorqueEnv(z1()), PeakPower("arm"))
+    few, many = inside.rollout(8, act)["next"], alone.rollout(32, act)["next"]
+    torch.testing.assert_close(few["peak_power"], many["peak_power"][:, 3::4])
+    assert (few["peak_power"] > few["joint_power"][..., :6].sum(-1, keepdim=True).cummax(1).values + 1e-3).any()

@@ -1,0 +1,160 @@
+"""The ball throw: a B2 with a Z1 takes its arm back, gets a ball of 100 g into its bucket, and throws it far."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+from torchrl.envs import TransformedEnv
+
+from torchrl_athletic.envs.task_parts import (
+    PHYSICS_DT,
+    auxiliary_rewards,
+    off_reference,
+    position_key_of,
+    references,
+    stance,
+)
+from torchrl_athletic.envs.whole_body import PRIVILEGED, Disturbances, whole_body_env
+from torchrl_athletic.functional import ball, rotations
+from torchrl_athletic.functional.phase import PhaseSchedule, throw_phases
+from torchrl_athletic.robots import Bucket, Robot, Terrain, b2z1, with_bucket
+from torchrl_athletic.transforms import (
+    BallFlight,
+    EarlyTermination,
+    InPhase,
+    PeakPower,
+    RewardTerm,
+    StartLine,
+    Term,
+)
+
+BUCKET = Bucket(opening=(0.0, 0.0, -1.0))
+"""Opens upwards where the arm is stretched backwards, whence an overhead swing throws forward."""
+PLACED_AT = 1.5
+"""When the ball is put into the bucket, since the set-up's beginning [s]."""
+KNOWN = ("ball_linear_velocity", "ball_away", "bucket_linear_velocity", "bucket_axis")
+"""What the critic sees besides."""
+
+
+def ball_throw_env(
+    robot: Robot | None = None,
+    *,
+    num_envs: int = 4096,
+    schedule: PhaseSchedule | None = None,
+    disturbances: Disturbances | None = None,
+    motion: str = "throw",
+    max_steps: int = 300,
+    seed: int = 0,
+    first_row: int = 0,
+    **told: Any,
+) -> TransformedEnv:
+    """The task, around the environment of the pre-training: same inputs, same actions, same disturbances.
+
+    The ball's flight is computed beside the simulation (:mod:`torchrl_athletic.functional.ball`); its weight is the
+    bucket's. An episode whose ball is lost in the set-up ends.
+
+    Args:
+        robot: That holds :data:`BUCKET`; None takes that of the pre-training, with it.
+        num_envs: N.
+        schedule: None takes :func:`~torchrl_athletic.functional.phase.throw_phases`.
+        disturbances: None takes the paper's.
+        motion: To go by, as of :func:`~torchrl_athletic.robots.read_motion`.
+        max_steps: Length of an episode [policy steps]: 6 s.
+        seed: Of all draws.
+        first_row: Number of the first row, for parts of a larger batch.
+        told: To :func:`~torchrl_athletic.envs.whole_body_env`.
+
+    Source:
+        Fey et al. 2025, appendix B-A.
+
+    Example:
+        >>> shown = ball_throw_env(num_envs=2).rollout(2)
+        >>> shown["observation"].shape, shown["task_phase"].shape
+        (torch.Size([2, 2, 770]), torch.Size([2, 2, 4]))
+    """
+    robot = with_bucket(b2z1(terrain=Terrain(), cone="pyramidal"), BUCKET) if robot is None else robot
+    schedule = throw_phases() if schedule is None else schedule
+    chance = Disturbances() if disturbances is None else disturbances
+    set_up = schedule.index("throw-set-up")
+    flight = BallFlight(PHYSICS_DT, rim=BUCKET.rim, radius=BUCKET.ball_radius, placed_at=PLACED_AT, phase=set_up)
+    return whole_body_env(
+        robot,
+        num_envs=num_envs,
+        commands=references(motion, robot, schedule),
+        schedule=schedule,
+        terms=ball_throw_rewards(robot, schedule, position_key_of(chance.encoder_offset)),
+        disturbances=chance,
+        privileged=(*PRIVILEGED, *KNOWN),
+        objects=[flight, PeakPower("leg")],
+        extra=[StartLine(), EarlyTermination(lambda before, after: _lost(before, after, set_up))],
+        max_steps=max_steps,
+        seed=seed,
+        first_row=first_row,
+        **told,
+    )
+
+
+def ball_throw_rewards(
+    robot: Robot, schedule: PhaseSchedule, position_key: NestedKey = "joint_position"
+) -> tuple[dict[str, RewardTerm], dict[str, float]]:
+    """Terms by name, and their scales.
+
+    The paper prints the distance from the motion with a plus; a reward for leaving it cannot be meant. Forward and
+    lateral are those of the episode's start, since robots start with any heading.
+
+    Source:
+        Fey et al. 2025, appendix B-A.
+    """
+    set_up, throw, settle = (schedule.index(name) for name in ("throw-set-up", "throw", "settle"))
+    keys: Sequence[NestedKey] = ("ball_linear_velocity", "start_line")
+    terms: dict[str, RewardTerm] = {
+        "stance": stance([set_up, settle]),
+        "reference": off_reference([set_up], list(robot.joint_groups["arm"]), position_key),
+        "forward": InPhase([throw], Term(_forward, *keys)),
+        "upward": InPhase([throw], Term(_upward, "ball_linear_velocity")),
+        "lateral": InPhase([throw], Term(_lateral, *keys)),
+    }
+    scales = {"stance": -5.0, "reference": -5.0, "forward": 20.0, "upward": 20.0, "lateral": -0.5}
+    shared, shared_scales = auxiliary_rewards(robot, position_key)
+    return terms | shared, scales | shared_scales
+
+
+def ball_throw_distance(step: TensorDictBase) -> Tensor:
+    """How far ahead of the robot's start the ball comes down, to where it looked then [m]; 0 where it never left.
+
+    Args:
+        step: As the environment shows it, after the throw; the ball may still fly.
+
+    Returns:
+        Shape (*B, 1).
+    """
+    place = ball.landing(step["ball_position"], step["ball_linear_velocity"], BUCKET.ball_radius)
+    line = step["start_line"]
+    way = place - line[..., :2]
+    ahead = way[..., :1] * line[..., 2:].cos() + way[..., 1:] * line[..., 2:].sin()
+    return torch.where(step["ball_away"], ahead, 0.0)
+
+
+def _lost(before: TensorDictBase, after: TensorDictBase, set_up: int) -> Tensor:
+    return after["ball_away"] & (before["task_phase_index"] == set_up)
+
+
+def _forward(velocity: Tensor, line: Tensor) -> Tensor:
+    return _from_start(velocity, line)[..., :1].clamp(min=0)
+
+
+def _lateral(velocity: Tensor, line: Tensor) -> Tensor:
+    return _from_start(velocity, line)[..., 1:2].square()
+
+
+def _upward(velocity: Tensor) -> Tensor:
+    return velocity[..., 2:].clamp(min=0)
+
+
+def _from_start(velocity: Tensor, line: Tensor) -> Tensor:
+    """As one who looks where the robot looked at its start sees it."""
+    return rotations.rotate_inverse(rotations.yaw_quaternion(line[..., 2:]), velocity)

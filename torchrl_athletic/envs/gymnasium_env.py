@@ -1,0 +1,144 @@
+"""The tasks as Gymnasium knows environments: ``gymnasium.make_vec("torchrl_athletic/SledPull-v0", num_envs=8)``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import step_mdp
+
+from torchrl_athletic.envs.ball_throw import ball_throw_env
+from torchrl_athletic.envs.dumbbell_snatch import dumbbell_snatch_env
+from torchrl_athletic.envs.sled_pull import sled_pull_env
+from torchrl_athletic.envs.whole_body import whole_body_env
+from torchrl_athletic.transforms import RandomTransform
+
+TASKS: Mapping[str, Callable[..., TransformedEnv]] = {
+    "WholeBody": whole_body_env,
+    "BallThrow": ball_throw_env,
+    "DumbbellSnatch": dumbbell_snatch_env,
+    "SledPull": sled_pull_env,
+}
+"""Names under ``torchrl_athletic/``, each with the ending ``-v0``."""
+
+Array = NDArray[np.float32]
+
+
+class GymnasiumVectorEnv(VectorEnv[Array, Array, Array]):
+    """Many robots in one process, as a Gymnasium vector environment.
+
+    The observation is the policy's, ``observation``; the action is unbounded, 0 is the default pose. A row that is done
+    starts anew in the same step: its last observation is under ``final_obs`` of the infos.
+
+    Args:
+        task: Name of one of :data:`TASKS`.
+        num_envs: N.
+        told: To the task.
+
+    Raises:
+        ValueError: If there is no such task.
+
+    Example:
+        >>> import gymnasium
+        >>> envs = gymnasium.make_vec("torchrl_athletic/SledPull-v0", num_envs=2)
+        >>> envs.reset(seed=0)[0].shape
+        (2, 770)
+    """
+
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
+
+    def __init__(self, task: str, num_envs: int = 1, **told: Any) -> None:
+        if task not in TASKS:
+            raise ValueError(f"no task is called {task!r}; there are {sorted(TASKS)}.")
+        self.env = TASKS[task](num_envs=num_envs, **told)
+        self.num_envs = num_envs
+        width = {key: self.env.full_observation_spec[key].shape[-1] for key in ("observation",)}
+        self.single_observation_space = _box(width["observation"])
+        self.single_action_space = _box(self.env.action_spec.shape[-1])
+        self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
+        self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
+        self._shown: TensorDictBase | None = None
+
+    @torch.no_grad()
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Start all rows anew. A seed opens the streams of all draws again; of a list, the first one counts."""
+        super().reset(seed=seed, options=options)
+        first = seed[0] if isinstance(seed, list) else seed
+        if first is not None:
+            reseed(self.env, first)
+        self._shown = self.env.reset()
+        return _array(self._shown["observation"]), {}
+
+    @torch.no_grad()
+    def step(self, actions: Array) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Act once in every row, and start those anew that are done."""
+        if self._shown is None:
+            raise gymnasium.error.ResetNeeded("step was called before reset: no episode has begun. Call reset first.")
+        action = torch.as_tensor(np.asarray(actions, np.float32), device=self.env.device)
+        step = self._shown.set("action", action)
+        shown = self.env._step(step)
+        step.set("next", shown)
+        following = step_mdp(step, exclude_action=True)
+        done = (shown["terminated"] | shown["truncated"]).reshape(self.num_envs, 1)
+        infos: dict[str, Any] = {}
+        if done.any():
+            infos = {"final_obs": _array(shown["observation"]), "_final_obs": done.flatten().cpu().numpy()}
+            fresh = self.env.reset(following.set("_reset", done))
+            following = fresh.exclude("_reset")
+        self._shown = following
+        flags = (shown[key].flatten().cpu().numpy() for key in ("terminated", "truncated"))
+        return _array(following["observation"]), _array(shown["reward"].flatten()), *flags, infos
+
+
+class GymnasiumEnv(gymnasium.Env[Array, Array]):
+    """One robot, as a Gymnasium environment: :class:`GymnasiumVectorEnv` with one row that its user starts anew.
+
+    Args:
+        task: Name of one of :data:`TASKS`.
+        told: To the task.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012
+
+    def __init__(self, task: str, **told: Any) -> None:
+        self.rows = GymnasiumVectorEnv(task, 1, **told)
+        self.observation_space, self.action_space = self.rows.single_observation_space, self.rows.single_action_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Start an episode."""
+        super().reset(seed=seed)
+        observation, infos = self.rows.reset(seed=seed, options=options)
+        return observation[0], infos
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Act once."""
+        observation, reward, terminated, truncated, infos = self.rows.step(np.asarray(action)[None])
+        last = infos.get("final_obs", observation)[0]
+        return last, float(reward[0]), bool(terminated[0]), bool(truncated[0]), {}
+
+
+def reseed(env: TransformedEnv, seed: int) -> None:
+    """Open the streams of all random transforms again, as if the environment had been made with that seed."""
+    for module in env.transform.modules():
+        if isinstance(module, RandomTransform):
+            module.seed = seed
+            module.episode, module.row_stream = module.episode.new_empty(0), module.row_stream.new_empty(0)
+
+
+def _box(width: int) -> gymnasium.spaces.Box:
+    return gymnasium.spaces.Box(-np.inf, np.inf, (width,), np.float32)
+
+
+def _array(value: torch.Tensor) -> Array:
+    return value.detach().cpu().numpy().astype(np.float32, copy=True)

@@ -1,0 +1,191 @@
+"""A task, learnt from a whole-body controller: the same network goes on, and hears of phases for the first time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import torch
+from tensordict import NestedKey, TensorDict
+from torchrl.envs import EnvBase, TransformedEnv
+
+from torchrl_athletic.envs.whole_body import FRAME
+from torchrl_athletic.networks import open_inputs
+from torchrl_athletic.training.checkpoint import Checkpoints
+from torchrl_athletic.training.curves import draw_curves
+from torchrl_athletic.training.evaluation import whole_rollout
+from torchrl_athletic.training.logging import LoggerName, make_logger
+from torchrl_athletic.training.ppo import FINE_TUNE, PPO, Learner, train
+from torchrl_athletic.training.video import draw_episode, frame_strip, write_video
+from torchrl_athletic.training.wbc import WATCHED, check_sizes, read_wbc, save_wbc, wbc_learner
+
+
+@dataclass(frozen=True)
+class FineTune:
+    """What a recipe that tunes a controller to a task asks on its command line."""
+
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Of simulation and nets."""
+    minutes: float | None = None
+    """When to stop [min]; None takes 10 on CPUs and 15 on a GPU."""
+    iterations: int | None = None
+    """When to stop in any case."""
+    seed: int = 0
+    """Of robots, disturbances and exploration."""
+    start: str | None = "wbc"
+    """A shipped controller, or a file that a recipe wrote, to go on from; ``None`` begins anew."""
+    actuation: str = "uan"
+    """Of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
+    num_envs: int | None = None
+    """Robots; None takes 256 on CPUs and those of ``ppo`` on a GPU."""
+    ppo: PPO = field(default_factory=lambda: FINE_TUNE)
+    """What else is chosen by hand."""
+    episodes: int = 100
+    """To judge the policy by at the end."""
+    logger: LoggerName = "csv"
+    """Where numbers go; wandb stays offline."""
+    output: Path = Path("outputs/fine_tune")
+    """Folder for all that is written."""
+    video: bool = True
+    """Whether to draw an episode at the end."""
+
+
+def task_learner(
+    env: EnvBase,
+    config: PPO = FINE_TUNE,
+    *,
+    start: str | Path | None = "wbc",
+    known: Sequence[NestedKey] = (),
+    seed: int = 0,
+    cuda_graph: bool = False,
+) -> Learner:
+    """A controller and its critic, ready to learn a task.
+
+    At first the policy acts as the controller does, whatever phase it is told of: it saw only zeros there
+    (:func:`~torchrl_athletic.networks.open_inputs`). Its standard deviation is that with which the pre-training ended.
+    What inputs are normalised by stays as it was: a policy that is tuned slowly shall not be moved by that.
+
+    Args:
+        env: Of a task: ``ball_throw_env`` and the like.
+        config: Numbers chosen by hand.
+        start: A shipped policy, ``"wbc"``, or a file of :func:`~.wbc.save_wbc`; None begins anew.
+        known: What the task adds to the end of ``privileged``, which the critic learns to listen to.
+        seed: Of the order of samples.
+        cuda_graph: Capture control step and update, on a GPU only.
+
+    Raises:
+        ValueError: If the controller sees or does something else than this task shows and takes.
+
+    Source:
+        Fey et al. 2025, section II-C.
+
+    Example:
+        >>> from torchrl_athletic.envs import sled_pull_env
+        >>> from torchrl_athletic.envs.sled_pull import KNOWN
+        >>> learner = task_learner(sled_pull_env(num_envs=2), PPO(num_envs=2, horizon=4), known=KNOWN)
+        >>> learner.actor.in_keys, learner.samples
+        (['observation'], 0)
+    """
+    if start is None:
+        return wbc_learner(env, config, seed=seed, cuda_graph=cuda_graph)
+    shown = env.observation_spec
+    seen, told = (shown[key].shape[-1] for key in ("observation", "privileged"))
+    more = sum(shown[key].shape[env.ndim :].numel() for key in known)
+    policy, value = read_wbc(start, trainable=True)
+    check_sizes(
+        str(start),
+        {"observation": (policy, seen, env.action_spec.shape[-1]), "privileged": (value, told - more, 1)},
+    )
+    phase, width = _phase_columns(env)
+    open_inputs(policy, [frame + column for frame in range(0, seen, width) for column in phase])
+    open_inputs(value, phase, told)
+    return Learner(
+        env,
+        policy.to(env.device),
+        value.to(env.device),
+        config,
+        watch=WATCHED,
+        seed=seed,
+        cuda_graph=cuda_graph,
+    )
+
+
+def _phase_columns(env: EnvBase) -> tuple[list[int], int]:
+    """Where a frame tells the phase, and how wide a frame is."""
+    widths = {key: env.observation_spec[key].shape[-1] for key in FRAME}
+    first = sum(widths[key] for key in FRAME[: FRAME.index("task_phase")])
+    return list(range(first, first + widths["task_phase"])), sum(widths.values())
+
+
+MakeEnv = Callable[..., TransformedEnv]
+"""``make_env(num_envs, **told)``."""
+
+
+def fine_tune(
+    cfg: FineTune,
+    make_env: MakeEnv,
+    *,
+    name: str,
+    known: Sequence[NestedKey],
+    curves: Mapping[str, str],
+    look_at: Sequence[str],
+    judge: Callable[[TensorDict], dict[str, float]],
+    annotate: Callable[..., None] | None = None,
+    steps: int,
+) -> dict[str, float]:
+    """Tune a controller to a task, and leave policy, curves, figures, video and a strip of its frames.
+
+    Called again with the same settings it goes on where it stopped.
+
+    Args:
+        cfg: Of the command line.
+        make_env: Of the task.
+        name: Of the task, and of the policy's file.
+        known: As of :func:`task_learner`.
+        curves: Columns of ``progress.csv`` to draw, and their titles.
+        look_at: Entries that ``judge`` needs.
+        judge: From :func:`~.evaluation.whole_rollout` to figures.
+        annotate: Adds shapes to the video, as of :func:`~.video.record_video`.
+        steps: Of an episode [policy steps].
+
+    Returns:
+        The figures.
+    """
+    on_gpu = cfg.device == "cuda"
+    torch.manual_seed(cfg.seed)
+    torch.set_float32_matmul_precision("high")
+    ppo = replace(cfg.ppo, num_envs=cfg.num_envs or (cfg.ppo.num_envs if on_gpu else 256))
+    same = {key: str(getattr(cfg, key)) for key in ("seed", "start", "actuation")} | {"task": name, "ppo": str(ppo)}
+    learner = task_learner(
+        make_env(ppo.num_envs, device=cfg.device, seed=cfg.seed, staggered=True),
+        ppo,
+        start=cfg.start,
+        known=known,
+        seed=cfg.seed,
+        cuda_graph=on_gpu,
+    )
+    train(
+        learner,
+        minutes=(15.0 if on_gpu else 10.0) if cfg.minutes is None else cfg.minutes,
+        iterations=cfg.iterations,
+        logger=make_logger(cfg.logger, cfg.output, f"finetune_{name}"),
+        checkpoints=Checkpoints(cfg.output / "checkpoints", made_of=same),
+        checkpoint_every=100 if on_gpu else 20,
+        show=["reward", "kl"],
+    )
+    print("policy:", save_wbc(learner, cfg.output, name=name, trained_as=str(cfg), history=10))
+    policy = learner.actor.to("cpu")
+    if cfg.logger == "csv":
+        print("curves:", draw_curves({name: cfg.output / "progress.csv"}, curves, cfg.output / "curves.png"))
+    exam = make_env(cfg.episodes, seed=cfg.seed + 1_000_003)
+    figures = judge(whole_rollout(exam, policy, look_at, steps, progress=f"{cfg.episodes} episodes"))
+    (cfg.output / "figures.json").write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    print(", ".join(f"{key} {value:.3g}" for key, value in figures.items()))
+    if cfg.video:
+        frames = draw_episode(make_env(1, seed=cfg.seed + 1), policy, steps, annotate=annotate, follow="base")
+        print("video:", write_video(frames, cfg.output / f"{name}.mp4", 50.0))
+        frame_strip(frames, 6, cfg.output / f"{name}.png")
+    return figures
