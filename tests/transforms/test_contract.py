@@ -27,6 +27,7 @@ from torchrl_athletic.transforms import (
     PowerClip,
     Push,
     RandomizationRanges,
+    StaggeredEpisodes,
     TaskPhase,
     TorqueSpeedClip,
     UANCorrection,
@@ -125,6 +126,17 @@ class TestDecimation(TransformContract):
 
     @pytest.mark.skip(reason="it holds every action of the environment: two of it hold for 9 steps, as they should")
     def test_two_instances(self) -> None: ...
+
+
+class TestStaggeredEpisodes(TransformContract):
+    def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
+        counter = StepCounter(step_count_key="count")  # the contract puts another beside it
+        return Compose(counter, StaggeredEpisodes(20, step_count_key="count", first_row=first_row))
+
+    @pytest.mark.parametrize("done_in_groups", [False])
+    def test_nested_keys(self, done_in_groups: bool) -> None:
+        """StepCounter counts beside the flags, wherever they are, and this asks for the place."""
+        super().test_nested_keys(done_in_groups)
 
 
 # Those that act on a simulation

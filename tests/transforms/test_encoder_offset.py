@@ -7,6 +7,7 @@ from torchrl.envs.utils import check_env_specs
 
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.robots import z1
+from torchrl_athletic.testing import ToyEnv
 from torchrl_athletic.transforms import Decimation, EncoderOffset, PDControl
 
 ROBOT = z1()
@@ -64,3 +65,28 @@ def test_outside_decimation_it_may_not_hide_the_position():
     assert "reading" in TransformedEnv(TorqueEnv(ROBOT), beside).reset().keys()
     with pytest.raises(ValueError, match="low <= high"):
         EncoderOffset(0.1, -0.1)
+
+
+def test_the_true_position_is_shown_beside_a_reading_in_place_from_the_first_moment_on():
+    env = make_env(3, true_key="true")
+    td = env.reset()
+    for k in range(4):
+        torch.testing.assert_close(td["true"], env.base_env.physics.joint_position.float(), rtol=0, atol=0)
+        torch.testing.assert_close(td["joint_position"], td["true"] + td["encoder_offset"], rtol=0, atol=0)
+        assert (td["true"] != td["joint_position"]).all()
+        if k == 2:
+            td = env.reset(td.set("_reset", torch.tensor([[True], [False], [True]])))
+        else:
+            td = env.step(td.set("action", torch.ones(3, 7)))["next"]
+
+
+def test_the_true_position_is_shown_where_the_environment_resets_itself():
+    shown, plain = (
+        TransformedEnv(ToyEnv(native_autoreset=True, groups=()), part).rollout(
+            12, lambda td: td.set("action", torch.ones(3, 3)), break_when_any_done=False
+        )
+        for part in (EncoderOffset(-1.0, 1.0, true_key="true"), Compose())
+    )
+    torch.testing.assert_close(shown["true"], plain["joint_position"])
+    torch.testing.assert_close(shown["joint_position"], shown["true"] + shown["encoder_offset"])
+    assert (shown["encoder_offset"].diff(dim=1) != 0).any()

@@ -137,3 +137,24 @@ def test_pushes_add_to_what_others_put_on_a_body_and_take_back_their_own_alone()
         expected = pushes[:, 0] + other
         torch.testing.assert_close(physics.xfrc_applied[:, body], expected, atol=1e-5, rtol=1e-5)
     assert both > 10
+
+
+def test_a_reset_ends_the_pushes_of_all_who_push_one_body():
+    env = make_env(2)
+    env.append_transform(
+        ExternalPush(PUSHES, dt=0.005, rest=(0.03, 0.06), duration=(0.3, 0.4), push_key="shove", seed=9)
+    )
+    td = env.reset()
+    while not (td["push_on"] & td["shove_on"]).all():
+        td = env.step(still(env, td))["next"]
+    env.step(still(env, td))
+    acting = env.base_env.physics.xfrc_applied
+    both = (td["push"] + td["shove"]).double()
+    torch.testing.assert_close(acting[:, 1:], both, atol=1e-5, rtol=1e-5)
+    again = env.reset(td.clone().set("_reset", torch.tensor([[True], [False]])))
+    assert (again["push"][0] == 0).all()
+    assert (again["shove"][0] == 0).all()
+    for _ in range(3):  # taken back once, not with the sign turned at the next step
+        assert (acting[0] == 0).all()
+        assert (acting[1] != 0).any()
+        env.step(still(env, again))
