@@ -310,3 +310,44 @@ def test_the_arm_is_corrected_by_the_net_that_is_given():
     net = uan()
     env = whole_body_env(ROBOT, num_envs=1, net=net, disturbances=NO_DISTURBANCES)
     assert next(part for part in env.transform if isinstance(part, UANCorrection)).net is net
+
+
+def test_no_robot_starts_in_a_slope_though_all_start_level():
+    slope = b2z1(terrain=Terrain(roughness=(0.0, 0.0), slope=math.radians(10)), cone="pyramidal")
+    env = whole_body_env(slope, num_envs=2, **STILL)
+    td = env.reset()
+    model = slope.model()
+    ground = {model.geom(name).id for name in slope.ground}
+    for qpos in env.base_env.physics.qpos.numpy():
+        data = mujoco.MjData(model)
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        assert min([0.0, *(contact.dist for contact in data.contact if set(contact.geom) & ground)]) > -1e-3
+    most = 0.0
+    for _ in range(25):
+        td = env.step(stand(td))["next"]
+        most = max(most, td["foot_force"].max().item())
+    assert most < 5 * 9.81 * model.body_mass.sum()
+    assert not td["terminated"].any()
+
+
+def test_staggered_robots_are_of_all_ages_when_a_training_begins():
+    told = {"num_envs": 8, "max_steps": 40, **STILL}
+    env = whole_body_env(ROBOT, staggered=True, **told)
+    ages = env.reset()["step_count"].flatten()
+    assert len(ages.unique()) > 3
+    assert ages.max() < 40
+    assert (env.reset()["step_count"] == 0).all()
+    assert (whole_body_env(ROBOT, **told).reset()["step_count"] == 0).all()
+    part = whole_body_env(ROBOT, staggered=True, first_row=6, **(told | {"num_envs": 2}))
+    assert part.reset()["step_count"].flatten().tolist() == ages[6:].tolist()
+
+
+def test_the_critic_knows_what_no_robot_can_sense():
+    env = whole_body_env(ROBOT, num_envs=2, net=None)
+    td = env.reset()
+    privileged = env.transform[-1]
+    for key in ("push", "randomization", "encoder_offset", "base_height", "foot_height", "base_linear_velocity"):
+        changed = privileged._call(td.clone().set(key, td[key] + 1.0))["privileged"]
+        assert (changed != td["privileged"]).sum() == td[key].numel(), key
+    assert (privileged._call(td.clone().set("frame", td["frame"] + 1.0))["privileged"] != td["privileged"]).any()

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.physics import BatchPhysics
 from torchrl_athletic.physics.ground import Clearance, ground_of
 from torchrl_athletic.robots import Terrain, b2z1, z1
@@ -76,3 +77,31 @@ def test_a_robot_without_anything_that_touches_the_ground_is_clear_of_it():
         torch.zeros(0, dtype=torch.int64), torch.zeros(0, 3), torch.zeros(0), ground_of(model, ("floor",))
     )
     assert clearance(physics.data("xpos"), physics.data("xmat")).tolist() == [[np.inf], [np.inf]]
+
+
+def test_a_base_is_as_high_as_over_the_mean_of_the_heights_below_it():
+    """The square of 0.5 m holds heights up to 0.3 m to each side, every 0.1 m: 7 by 7 of them."""
+    terrain = Terrain(roughness=(0.1, 0.1), tiles=3)
+    env = TorqueEnv(b2z1(terrain=terrain))
+    heights = terrain.heights()
+    line = np.linspace(-6.0, 6.0, len(heights))
+    for row, column in ((10, 20), (60, 61), (100, 33)):
+        mean = heights[row - 3 : row + 4, column - 3 : column + 4].mean()
+        base = torch.tensor([[line[column], line[row], 0.7]], dtype=torch.float32)
+        assert env.heights(base, None)["base_height"].item() == pytest.approx(0.7 - mean, abs=2e-3)
+        assert abs(heights[row, column] - mean) > 5e-3  # or this would say nothing of a mean
+        feet = base.reshape(1, 1, 3)
+        foot = env.heights(base, feet)["foot_height"].item()
+        assert foot == pytest.approx(0.7 - heights[row, column], abs=2e-3)  # a foot stands on a bump
+
+
+def test_beside_a_field_of_heights_there_is_the_floor():
+    terrain = Terrain(roughness=(0.0, 0.0), tiles=1, slope=0.3)
+    robot = b2z1(terrain=terrain)
+    ground, edge = ground_of(robot.model(), robot.ground), 2 * np.tan(0.3)
+    inside = torch.tensor([[1.99, 0.0], [1.99, 1.99], [-1.99, 1.99]])
+    torch.testing.assert_close(
+        ground.height(inside).flatten(), torch.tensor([edge, edge, -edge]).float(), atol=0.01, rtol=0
+    )
+    beside = torch.tensor([[2.01, 0.0], [1.99, 2.01], [1.99, -2.01], [-2.01, 0.0]])
+    assert ground.height(beside).flatten().tolist() == pytest.approx([-edge - 0.005] * 4, abs=1e-3)

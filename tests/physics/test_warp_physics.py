@@ -286,6 +286,23 @@ def test_a_graph_with_room_for_few_changes_serves_all_in_their_turn(monkeypatch)
         torch.testing.assert_close(few._constants[name], value, msg=name)
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("mujoco_warp") is None, reason="mujoco_warp is not installed")
+def test_a_write_within_a_graph_lets_the_constants_of_the_changed_envs_follow_and_leaves_the_others(monkeypatch):
+    model = compiled("hopper")
+    graph, plain = (WarpPhysics(model, N, device="cpu", fields=("body_mass",)) for _ in range(2))
+    mass = torch.as_tensor(model.body_mass).float() * torch.tensor([0.5, 1.5, 2.0, 3.0])[:, None]
+    mask = torch.tensor([True, False, True, True])
+    plain.set_fields({"body_mass": mass}, envs=mask)
+    graph._constants["dof_invweight0"][1] = 7.0  # as of somebody else
+    monkeypatch.setattr(graph, "_recording", lambda: True)
+    graph.set_fields({"body_mass": mass}, envs=mask)
+    assert (graph._constants["dof_invweight0"][1] == 7.0).all()
+    for name, value in plain._constants.items():
+        torch.testing.assert_close(graph._constants[name][mask], value[mask], msg=name)
+    assert (plain._constants["dof_invweight0"][0] != plain._constants["dof_invweight0"][1]).any()
+
+
 @pytest.mark.parametrize(
     ("fields", "name", "value", "message"),
     [

@@ -74,3 +74,19 @@ def test_a_joint_whose_name_ends_in_link_is_no_link_behind_a_gear():
     robot = from_mjcf(both)
     assert link_joint(robot.model(), "b") == "b"
     assert robot.position_limit[robot.joint_names.index("b")] == pytest.approx((-1.0472, 1.0472), abs=1e-4)
+
+
+UNNAMED = """
+<mujoco><worldbody><geom type="plane" size="1 1 1" pos="0 0 .2"/><geom type="box" size=".1 .1 .1" pos="3 3 0"/>
+  <body name="base" pos="0 0 1"><freejoint/><geom size=".1"/>
+    <body><joint name="a"/><geom size=".1" pos="0 0 -.2"/></body></body>
+</worldbody><actuator><motor joint="a" forcerange="-1 1"/></actuator></mujoco>"""
+
+
+def test_ground_without_a_name_is_ground_all_the_same():
+    robot = from_mjcf(UNNAMED)
+    assert robot.ground == ("ground0",)
+    shown = TorqueEnv(robot, num_envs=2).reset()
+    assert shown["base_height"].flatten().tolist() == pytest.approx([0.8, 0.8])
+    named = from_mjcf(UNNAMED.replace('type="plane"', 'type="plane" name="lawn"'))
+    assert named.ground == ("lawn",)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from robots.standing import Plant
 
-from torchrl_athletic.robots import Bucket, Dumbbell, Terrain, b2z1, z1
+from torchrl_athletic.robots import Bucket, Dumbbell, Terrain, b2z1, with_options, z1
 
 ROBOTS = {
     "z1": z1(),
@@ -112,3 +112,25 @@ def test_end_effector_sensors_follow_the_site_through_space(plant):
 def test_an_unknown_cone_is_refused():
     with pytest.raises(ValueError, match="Choose one of"):
         z1(cone="round").model()
+
+
+def test_in_another_simulation_it_differs_in_the_options_alone():
+    robot = b2z1()
+    other = with_options(robot, timestep=0.001, iterations=77)
+    model, nominal = other.model(), robot.model()
+    assert (model.opt.timestep, model.opt.iterations) == (0.001, 77)
+    assert (nominal.opt.timestep, nominal.opt.iterations) != (0.001, 77)
+    model.opt.timestep, model.opt.iterations = nominal.opt.timestep, nominal.opt.iterations
+    assert with_options(other, timestep=nominal.opt.timestep, iterations=nominal.opt.iterations).spec().to_xml() == (
+        robot.spec().to_xml()
+    )
+    assert pickle.loads(pickle.dumps(other)) == other != robot
+
+
+def test_an_option_that_mujoco_lacks_and_time_that_stands_still_are_refused():
+    with pytest.raises(ValueError, match=r"no option 'timestop'.*Give one of mjOption"):
+        with_options(z1(), timestop=0.001)
+    with pytest.raises(ValueError, match="no option '__doc__'"):
+        with_options(z1(), __doc__=1.0)
+    with pytest.raises(ValueError, match=r"timestep is 0\.0 s.*Give more than 0"):
+        with_options(z1(), timestep=0.0)
