@@ -10,6 +10,7 @@ from torchrl_athletic.networks import (
     actor,
     critic,
     describe,
+    digest_of,
     pretrained,
     read_network,
     shipped_path,
@@ -84,3 +85,36 @@ def test_the_controller_says_which_actuator_net_it_was_trained_with_and_how_good
     told = describe("wbc")
     assert told["uan_sha256"] == __import__("hashlib").sha256(shipped_path("uan").read_bytes()).hexdigest()
     assert told["evaluation"]["all randomised"]["falls"][0] < 0.05
+
+
+@pytest.mark.parametrize("name", ["weight", "scale of what it saw", "entry"])
+def test_one_number_more_or_less_is_another_network(name):
+    one, other = policy(), policy()
+    assert digest_of(one) == digest_of(other)
+    values = dict(other.state_dict())
+    if name == "weight":
+        next(other.parameters()).data.view(-1)[0] += 1e-6
+    elif name == "scale of what it saw":
+        next(value for key, value in values.items() if key.endswith("variance"))[3] += 1e-5
+    else:
+        other.extra = torch.nn.Parameter(torch.zeros(1))
+    assert digest_of(one) != digest_of(other)
+
+
+def test_a_network_that_shall_go_on_learning_takes_gradients(tmp_path):
+    write_network(tmp_path / "a.npz", policy())
+    still, learns = read_network(tmp_path / "a.npz"), read_network(tmp_path / "a.npz", trainable=True)
+    assert (still.training, learns.training) == (False, True)
+    assert all(parameter.requires_grad for parameter in learns.parameters())
+    seen = TensorDict(observation=torch.randn(5, 6), batch_size=[5])
+    learns(seen)["loc"].sum().backward()
+    assert any(parameter.grad.abs().max() > 0 for parameter in learns.parameters() if parameter.grad is not None)
+    assert all(parameter.requires_grad for parameter in pretrained("uan", trainable=True).parameters())
+    assert digest_of(learns) == digest_of(still)
+
+
+@pytest.mark.parametrize("told", [torch.zeros(2), float("nan"), {1, 2}])
+def test_what_json_cannot_hold_is_refused_before_a_file_is_written(tmp_path, told):
+    with pytest.raises(ValueError, match=r"a\.npz cannot hold what was told.*Give what JSON has"):
+        write_network(tmp_path / "a.npz", policy(), told=told)
+    assert not list(tmp_path.iterdir())

@@ -105,6 +105,49 @@ def test_what_was_examined_is_kept_and_another_policy_s_table_is_refused(tmp_pat
 real = module._play
 
 
+class Noted:
+    """A condition that tells what was asked of it."""
+
+    def __init__(self):
+        self.asked = []
+
+    def env(self, num_envs, **told):
+        self.asked.append((num_envs, told))
+
+
+@pytest.mark.parametrize(
+    ("fallen", "drawn"),
+    [
+        ([1, 2], {"good": 0, "failed": 1}),
+        ([0], {"good": 1, "failed": 0}),
+        ([0, 1, 2], {"failed": 0}),
+        ([], {"good": 0}),
+    ],
+    ids=["two fell", "the first fell", "all fell", "none fell"],
+)
+def test_videos_are_of_the_first_robot_that_stood_and_of_the_first_that_fell(tmp_path, monkeypatch, fallen, drawn):
+    frames = [np.zeros((4, 4, 3), np.uint8)] * 3
+    written = []
+    monkeypatch.setattr(recipe.training, "draw_episode", lambda *args, **_: frames)
+    monkeypatch.setattr(recipe.training, "write_video", lambda frames, path, rate: written.append(path) or path)
+    cfg = recipe.Config(episodes=3, seconds=0.4, output=tmp_path)
+    condition, told = Noted(), {"seed": 5, "actuation": "ideal", "history": 10}
+    recipe.draw(cfg, None, {"moon": condition}, {"moon": {"fallen": fallen}}, told)
+    assert written == [tmp_path / f"{kind}.mp4" for kind in drawn]
+    assert condition.asked == [(1, {"max_steps": 20, "first_row": row, **told}) for row in drawn.values()]
+
+
+def test_a_failed_episode_is_looked_for_in_every_condition(tmp_path, monkeypatch):
+    frames = [np.zeros((4, 4, 3), np.uint8)] * 3
+    monkeypatch.setattr(recipe.training, "draw_episode", lambda *args, **_: frames)
+    monkeypatch.setattr(recipe.training, "write_video", lambda frames, path, rate: path)
+    moon, mars = Noted(), Noted()
+    results = {"moon": {"fallen": []}, "mars": {"fallen": [2]}}
+    recipe.draw(recipe.Config(episodes=3, output=tmp_path), None, {"moon": moon, "mars": mars}, results, {})
+    assert [told["first_row"] for _, told in moon.asked] == [0]
+    assert [told["first_row"] for _, told in mars.asked] == [2]
+
+
 def test_an_unknown_condition_is_named(tmp_path):
     with pytest.raises(SystemExit, match="no condition 'moon'"):
         recipe.main(recipe.Config(conditions=("moon",), output=tmp_path))

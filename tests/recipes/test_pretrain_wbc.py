@@ -83,6 +83,49 @@ def test_ablations_leave_out_what_they_say(tmp_path):
     assert CommandSampler in nominal
 
 
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"seed": 1}, r"whose seed is '0'; here it is '1'"),
+        ({"without": ("gait",)}, r"whose without is '\(\)'"),
+        ({"actuation": "ideal"}, r"whose actuation is 'uan'; here it is 'ideal'"),
+        ({"randomize": True}, r"whose randomize is 'False'"),
+        ({"history": 2}, r"whose history is '1'"),
+        ({"ppo": replace(FEW, discount=0.5)}, r"whose ppo is .*discount=0\.99.* here it is .*discount=0\.5"),
+        ({"num_envs": 6}, r"whose ppo is .*num_envs=4.* here it is .*num_envs=6"),
+        ({"minibatches": "joint"}, r"whose ppo is .*critic_minibatches=1"),
+        ({"hidden": (8,)}, r"whose hidden is '\(16,\)'"),
+        ({"start": "wbc"}, r"whose start is 'None'"),
+        ({"collectors": "ray"}, r"whose collectors is 'here'"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_a_folder_of_another_run_is_refused_and_left_as_it_was(of_a_run, changes, told, monkeypatch):
+    """The learner itself is another's: what is asked here is only whether the folder is taken."""
+    folder, learner = of_a_run
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    monkeypatch.setattr(recipe.training, "wbc_learner", lambda *args, **told: learner)
+    monkeypatch.setattr(recipe, "make_env", lambda *args, **told: None)
+    with pytest.raises(ValueError, match=told + r"(?s:.*)a folder of its own"):
+        recipe.main(replace(nominal(folder), **changes))
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+
+
+@pytest.fixture(scope="module")
+def of_a_run(tmp_path_factory):
+    """A folder in which a run stands at its first iteration, and its learner."""
+    folder, kept = tmp_path_factory.mktemp("run"), []
+    original = recipe.training.wbc_learner
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recipe.training, "wbc_learner", lambda *a, **k: kept.append(original(*a, **k)) or kept[0])
+        recipe.main(nominal(folder))
+    return folder, kept[0]
+
+
+def nominal(folder):
+    return replace(short(folder, history=1, randomize=False), iterations=1)
+
+
 @pytest.mark.slow
 def test_two_processes_train_one_controller(tmp_path):
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]

@@ -6,12 +6,15 @@ from pathlib import Path
 
 import pytest
 import torch
-from torchrl.envs import StepCounter, TransformedEnv
+from torchrl.envs import Compose, StepCounter, TransformedEnv
 from torchrl.testing.mocking_classes import CountingEnv
 from training.tasks import arm_env, arm_learner
 
+from torchrl_athletic.envs import TorqueEnv
+from torchrl_athletic.robots import z1
 from torchrl_athletic.training import Checkpoints, CSVTable, train
 from torchrl_athletic.training.checkpoint import env_state, restore_env
+from torchrl_athletic.transforms import DomainRandomization, ExternalPush, Push, RandomizationRanges
 
 
 def state_of(learner):
@@ -102,6 +105,31 @@ def test_the_physics_goes_on_where_it_stood():
         shown = env._step(shown.set("action", action)).exclude("reward")
         current = twin._step(current.set("action", action)).exclude("reward")
     torch.testing.assert_close(current["joint_position"], shown["joint_position"], rtol=0, atol=0)
+
+
+def test_a_robot_of_another_mass_that_is_being_pushed_goes_on_as_it_was():
+    """In an environment of other robots that are pushed at other times."""
+    ranges = RandomizationRanges(friction=None, restitution=None)
+
+    def make(seed):
+        drawn = DomainRandomization(ranges, joints="arm", seed=seed)
+        times = {"dt": 0.005, "rest": (0.0, 0.02), "duration": (0.02, 0.06)}
+        push = ExternalPush([Push(("link03",), force=(20.0, 40.0))], seed=seed, **times)
+        return TransformedEnv(TorqueEnv(z1(), num_envs=4, fields=drawn.fields), Compose(drawn, push))
+
+    env, twin = make(0), make(1)
+    shown, other = (each.rollout(7, break_when_any_done=False)["next"][:, -1].exclude("reward") for each in (env, twin))
+    assert shown["push_on"].any()
+    assert (other["push"] != shown["push"]).any()
+    current = restore_env(twin, shown.clone(), env_state(env))
+    assert torch.equal(twin.base_env.physics.xfrc_applied, env.base_env.physics.xfrc_applied)
+    began = shown["push_on"].clone()
+    for _ in range(20):
+        shown = env._step(shown.set("torque", torch.zeros(4, 7))).exclude("reward")
+        current = twin._step(current.set("torque", torch.zeros(4, 7))).exclude("reward")
+        for key in ("joint_position", "push", "randomization"):
+            torch.testing.assert_close(current[key], shown[key], rtol=0, atol=0)
+    assert (shown["push_on"] != began).any()
 
 
 def test_an_environment_of_another_library_starts_new_episodes():

@@ -77,3 +77,10 @@ def test_intervals_are_those_of_scipy_and_none_of_a_thousand_is_not_certainty():
     none = Episodes(np.zeros(1000, bool), np.full(1000, 9), {})
     assert none.falls()[:2] == (0.0, 0.0)
     assert 0.003 < none.falls()[2] < 0.004
+
+
+def test_a_row_that_came_to_its_time_did_not_fall_though_its_next_episode_does_meanwhile():
+    """Row 2 comes to its time after 4 steps and fails in the next one, when row 4 still goes on."""
+    episodes = whole_episodes(TransformedEnv(ToyEnv(num_envs=5, shortest=1), Counting()), Falling(), ["age"], steps=9)
+    assert episodes.steps.tolist() == [3, 1, 4, 2, 5]
+    assert episodes.fell.tolist() == [False, True, False, True, False]

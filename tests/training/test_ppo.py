@@ -5,8 +5,9 @@ import pytest
 import torch
 from training.tasks import arm_env, arm_learner
 
+from torchrl_athletic.networks import RunningNormalizer, actor, critic
 from torchrl_athletic.training import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
-from torchrl_athletic.training.ppo import estimate_advantage
+from torchrl_athletic.training.ppo import collect, estimate_advantage
 
 
 @pytest.mark.parametrize(
@@ -39,6 +40,23 @@ def test_an_iteration_learns_and_counts():
     assert report["reward"] < 0
     iterate(learner)
     assert learner.samples == 3 * 4 * 6
+
+
+def test_each_entry_has_a_scale_of_its_own_and_every_one_learns():
+    torch.manual_seed(0)
+    scales = {"joint_position": RunningNormalizer(7), "joint_velocity": RunningNormalizer(7)}
+    policy = actor(7, 7, in_keys=["joint_position"], hidden=(16,), normalizer=scales["joint_position"])
+    value = critic(7, in_keys=["joint_velocity"], hidden=(16,), normalizer=scales["joint_velocity"])
+    learner = Learner(arm_env(4), policy, value, PPO(num_envs=4, horizon=6, epochs=1), normalizer=scales)
+    first = collect(learner).clone()
+    learner.rollout, rollout = lambda: first.clone(), learner.rollout
+    iterate(learner)
+    for key, scale in scales.items():
+        assert scale.count == 2 * 4 * 6  # a batch more at the very first
+        torch.testing.assert_close(scale.mean, first[key].flatten(0, 1).mean(0))
+    learner.rollout = rollout
+    iterate(learner)
+    assert [int(scale.count) for scale in scales.values()] == [3 * 4 * 6] * 2
 
 
 def test_the_policy_that_learns_is_the_policy_that_acted():

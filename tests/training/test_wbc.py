@@ -1,0 +1,83 @@
+"""What a whole-body controller's training begins with: a new pair of networks, or the shipped one."""
+
+import pytest
+import torch
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from torchrl_athletic.envs import NO_DISTURBANCES, whole_body_env
+from torchrl_athletic.networks import RunningNormalizer, digest_of, pretrained, trunk_of
+from torchrl_athletic.robots import b2z1
+from torchrl_athletic.training import PPO, iterate, save_wbc, wbc_learner
+from torchrl_athletic.training.ppo import collect
+
+FEW = PPO(num_envs=4, horizon=3, epochs=1, actor_minibatches=2)
+
+
+def still_env(**told):
+    return whole_body_env(b2z1(), num_envs=4, net=None, disturbances=NO_DISTURBANCES, **told)
+
+
+def test_it_goes_on_from_the_shipped_controller_and_its_critic():
+    learner = wbc_learner(whole_body_env(b2z1(), num_envs=4, net=None), FEW, start="wbc")
+    assert digest_of(learner.actor) == digest_of(pretrained("wbc"))
+    assert digest_of(learner.critic) == digest_of(pretrained("wbc_critic"))
+    nets = learner.actor, learner.critic
+    assert all(parameter.requires_grad for net in nets for parameter in net.parameters())
+    iterate(learner)
+    assert digest_of(learner.actor) != digest_of(pretrained("wbc"))
+    assert digest_of(learner.critic) != digest_of(pretrained("wbc_critic"))
+    for name, net in (("wbc", learner.actor), ("wbc_critic", learner.critic)):
+        assert trunk_of(net).normalizer.count == trunk_of(pretrained(name)).normalizer.count + 2 * 4 * 3
+
+
+def test_a_robot_that_shows_something_else_is_refused():
+    one_frame = r"wbc makes 19 numbers of 770 of 'observation', asked is for 19 of 77\..*history.*begin anew"
+    with pytest.raises(ValueError, match=one_frame):
+        wbc_learner(still_env(history=1), FEW, start="wbc")
+    with pytest.raises(ValueError, match=r"wbc makes 1 numbers of \d+ of 'privileged', asked is for 1 of"):
+        wbc_learner(still_env(), FEW, start="wbc")  # whose links nobody changed
+
+
+def test_a_new_policy_begins_at_the_default_pose():
+    learner = wbc_learner(still_env(), FEW, hidden=(64, 64))
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        action = learner.actor(learner.env.reset())["action"]
+    assert 0 < action.abs().max() < 0.05
+
+
+def test_both_networks_learn_the_scale_of_what_they_see():
+    """By each entry's mean over all that was collected, a batch before the first included."""
+    learner = wbc_learner(still_env(), FEW, hidden=(16,))
+    assert trunk_of(learner.actor).normalizer is learner.normalizers["observation"]
+    assert trunk_of(learner.critic).normalizer is learner.normalizers["privileged"]
+    seen = {key: [] for key in learner.normalizers}
+    rollout = learner.rollout
+
+    def noting():
+        batch = rollout()
+        for key, batches in seen.items():
+            batches.append(batch[key].flatten(0, 1).clone())
+        return batch
+
+    learner.rollout = noting
+    iterate(learner)
+    assert seen.keys() == {"observation", "privileged"}
+    for key, normalizer in learner.normalizers.items():
+        assert isinstance(normalizer, RunningNormalizer)
+        whole = torch.cat(seen[key])
+        assert normalizer.count == len(whole) == 2 * 4 * 3
+        torch.testing.assert_close(normalizer.mean, whole.mean(0), atol=1e-4, rtol=1e-4)
+        torch.testing.assert_close(normalizer.variance, whole.var(0, correction=0), atol=1e-3, rtol=1e-3)
+
+
+def test_what_was_saved_is_gone_on_with(tmp_path):
+    first = wbc_learner(still_env(history=1), FEW, hidden=(16,))
+    iterate(first)
+    path = save_wbc(first, tmp_path, history=1)
+    second = wbc_learner(still_env(history=1), FEW, start=path)
+    assert digest_of(second.actor) == digest_of(first.actor)
+    assert digest_of(second.critic) == digest_of(first.critic)
+    assert collect(second)["action"].isfinite().all()
+    (tmp_path / "wbc_critic.npz").unlink()
+    with pytest.raises(FileNotFoundError, match=r"wbc_critic\.npz is missing: a policy goes on with its critic"):
+        wbc_learner(still_env(history=1), FEW, start=path)
