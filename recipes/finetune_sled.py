@@ -66,11 +66,9 @@ def judge(episodes: TensorDict) -> dict[str, float]:
     keys = ("base_position", "base_quaternion", "start_line")
     last = TensorDict({key: training.last_of(episodes, key) for key in keys}, [len(episodes)])
     lateral, heading = sled_drift(last)
-    sled = torch.linalg.vector_norm(
-        training.last_of(episodes, "sled_position") - episodes["sled_position"][:, 0], dim=-1
-    )
+    way = training.last_of(episodes, "sled_position") - episodes["sled_position"][:, 0]
     return {
-        "sled_moved_m": float(sled.mean()),
+        "sled_moved_m": float(torch.linalg.vector_norm(way, dim=-1).mean()),
         "lateral_drift_m": float(lateral.abs().mean()),
         "heading_drift_rad": float(heading.abs().mean()),
         "mean_tension_n": float(episodes["rope_tension"][episodes["counts"]].mean()),

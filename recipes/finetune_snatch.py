@@ -32,7 +32,7 @@ CURVES = {
     "reward_terms/wrist": "wrist bent",
     "terminated": "falls per step",
 }
-STEPS, OVERHEAD, HELD = 400, 1.2, 250
+STEPS, OVERHEAD, HELD = 500, 1.2, 250
 """Policy steps of an episode; height of the hand that counts as overhead [m]; steps that it shall stay there, 5 s."""
 
 

@@ -9,7 +9,9 @@ from torchrl_athletic.envs.ball_throw import ball_throw_distance, ball_throw_env
 from torchrl_athletic.envs.drawing import draw_ball, draw_command, draw_sled
 from torchrl_athletic.envs.dumbbell_snatch import dumbbell_snatch_env, dumbbell_snatch_rewards
 from torchrl_athletic.envs.reach import PoseGoal, draw_goal, reach_errors, reachable_poses
+from torchrl_athletic.envs.registration import register_with_gymnasium
 from torchrl_athletic.envs.replay import ReplayTakes, Takes, replay_env
+from torchrl_athletic.envs.sled_pull import sled_drift, sled_pull_env, sled_pull_rewards
 from torchrl_athletic.envs.task_parts import references
 from torchrl_athletic.envs.throw import (
     ThrowFailure,
@@ -45,7 +47,11 @@ __all__ = [
     "reach_errors",
     "reachable_poses",
     "references",
+    "register_with_gymnasium",
     "replay_env",
+    "sled_drift",
+    "sled_pull_env",
+    "sled_pull_rewards",
     "throw_distance",
     "throw_env",
     "throw_reference",
@@ -54,3 +60,5 @@ __all__ = [
     "whole_body_env",
     "whole_body_rewards",
 ]
+
+register_with_gymnasium()

@@ -35,7 +35,7 @@ def dumbbell_snatch_env(
     schedule: PhaseSchedule | None = None,
     disturbances: Disturbances | None = None,
     motion: str = "snatch",
-    max_steps: int = 400,
+    max_steps: int = 500,
     seed: int = 0,
     first_row: int = 0,
     **told: Any,
@@ -51,7 +51,7 @@ def dumbbell_snatch_env(
         schedule: None takes :func:`~torchrl_athletic.functional.phase.snatch_phases`.
         disturbances: None takes the paper's.
         motion: To go by, as of :func:`~torchrl_athletic.robots.read_motion`.
-        max_steps: Length of an episode [policy steps]: 8 s, of which the weight is up for 5 s.
+        max_steps: Length of an episode [policy steps]: 10 s, of which the weight is carried for 7.5 s.
         seed: Of all draws.
         first_row: Number of the first row, for parts of a larger batch.
         told: To :func:`~torchrl_athletic.envs.whole_body_env`.
@@ -67,7 +67,7 @@ def dumbbell_snatch_env(
     robot = b2z1(terrain=Terrain(), cone="pyramidal", tool=Dumbbell()) if robot is None else robot
     schedule = snatch_phases() if schedule is None else schedule
     chance = Disturbances() if disturbances is None else disturbances
-    rows: dict[str, int] = {"seed": seed, "first_row": first_row}
+    rows: dict[str, Any] = {"seed": seed, "first_row": first_row}
     return whole_body_env(
         robot,
         num_envs=num_envs,

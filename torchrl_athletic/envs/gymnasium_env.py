@@ -26,12 +26,12 @@ TASKS: Mapping[str, Callable[..., TransformedEnv]] = {
     "DumbbellSnatch": dumbbell_snatch_env,
     "SledPull": sled_pull_env,
 }
-"""Names under ``torchrl_athletic/``, each with the ending ``-v0``."""
+"""By the names of :data:`~.registration.TASKS`."""
 
 Array = NDArray[np.float32]
 
 
-class GymnasiumVectorEnv(VectorEnv[Array, Array, Array]):
+class GymnasiumVectorEnv(VectorEnv[Array, Array, Any]):
     """Many robots in one process, as a Gymnasium vector environment.
 
     The observation is the policy's, ``observation``; the action is unbounded, 0 is the default pose. A row that is done
@@ -47,6 +47,7 @@ class GymnasiumVectorEnv(VectorEnv[Array, Array, Array]):
 
     Example:
         >>> import gymnasium
+        >>> import torchrl_athletic.envs
         >>> envs = gymnasium.make_vec("torchrl_athletic/SledPull-v0", num_envs=2)
         >>> envs.reset(seed=0)[0].shape
         (2, 770)
@@ -59,8 +60,7 @@ class GymnasiumVectorEnv(VectorEnv[Array, Array, Array]):
             raise ValueError(f"no task is called {task!r}; there are {sorted(TASKS)}.")
         self.env = TASKS[task](num_envs=num_envs, **told)
         self.num_envs = num_envs
-        width = {key: self.env.full_observation_spec[key].shape[-1] for key in ("observation",)}
-        self.single_observation_space = _box(width["observation"])
+        self.single_observation_space = _box(self.env.full_observation_spec["observation"].shape[-1])
         self.single_action_space = _box(self.env.action_spec.shape[-1])
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
@@ -71,15 +71,15 @@ class GymnasiumVectorEnv(VectorEnv[Array, Array, Array]):
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """Start all rows anew. A seed opens the streams of all draws again; of a list, the first one counts."""
-        super().reset(seed=seed, options=options)
         first = seed[0] if isinstance(seed, list) else seed
+        super().reset(seed=first, options=options)
         if first is not None:
             reseed(self.env, first)
         self._shown = self.env.reset()
         return _array(self._shown["observation"]), {}
 
     @torch.no_grad()
-    def step(self, actions: Array) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    def step(self, actions: Array) -> tuple[Array, Any, Any, Any, dict[str, Any]]:
         """Act once in every row, and start those anew that are done."""
         if self._shown is None:
             raise gymnasium.error.ResetNeeded("step was called before reset: no episode has begun. Call reset first.")
@@ -113,9 +113,7 @@ class GymnasiumEnv(gymnasium.Env[Array, Array]):
         self.rows = GymnasiumVectorEnv(task, 1, **told)
         self.observation_space, self.action_space = self.rows.single_observation_space, self.rows.single_action_space
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Start an episode."""
         super().reset(seed=seed)
         observation, infos = self.rows.reset(seed=seed, options=options)

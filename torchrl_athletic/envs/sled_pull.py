@@ -75,7 +75,7 @@ def sled_pull_env(
     robot = b2z1(terrain=Terrain(), cone="pyramidal", tool=Handle()) if robot is None else robot
     schedule = sled_phases() if schedule is None else schedule
     chance = Disturbances() if disturbances is None else disturbances
-    rows: dict[str, int] = {"seed": seed, "first_row": first_row}
+    rows: dict[str, Any] = {"seed": seed, "first_row": first_row}
     walk = CommandSampler(sled_commands() if velocity is None else velocity, POLICY_DT, **rows)
     hold = references(motion, robot, schedule, {"end_effector_command": "end_effector_command"})
     return whole_body_env(

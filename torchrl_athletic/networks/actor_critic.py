@@ -131,11 +131,11 @@ def open_inputs(network: nn.Module, columns: Sequence[int] = (), width: int | No
         Fey et al. 2025, section II-C: the task embedding is added for fine-tuning.
 
     Example:
-        >>> value = critic(3, in_keys=["privileged"], hidden=(8,))
-        >>> before = value(privileged=torch.ones(1, 3))[1]
-        >>> open_inputs(value, width=5)
-        >>> after = value(privileged=torch.tensor([[1.0, 1.0, 1.0, 7.0, -7.0]]))[1]
-        >>> bool((before == after).all())
+        >>> from tensordict import TensorDict
+        >>> value, seen = critic(2, hidden=(8,)), torch.tensor([[1.0, 2.0, 7.0]])
+        >>> before = value(TensorDict(observation=seen[:, :2], batch_size=[1]))["state_value"]
+        >>> open_inputs(value, width=3)
+        >>> bool((value(TensorDict(observation=seen, batch_size=[1]))["state_value"] == before).all())
         True
     """
     trunk = trunk_of(network)

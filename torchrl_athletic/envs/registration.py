@@ -1,16 +1,22 @@
-"""Tells Gymnasium of the tasks. It is loaded whenever Gymnasium is, so it imports nothing heavy."""
+"""What Gymnasium is told of the tasks."""
+
+from importlib.util import find_spec
 
 TASKS = ("WholeBody", "BallThrow", "DumbbellSnatch", "SledPull")
+"""Names under ``torchrl_athletic/``, each with the ending ``-v0``."""
 
 
-def register() -> None:
-    """Make Gymnasium know ``torchrl_athletic/SledPull-v0`` and the others; an entry point of the package calls it.
+def register_with_gymnasium() -> None:
+    """Make Gymnasium know the tasks, if it is installed; importing ``torchrl_athletic.envs`` does so.
 
     Example:
         >>> import gymnasium
+        >>> import torchrl_athletic.envs
         >>> "torchrl_athletic/SledPull-v0" in gymnasium.registry
         True
     """
+    if find_spec("gymnasium") is None:
+        return
     import gymnasium
 
     for task in TASKS:

@@ -1,0 +1,84 @@
+"""The snatch: when the weight comes, and what is rewarded."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import check_env_specs
+
+from torchrl_athletic.envs import NO_DISTURBANCES, dumbbell_snatch_env, dumbbell_snatch_rewards
+from torchrl_athletic.envs.dumbbell_snatch import KNOWN, hand_height
+from torchrl_athletic.functional.phase import Phase, PhaseSchedule, snatch_phases
+from torchrl_athletic.robots import Dumbbell, b2z1
+
+ROBOT = b2z1(tool=Dumbbell())
+SHORT = PhaseSchedule((Phase("snatch-set-up", 0.06, leave_probability=0.5), Phase("snatch")))
+
+
+def stand(td):
+    return td.set("action", torch.zeros(*td.shape, 19))
+
+
+@pytest.fixture(scope="module")
+def played():
+    """Six robots that stand at the default pose, whose set-up is over after three steps, or never."""
+    env = dumbbell_snatch_env(
+        ROBOT, num_envs=6, net=None, schedule=SHORT, mass=(4.0, 8.0), disturbances=NO_DISTURBANCES, seed=2
+    )
+    return env, env.rollout(40, stand)
+
+
+def test_specs_match_data():
+    check_env_specs(dumbbell_snatch_env(num_envs=2))
+
+
+def test_the_weight_comes_with_the_snatch_and_pulls_the_hand_down(played):
+    env, steps = played
+    lifts = steps["task_phase_index"][:, 5] == 1
+    assert 0 < lifts.sum() < 6
+    assert (steps["added_mass"][:, :3] == 0).all()
+    carried = steps["added_mass"][:, 5]
+    assert carried[lifts].min() > 4.0
+    assert (carried[~lifts] == 0).all()
+    height = hand_height(*(steps["next", key] for key in ("end_effector_position", "base_position", "base_height")))
+    sinks = height[:, 2] - height[:, -1]
+    assert sinks[lifts].min() > 0.05
+    assert sinks[~lifts].max() < sinks[lifts].min()
+    model = env.base_env.physics.model
+    weights = env.base_env.physics.field("body_mass")[:, model.body("dumbbell").id]
+    torch.testing.assert_close(weights[lifts.flatten()].float(), carried[lifts])
+
+
+def test_the_critic_knows_the_weight_before_it_comes(played):
+    _, steps = played
+    width = sum(steps[key].shape[-1] for key in KNOWN)
+    torch.testing.assert_close(steps["privileged"][:, 0, -width + 1 : -width + 2], steps["load_mass"][:, 0])
+    assert steps["load_mass"][:, 0].min() >= 4.0
+
+
+def test_terms_count_in_their_phases(played):
+    _, steps = played
+    terms, phase = steps["next", "reward_terms"], steps["task_phase_index"]
+    assert terms["hand_height"][phase == 0].abs().max() == 0
+    assert terms["ee_pose_tracking"][phase == 1].abs().max() == 0
+    height = hand_height(*(steps["next", key] for key in ("end_effector_position", "base_position", "base_height")))
+    torch.testing.assert_close(terms["hand_height"][phase == 1], 4 * 0.02 * height[phase == 1])
+    joints = steps["next", "joint_position"][..., 15:18]
+    bent = joints.square().sum(-1, keepdim=True)
+    torch.testing.assert_close(terms["wrist"][phase == 1], -0.02 * bent[phase == 1])
+
+
+def test_slamming_the_hand_into_the_ground_costs():
+    terms, scales = dumbbell_snatch_rewards(ROBOT, snatch_phases())
+
+    def earned(force, phase):
+        before = TensorDict(task_phase_index=[[phase]], hand_force=[[0.0]], batch_size=[1])
+        return scales["force_smoothness"] * float(
+            terms["force_smoothness"](before, TensorDict(hand_force=[[force]], batch_size=[1]))
+        )
+
+    assert [earned(200.0, phase) for phase in (0, 1)] == pytest.approx([-1.0, -1.0])
+
+
+def test_height_is_that_over_the_ground_below_the_base():
+    hand, base = torch.tensor([[9.0, 9.0, 2.0]]), torch.tensor([[8.0, 9.0, 1.1]])
+    assert hand_height(hand, base, torch.tensor([[0.5]])).item() == pytest.approx(1.4)

@@ -1,0 +1,85 @@
+"""The recipes that tune the controller to a task run as they say."""
+
+import importlib
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from torchrl_athletic.training import CSVTable
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "recipes"))
+throw, snatch, sled = (importlib.import_module(f"finetune_{name}") for name in ("throw", "snatch", "sled"))
+
+
+@pytest.mark.parametrize("name", ["throw", "snatch", "sled"])
+def test_it_learns_says_how_good_it_is_and_goes_on(name, tmp_path):
+    command = [
+        sys.executable,
+        f"recipes/finetune_{name}.py",
+        "--iterations",
+        "2",
+        "--num-envs",
+        "4",
+        "--ppo.horizon",
+        "3",
+    ]
+    command += ["--episodes", "2", "--no-video", "--output", str(tmp_path)]
+    told = subprocess.run(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
+    assert told.returncode == 0, told.stderr[-2000:]
+    assert [row["step"] for row in CSVTable(tmp_path / "progress.csv").rows] == ["1", "2"]
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert all(math.isfinite(value) for value in figures.values())
+    assert {"curves.png", f"{name}.npz", f"{name}_critic.npz"} <= {path.name for path in tmp_path.iterdir()}
+
+
+def episodes(**entries):
+    """Rows of steps of which all count."""
+    tensors = {key: torch.tensor(value).unsqueeze(-1) for key, value in entries.items()}
+    rows, steps = next(iter(tensors.values())).shape[:2]
+    flags = torch.ones(rows, steps, 1, dtype=torch.bool)
+    return TensorDict({"counts": flags, "terminated": ~flags, **tensors}, [rows, steps])
+
+
+def test_a_throw_counts_from_where_the_robot_started_and_one_that_was_kept_is_no_throw():
+    shown = episodes(ball_away=[[False, True, True], [False, False, False]], peak_power=[[1.0, 2e3, 4e3]] * 2)
+    shown["ball_position"] = torch.tensor([2.0, 3.0, 0.035]).expand(2, 3, 3)
+    shown["ball_linear_velocity"] = torch.tensor([[5.0, 0, 0], [3.0, 0, 4.0], [0, 0, 0]]).expand(2, 3, 3)
+    shown["start_line"] = torch.tensor([2.0, 0.0, math.pi / 2]).expand(2, 3, 3)
+    found = throw.judge(shown)
+    assert found["distance_m"] == pytest.approx(1.5)
+    assert found["release_speed_m_s"] == pytest.approx(5.0)
+    assert (found["peak_leg_power_kw"], found["thrown"]) == (4.0, 0.5)
+
+
+def test_a_dumbbell_is_held_where_it_stays_up_without_a_break():
+    steps = 600
+    up = torch.full((3, steps), 1.5)
+    up[1, 300] = 1.0  # a break in the middle
+    up[2] = 1.0
+    shown = episodes(base_height=[[0.5] * steps] * 3, added_mass=[[3.0] * steps] * 3)
+    shown["base_position"] = torch.zeros(3, steps, 3) + torch.tensor([0.0, 0.0, 0.5])
+    shown["end_effector_position"] = torch.stack((up, up, up), -1)
+    shown["counts"][0, 260:] = False  # what comes after the end does not count
+    found = snatch.judge(shown)
+    assert found["held_s"] == pytest.approx(0.02 * (260 + 300 + 0) / 3)
+    assert found["held_for_5_s"] == pytest.approx(2 / 3)
+
+
+def test_a_sled_s_way_and_the_robot_s_drift():
+    shown = episodes(rope_tension=[[0.0, 100.0]])
+    shown["sled_position"] = torch.tensor([[[1.0, 1.0], [1.0, -3.0]]])
+    shown["base_position"] = torch.tensor([[[0.0, 0.0, 0.5], [-5.0, -0.4, 0.5]]])
+    shown["base_quaternion"] = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(1, 2, 4)
+    shown["start_line"] = torch.zeros(1, 2, 3)
+    found = sled.judge(shown)
+    assert found["sled_moved_m"] == pytest.approx(4.0)
+    assert found["lateral_drift_m"] == pytest.approx(0.4)
+    assert found["mean_tension_n"] == pytest.approx(50.0)
