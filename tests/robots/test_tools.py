@@ -1,11 +1,11 @@
-"""A bucket holds its ball until it is swung, and a dumbbell is heavy."""
+"""A bucket holds its ball until it is swung, a dumbbell is heavy, and a handle is pulled where it is."""
 
 import mujoco
 import numpy as np
 import pytest
 from robots.standing import Plant
 
-from torchrl_athletic.robots import Bucket, Dumbbell, b2z1, with_bucket, z1
+from torchrl_athletic.robots import Bucket, Dumbbell, Handle, b2z1, with_bucket, z1
 
 FRONT_BACK_SIDES = np.array([0.0, 0.3, -0.2, -0.1, 0.4, 0.2, 0.0])
 
@@ -110,3 +110,43 @@ def test_the_bucket_s_axis_points_out_of_its_opening():
     rest = plant.model.site("bucket").pos[2]
     assert rest - deepest == pytest.approx(0.035)  # it lies on the bottom, a radius high
     assert Bucket().rim == pytest.approx(0.08 - 0.035)
+
+
+def shaken(robot, seed=0):
+    """A robot in some pose, in motion."""
+    plant, rng = Plant(robot), np.random.default_rng(seed)
+    mujoco.mj_integratePos(plant.model, plant.data.qpos, 0.3 * rng.normal(size=plant.model.nv), 1.0)
+    plant.data.qvel[:] = 0.5 * rng.normal(size=plant.model.nv)
+    mujoco.mj_forward(plant.model, plant.data)
+    return plant
+
+
+@pytest.mark.parametrize("make", [z1, b2z1])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_force_on_the_handle_acts_at_the_grip(make, seed):
+    plant = shaken(make(tool=Handle()), seed)
+    force = np.array([120.0, -30.0, -45.0])
+    jacobian = np.zeros((3, plant.model.nv))
+    mujoco.mj_jacSite(plant.model, plant.data, jacobian, None, plant.model.site("end_effector").id)
+    without = plant.data.qfrc_smooth.copy()
+    plant.data.xfrc_applied[plant.model.body("handle").id, :3] = force
+    mujoco.mj_forward(plant.model, plant.data)
+    generalised = plant.data.qfrc_smooth - without
+    np.testing.assert_allclose(generalised, jacobian.T @ force, atol=1e-9)
+    assert np.abs(generalised[plant.dof[-7:]]).max() > 10
+
+
+def test_the_handle_tells_the_place_and_velocity_of_the_grip():
+    plant = shaken(b2z1(tool=Handle()))
+    for name in ("position", "linear_velocity"):
+        np.testing.assert_allclose(plant.sensed(f"handle_{name}"), plant.sensed(f"end_effector_{name}"), atol=1e-12)
+
+
+def test_a_handle_is_a_load_of_a_gram_that_touches_nothing():
+    bare, robot = b2z1().model(), b2z1(tool=Handle())
+    held = robot.model()
+    assert robot.loads == ("handle",)
+    assert held.body_mass.sum() - bare.body_mass.sum() == pytest.approx(1e-3)
+    assert (held.nv, held.ngeom) == (bare.nv, bare.ngeom)
+    bending = [shaken(made).data.qfrc_bias for made in (b2z1(), robot)]
+    np.testing.assert_allclose(*bending, atol=0.02)

@@ -13,7 +13,7 @@ from torchrl.envs import ActionScaling, CatFrames, Compose, EnvBase, RewardSum, 
 
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.functional.phase import Phase, PhaseSchedule
-from torchrl_athletic.robots import Dumbbell, Robot, z1
+from torchrl_athletic.robots import Dumbbell, Handle, Robot, b2z1, z1
 from torchrl_athletic.testing import TransformContract
 from torchrl_athletic.transforms import (
     ActionDelay,
@@ -27,6 +27,7 @@ from torchrl_athletic.transforms import (
     PowerClip,
     Push,
     RandomizationRanges,
+    SledRope,
     StaggeredEpisodes,
     TaskPhase,
     TorqueSpeedClip,
@@ -151,12 +152,14 @@ class OnARobot(TransformContract):
     """There the entries' names and types are given, and rows differ by their torques and by what is drawn."""
 
     fields: ClassVar[Sequence[str]] = ()
+    every_step: ClassVar[Sequence[str]] = ()
     robot: ClassVar[Robot] = z1()
 
     def make_env(self, num_envs: int | None = 3, first_row: int = 0, shortest: int = 2, **settings: Any) -> EnvBase:
         if num_envs is None or settings.keys() - {"device"} or settings.get("device", "cpu") != "cpu":
             raise NotImplementedError("TorqueEnv is a batch, with plain keys, of single precision")
-        return TorqueEnv(self.robot, num_envs=num_envs, terminate=fast, fields=self.fields)
+        told: dict[str, Any] = {"fields": self.fields, "every_step": self.every_step}
+        return TorqueEnv(self.robot, num_envs=num_envs, terminate=fast, **told)
 
     @pytest.mark.skip(reason="a simulation cannot be copied in the midst of an episode")
     def test_copies_in_use(self) -> None: ...
@@ -194,6 +197,14 @@ class TestAddedMass(OnARobot):
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         phases = PhaseSchedule((Phase("reach", 0.01, leave_probability=0.7), Phase("lift", start_probability=0.2)))
         return Compose(TaskPhase(phases, dt=0.005, first_row=first_row), AddedMass(first_row=first_row))
+
+
+class TestSledRope(OnARobot):
+    robot = b2z1(tool=Handle())
+    every_step = SledRope.every_step
+
+    def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
+        return SledRope(0.005, mass=(0.5, 2.0), stiffness=1e7, first_row=first_row)
 
 
 # Stock transforms, as a control

@@ -11,12 +11,13 @@ from torchrl_athletic.robots.motion_drawing import draw_motion, motion_frames
 from torchrl_athletic.robots.motion_tables import check_motion, motion_tables
 from torchrl_athletic.robots.robot import Joint, Robot, with_options
 from torchrl_athletic.robots.terrain import Terrain
-from torchrl_athletic.robots.tools import Bucket, Dumbbell, with_bucket
+from torchrl_athletic.robots.tools import Bucket, Dumbbell, Handle, with_bucket
 from torchrl_athletic.robots.z1 import z1
 
 __all__ = [
     "Bucket",
     "Dumbbell",
+    "Handle",
     "Joint",
     "KeyPose",
     "Motion",

@@ -134,8 +134,9 @@ def b2z1(
 
     Args:
         reinforced: Whether links 2 to 5 of the arm carry the paper's kind of reinforcement.
-        tool: A :class:`~torchrl_athletic.robots.tools.Bucket` with a ball, or a
-            :class:`~torchrl_athletic.robots.tools.Dumbbell`, in the gripper.
+        tool: A :class:`~torchrl_athletic.robots.tools.Bucket` with a ball, a
+            :class:`~torchrl_athletic.robots.tools.Dumbbell`, or a :class:`~torchrl_athletic.robots.tools.Handle` for a
+            rope, in the gripper.
         payload: Of a box on the back, behind the arm, body ``payload`` [kg].
         terrain: Uneven ground to stand on instead of the flat floor.
         cone: Of friction, see :func:`~torchrl_athletic.robots.scene.empty_scene`.

@@ -1,4 +1,4 @@
-"""What the paper's robot holds: a bucket with a ball to throw, or a dumbbell to snatch."""
+"""What the paper's robot holds: a bucket with a ball to throw, a dumbbell to snatch, or the end of a sled's rope."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from torchrl_athletic.robots.arm import ARM_ON_TRUNK, GRIP, GROUND, OBJECT, add_box, add_round, add_sensor
-from torchrl_athletic.robots.inertial import Vector
+from torchrl_athletic.robots.inertial import Inertial, Vector, set_inertial
 from torchrl_athletic.robots.robot import Robot
 
 
@@ -61,7 +61,16 @@ class Dumbbell:
         _check_positive(mass=self.mass)
 
 
-Tool = Bucket | Dumbbell
+@dataclass(frozen=True)
+class Handle:
+    """A place between the jaws to tie a rope to, which :class:`~torchrl_athletic.transforms.SledRope` pulls at.
+
+    Body and site ``handle`` at the grip, and sensors of its place and velocity in the world. The body weighs a gram and
+    has its centre of mass there, so that a force that MuJoCo applies to the body acts at the grip; it touches nothing.
+    """
+
+
+Tool = Bucket | Dumbbell | Handle
 EMPTY_BUCKET_SENSORS: dict[str, tuple[str, ...]] = {
     name: (name,) for name in ("bucket_position", "bucket_linear_velocity", "bucket_axis")
 }
@@ -70,6 +79,7 @@ BUCKET_SENSORS: dict[str, tuple[str, ...]] = {
     "ball_position": ("ball_position",),
     "ball_linear_velocity": ("ball_linear_velocity",),
 }
+HANDLE_SENSORS: dict[str, tuple[str, ...]] = {name: (name,) for name in ("handle_position", "handle_linear_velocity")}
 _RED, _ORANGE, _IRON = (0.75, 0.22, 0.17, 0.55), (0.95, 0.55, 0.1, 1.0), (0.25, 0.26, 0.28, 1.0)
 _CENTRE = (0.265, 0.0, 0.0)  # m, in link06: the near wall stands at the tips of the jaws
 _WIDTH, _DEPTH, _WALL = 0.10, 0.08, 0.008  # m, inside
@@ -77,14 +87,18 @@ _WIDTH, _DEPTH, _WALL = 0.10, 0.08, 0.008  # m, inside
 
 def tool_sensors(tool: Tool | None) -> dict[str, tuple[str, ...]]:
     """Observation keys that a tool adds."""
-    return BUCKET_SENSORS if isinstance(tool, Bucket) else {}
+    if isinstance(tool, Bucket):
+        return BUCKET_SENSORS
+    return HANDLE_SENSORS if isinstance(tool, Handle) else {}
 
 
 def tool_bodies(tool: Tool | None) -> tuple[str, ...]:
     """Names of the bodies that a tool adds."""
     if isinstance(tool, Bucket):
         return "bucket", "ball"
-    return ("dumbbell",) if isinstance(tool, Dumbbell) else ()
+    if isinstance(tool, Dumbbell):
+        return ("dumbbell",)
+    return ("handle",) if isinstance(tool, Handle) else ()
 
 
 def add_tool(spec: mujoco.MjSpec, tool: Tool | None, qpos: Sequence[float]) -> None:
@@ -100,6 +114,8 @@ def add_tool(spec: mujoco.MjSpec, tool: Tool | None, qpos: Sequence[float]) -> N
         _add_ball(spec, tool, qpos)
     elif isinstance(tool, Dumbbell):
         _add_dumbbell(spec, tool)
+    elif isinstance(tool, Handle):
+        _add_handle(spec)
 
 
 def with_bucket(robot: Robot, bucket: Bucket) -> Robot:
@@ -199,6 +215,14 @@ def _add_dumbbell(spec: mujoco.MjSpec, dumbbell: Dumbbell) -> None:
             body, f"dumbbell_{name}", (0, start, 0), (0, end, 0), radius, cylinder=True, rgba=_IRON,
             mass=share[name] * dumbbell.mass,
         )  # fmt: skip
+
+
+def _add_handle(spec: mujoco.MjSpec) -> None:
+    body = spec.body("link06").add_body(name="handle", pos=GRIP)
+    set_inertial(body, Inertial(1e-3, (0.0, 0.0, 0.0), (4e-8, 4e-8, 4e-8, 0.0, 0.0, 0.0)))  # a bead of 1 cm radius
+    body.add_site(name="handle", size=[0.01] * 3, group=4)
+    add_sensor(spec, "framepos", "handle", "handle_position")
+    add_sensor(spec, "framelinvel", "handle", "handle_linear_velocity")
 
 
 def _turn_up_to(direction: Vector) -> list[float]:

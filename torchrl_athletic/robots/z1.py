@@ -20,8 +20,9 @@ def z1(*, reinforced: bool = False, tool: Tool | None = None, cone: Cone = "elli
 
     Args:
         reinforced: Whether links 2 to 5 carry the paper's kind of reinforcement.
-        tool: A :class:`~torchrl_athletic.robots.tools.Bucket` with a ball, or a
-            :class:`~torchrl_athletic.robots.tools.Dumbbell`, in the gripper.
+        tool: A :class:`~torchrl_athletic.robots.tools.Bucket` with a ball, a
+            :class:`~torchrl_athletic.robots.tools.Dumbbell`, or a :class:`~torchrl_athletic.robots.tools.Handle` for a
+            rope, in the gripper.
         cone: Of friction, see :func:`~torchrl_athletic.robots.scene.empty_scene`.
 
     Example:
