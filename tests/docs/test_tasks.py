@@ -1,0 +1,45 @@
+"""The page of tasks: a task that is built from it learns, and Gymnasium makes what it says."""
+
+import re
+from pathlib import Path
+
+import pytest
+import torch
+
+PAGE = (Path(__file__).parents[2] / "docs" / "tasks.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def kick():
+    """All that the page's code defines."""
+    scope = {}
+    for block in re.findall(r"^```python\n(.*?)^```", PAGE, re.S | re.M):
+        exec(compile(block, "tasks.md", "exec"), scope)
+    return scope
+
+
+def test_a_task_of_one_s_own_takes_less_than_a_hundred_lines():
+    own = PAGE[PAGE.index("## A task of your own") :]
+    assert sum(len(block.splitlines()) for block in re.findall(r"^```python\n(.*?)^```", own, re.S | re.M)) < 100
+
+
+def test_the_kick_has_its_phases_and_rewards_the_foot_in_one_of_them(kick):
+    steps = kick["kick_env"](2).rollout(85, lambda td: td.set("action", torch.zeros(2, 19)))
+    phase = steps["task_phase_index"][0, :, 0].tolist()
+    assert phase[:50] == [0] * 50
+    assert phase[50:75] == [1] * 25
+    foot = steps["next", "reward_terms", "foot"]
+    assert foot[:, :50].abs().max() == 0
+    assert foot[:, 50:75].abs().max() > 0
+    assert steps["observation"].shape[-1] == 770
+    thigh = steps["joint_reference"][0, :, 1]
+    assert thigh[62].item() == pytest.approx(0.2, abs=0.02)
+
+
+def test_the_kick_is_tuned_from_the_controller(kick):
+    assert kick["learner"].samples == 64
+    assert torch.isfinite(kick["report"]["reward"])
+
+
+def test_gymnasium_makes_the_sled(kick):
+    assert kick["observation"].shape == (8, 770)
