@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torchrl_athletic.envs import whole_body_env
+from torchrl_athletic.envs import NO_DISTURBANCES, actuation_chain, whole_body_env
 from torchrl_athletic.robots import b2z1
 from torchrl_athletic.training import control_step
 from torchrl_athletic.training.captured import CapturedRollout
@@ -13,7 +13,6 @@ NUM_ENVS, STEPS = 16, 7
 EPISODE = 3
 """Policy steps: the rows draw anew twice on the way."""
 ROBOT = b2z1(cone="pyramidal")
-POSE = torch.tensor(ROBOT.default_pose, dtype=torch.float32)
 DRAWN = ("randomization", "kp_scale", "kd_scale", "torque_limit_scale", "push", "push_on", "push_steps_left")
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 DEVICES = ["cpu", pytest.param("cuda", marks=needs_gpu)]
@@ -45,18 +44,19 @@ def make_env(device):
         ROBOT,
         num_envs=NUM_ENVS,
         device=device,
-        sensing=(actuation,),
+        chain=[actuation, *actuation_chain(ROBOT)],
+        disturbances=NO_DISTURBANCES,
         extra=(randomization, push),
         max_steps=EPISODE,
     )
 
 
 def swing(device):
-    """The same for all devices: a function of the time. Its pose is on the device before a graph is recorded."""
-    pose = POSE.to(device)
+    """The same for all devices: a function of the time. Its actions are on the device before a graph is recorded."""
+    still = torch.zeros(len(ROBOT.joint_names), device=device)
 
     def policy(tensordict):
-        return tensordict.set("action", pose + 0.1 * torch.sin(tensordict["step_count"].float() + 1))
+        return tensordict.set("action", still + 0.3 * torch.sin(tensordict["step_count"].float() + 1))
 
     return policy
 

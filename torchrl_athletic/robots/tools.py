@@ -156,6 +156,7 @@ class _WithBucket:
             mass=self.bucket.ball_mass,
             contype=0,
             conaffinity=0,
+            group=4,  # not drawn: where the ball is, only its flight knows
             rgba=_ORANGE,
         )
         return spec
