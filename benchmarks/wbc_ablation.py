@@ -62,7 +62,10 @@ class Config:
 def main(cfg: Config) -> None:
     if unknown := [name for name in cfg.only if name not in VARIANTS]:
         raise SystemExit(f"there is no variant {unknown[0]!r}; there are {sorted(VARIANTS)}.")
-    rows = {name: measured(name, cfg) for name in cfg.only or VARIANTS}
+    for name in cfg.only or VARIANTS:
+        measured(name, cfg)
+    there = [name for name in VARIANTS if (folder_of(name, cfg) / "evaluation.json").exists()]  # earlier ones too
+    rows = {name: measured(name, cfg) for name in there}
     lines = [
         "| variant | falls | hand [m] | hand [rad] | velocity [m/s] | yaw rate [rad/s] |",
         "|---|---|---|---|---|---|",
@@ -78,9 +81,13 @@ def main(cfg: Config) -> None:
     (cfg.output / f"wbc_ablation_{cfg.device}.md").write_text(text)
 
 
+def folder_of(name: str, cfg: Config) -> Path:
+    return cfg.folder / f"{cfg.device}_{cfg.iterations}_{cfg.seed}" / name.replace(" ", "_")
+
+
 def measured(name: str, cfg: Config) -> dict[str, Any]:
     """Train and examine a variant, or read what came out before."""
-    folder = cfg.folder / f"{cfg.device}_{cfg.iterations}_{cfg.seed}" / name.replace(" ", "_")
+    folder = folder_of(name, cfg)
     policy = folder / "wbc.npz"
     if not policy.exists():
         flags = [
