@@ -40,6 +40,20 @@ def test_it_learns_says_how_good_it_is_and_goes_on(name, tmp_path):
     assert {"curves.png", f"{name}.npz", f"{name}_critic.npz"} <= {path.name for path in tmp_path.iterdir()}
 
 
+def test_ways_to_a_throw_are_set_side_by_side(tmp_path, capsys):
+    ablation = importlib.import_module("ablate_finetuning")
+    ways = ("No-Fine-Tuning", "No-E2E")
+    ablation.main(ablation.Config(iterations=1, num_envs=4, seeds=(0,), ways=ways, episodes=2, output=tmp_path))
+    found = json.loads((tmp_path / "figures.json").read_text())
+    assert list(found) == list(ways)
+    assert not (tmp_path / "No-Fine-Tuning_0" / "progress.csv").exists()
+    assert len(CSVTable(tmp_path / "No-E2E_0" / "progress.csv").rows) == 1
+    assert (tmp_path / "figures.svg").stat().st_size > 5000
+    assert "| No-E2E | " in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="no way 'Theirs'"):
+        ablation.main(ablation.Config(ways=("Theirs",)))
+
+
 def episodes(**entries):
     """Rows of steps of which all count."""
     tensors = {key: torch.tensor(value).unsqueeze(-1) for key, value in entries.items()}

@@ -8,6 +8,7 @@ from torchrl_athletic.envs.actuation_chain import actuation_chain
 from torchrl_athletic.envs.ball_throw import ball_throw_distance, ball_throw_env, ball_throw_rewards
 from torchrl_athletic.envs.drawing import draw_ball, draw_command, draw_sled
 from torchrl_athletic.envs.dumbbell_snatch import dumbbell_snatch_env, dumbbell_snatch_rewards
+from torchrl_athletic.envs.frozen_controller import FrozenController
 from torchrl_athletic.envs.reach import PoseGoal, draw_goal, reach_errors, reachable_poses
 from torchrl_athletic.envs.registration import register_with_gymnasium
 from torchrl_athletic.envs.replay import ReplayTakes, Takes, replay_env
@@ -28,6 +29,7 @@ from torchrl_athletic.envs.whole_body_rewards import whole_body_rewards
 __all__ = [
     "NO_DISTURBANCES",
     "Disturbances",
+    "FrozenController",
     "PoseGoal",
     "ReplayTakes",
     "Takes",

@@ -178,8 +178,8 @@ def fine_tune(
     )
     print("policy:", save_wbc(learner, cfg.output, name=name, trained_as=str(cfg), history=10))
     policy = learner.actor.to("cpu")
-    if cfg.logger == "csv":
-        print("curves:", draw_curves({name: cfg.output / "progress.csv"}, curves, cfg.output / "curves.png"))
+    if (progress := cfg.output / "progress.csv").exists():
+        print("curves:", draw_curves({name: progress}, curves, cfg.output / "curves.png"))
     exam = make_env(cfg.episodes, seed=cfg.seed + 1_000_003)
     figures = judge(whole_rollout(exam, policy, look_at, steps, progress=f"{cfg.episodes} episodes"))
     (cfg.output / "figures.json").write_text(json.dumps(figures, indent=1), encoding="utf-8")

@@ -365,6 +365,6 @@ def _numbers(report: TensorDict) -> dict[str, float]:
 
 def _share_done(learner: Any, iterations: int | None, minutes: float | None) -> float:
     """0 at the start, 1 when training is over."""
-    by_count = learner.iteration / max(1, iterations) if iterations is not None else 0.0
+    by_count = learner.iteration / iterations if iterations else float(iterations is not None)
     by_time = learner.seconds / (60 * minutes) if minutes else float(minutes is not None)
     return min(1.0, max(by_count, by_time))

@@ -1,0 +1,47 @@
+"""A controller that is led: what it is shown, and that it learns nothing."""
+
+import pytest
+import torch
+from torchrl.envs import check_env_specs
+
+from torchrl_athletic.envs import FrozenController, ball_throw_env
+from torchrl_athletic.envs.whole_body import FRAME
+from torchrl_athletic.functional import rotations
+from torchrl_athletic.networks import pretrained
+
+
+@pytest.fixture(scope="module")
+def env():
+    return ball_throw_env(num_envs=2).append_transform(FrozenController(pretrained("wbc")))
+
+
+def test_specs_match_data(env):
+    check_env_specs(env)
+
+
+def test_zeros_let_the_controller_do_as_it_would(env):
+    plain = ball_throw_env(num_envs=2)
+    shown = plain.reset()
+    own = pretrained("wbc")(shown.clone())["loc"]
+    led = env.transform[-1]._inv_call(shown.clone().set("action", torch.zeros(2, 12)))["action"]
+    torch.testing.assert_close(led, own, rtol=1e-3, atol=1e-4)
+
+
+def test_an_action_moves_the_commands_of_the_newest_frame_alone(env):
+    assert FRAME[:3] == ("projected_gravity", "base_velocity_command", "end_effector_command")
+    shown = env.reset()
+    action = torch.zeros(2, 12)
+    action[:, 0], action[:, 3], action[:, 7] = 1.0, -1.0, 0.4
+    seen = env.transform[-1].lead(shown["observation"], action).unflatten(-1, (10, 77))
+    was = shown["observation"].unflatten(-1, (10, 77))
+    assert seen[:, :-1].equal(was[:, :-1])
+    change = seen[:, -1] - was[:, -1]
+    assert change[:, [3, 6]].tolist() == [pytest.approx([0.5, -0.3])] * 2
+    assert change[:, [*range(3), 4, 5, 7, 8, *range(15, 77)]].abs().max() == 0
+    turn = rotations.from_two_columns(seen[:, -1, 9:15])
+    columns = torch.cat((turn[..., 0], turn[..., 1]), -1)
+    torch.testing.assert_close(columns, seen[:, -1, 9:15])  # still an attitude
+
+
+def test_its_parameters_are_nobody_s_to_train(env):
+    assert list(env.transform[-1].parameters()) == []
