@@ -9,7 +9,8 @@ What came out: docs/tasks.md.
 """
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from torchrl.envs import TransformedEnv
 from torchrl_athletic import training
 from torchrl_athletic.envs import draw_sled, sled_drift, sled_pull_env
 from torchrl_athletic.envs.sled_pull import KNOWN
+from torchrl_athletic.functional.commands import sled_commands
 from torchrl_athletic.identification import with_actuation
 from torchrl_athletic.robots import Handle, Terrain, b2z1
 
@@ -44,7 +46,7 @@ class Config(training.FineTune):
 def main(cfg: Config) -> None:
     training.fine_tune(
         cfg,
-        lambda num_envs, **told: make_env(cfg.actuation, num_envs, **told),
+        partial(make_env, cfg.actuation),
         name="sled",
         known=KNOWN,
         curves=CURVES,
@@ -55,9 +57,14 @@ def main(cfg: Config) -> None:
     )
 
 
-def make_env(actuation: str, num_envs: int, *, seed: int = 0, first_row: int = 0, **told: Any) -> TransformedEnv:
+def make_env(
+    actuation: str, num_envs: int, *, exam: bool = False, seed: int = 0, first_row: int = 0, **told: Any
+) -> TransformedEnv:
+    """The task; in an exam the robot is told to walk at 0.5 m/s all the time."""
     nominal = b2z1(terrain=Terrain(), cone="pyramidal", tool=Handle())
     robot, chain = with_actuation(nominal, actuation, delay=(0, 6), seed=seed, first_row=first_row)
+    if exam:
+        told["velocity"] = replace(sled_commands(), forward=(-0.5, -0.5), standstill_probability=0.0)
     return sled_pull_env(robot, num_envs=num_envs, chain=chain, seed=seed, first_row=first_row, **told)
 
 

@@ -36,8 +36,8 @@ BUCKET = Bucket(opening=(0.0, 0.0, -1.0))
 """Opens upwards where the arm is stretched backwards, whence an overhead swing throws forward."""
 PLACED_AT = 1.5
 """When the ball is put into the bucket, since the set-up's beginning [s]."""
-KNOWN = ("ball_linear_velocity", "ball_away", "bucket_linear_velocity", "bucket_axis")
-"""What the critic sees besides."""
+KNOWN = {"ball_linear_velocity": 5.0, "ball_away": 1.0, "bucket_linear_velocity": 5.0, "bucket_axis": 1.0}
+"""What the critic sees besides, and the usual sizes [m/s, 1]."""
 
 
 def ball_throw_env(

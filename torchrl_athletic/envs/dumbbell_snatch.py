@@ -23,8 +23,8 @@ from torchrl_athletic.transforms import AddedMass, InPhase, RewardTerm, Term
 
 MASS = (0.0, 10.0)
 """Of the dumbbell [kg]. Fey et al. 2025, section III, dumbbell snatch."""
-KNOWN = ("added_mass", "load_mass", "hand_force")
-"""What the critic sees besides."""
+KNOWN = {"added_mass": 5.0, "load_mass": 5.0, "hand_force": 100.0}
+"""What the critic sees besides, and the usual sizes [kg, N]."""
 
 
 def dumbbell_snatch_env(

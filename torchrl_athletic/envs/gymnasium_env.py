@@ -55,9 +55,11 @@ class GymnasiumVectorEnv(VectorEnv[Array, Array, Any]):
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
 
-    def __init__(self, task: str, num_envs: int = 1, **told: Any) -> None:
+    def __init__(self, task: str, num_envs: int = 1, *, render_mode: None = None, **told: Any) -> None:
         if task not in TASKS:
             raise ValueError(f"no task is called {task!r}; there are {sorted(TASKS)}.")
+        if render_mode is not None:
+            raise ValueError(f"render_mode is {render_mode!r}, but only None is known: training.record_video draws.")
         self.env = TASKS[task](num_envs=num_envs, **told)
         self.num_envs = num_envs
         self.single_observation_space = _box(self.env.full_observation_spec["observation"].shape[-1])

@@ -113,7 +113,7 @@ def trunk_of(network: nn.Module) -> Trunk:
 
 
 @torch.no_grad()
-def open_inputs(network: nn.Module, columns: Sequence[int] = (), width: int | None = None) -> None:
+def open_inputs(network: nn.Module, columns: Sequence[int] = (), new: Sequence[float] = ()) -> None:
     """Make a trained network deaf to some of its inputs, and add others, so that it may learn to listen to them.
 
     In pre-training such an input was always 0: weights that it left as they were drawn, and a normaliser that has seen
@@ -122,10 +122,8 @@ def open_inputs(network: nn.Module, columns: Sequence[int] = (), width: int | No
     Args:
         network: Of :func:`actor` or :func:`critic`; is changed.
         columns: Inputs to begin with anew.
-        width: Of all inputs from now on; new ones stand behind those it has. None adds none.
-
-    Raises:
-        ValueError: If there shall be fewer inputs than there are.
+        new: For each input to add, behind those that it has, what it is divided by where inputs are normalised: its
+            usual size, in its own unit.
 
     Source:
         Fey et al. 2025, section II-C: the task embedding is added for fine-tuning.
@@ -134,26 +132,20 @@ def open_inputs(network: nn.Module, columns: Sequence[int] = (), width: int | No
         >>> from tensordict import TensorDict
         >>> value, seen = critic(2, hidden=(8,)), torch.tensor([[1.0, 2.0, 7.0]])
         >>> before = value(TensorDict(observation=seen[:, :2], batch_size=[1]))["state_value"]
-        >>> open_inputs(value, width=3)
+        >>> open_inputs(value, new=[1.0])
         >>> bool((value(TensorDict(observation=seen, batch_size=[1]))["state_value"] == before).all())
         True
     """
     trunk = trunk_of(network)
-    first = trunk.mlp[0]
-    width = first.in_features if width is None else width
-    more = width - first.in_features
-    if more < 0:
-        raise ValueError(
-            f"the network has {first.in_features} inputs, asked is for {width}: it would go blind to some."
-        )
+    first, more = trunk.mlp[0], len(new)
     first.weight[:, list(columns)] = 0.0
     first.weight = nn.Parameter(nn.functional.pad(first.weight, (0, more)), first.weight.requires_grad)
-    first.in_features = width
+    first.in_features += more
     normalizer = trunk.normalizer
     if isinstance(normalizer, RunningNormalizer):
         normalizer.mean[list(columns)], normalizer.variance[list(columns)] = 0.0, 1.0
         normalizer.mean = nn.functional.pad(normalizer.mean, (0, more))
-        normalizer.variance = nn.functional.pad(normalizer.variance, (0, more), value=1.0)
+        normalizer.variance = torch.cat((normalizer.variance, normalizer.variance.new_tensor(new).square()))
 
 
 def gaussian_actor(head: nn.Module, in_keys: Sequence[NestedKey]) -> ProbabilisticActor:

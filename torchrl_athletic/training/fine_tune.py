@@ -6,10 +6,11 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal
 
 import torch
-from tensordict import NestedKey, TensorDict
+from tensordict import TensorDict
 from torchrl.envs import EnvBase, TransformedEnv
 
 from torchrl_athletic.envs.whole_body import FRAME
@@ -36,7 +37,7 @@ class FineTune:
     seed: int = 0
     """Of robots, disturbances and exploration."""
     start: str | None = "wbc"
-    """A shipped controller, or a file that a recipe wrote, to go on from; ``None`` begins anew."""
+    """A shipped controller, or a file of ``pretrain_wbc.py``, to go on from; ``None`` begins anew."""
     actuation: str = "uan"
     """Of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     num_envs: int | None = None
@@ -58,7 +59,7 @@ def task_learner(
     config: PPO = FINE_TUNE,
     *,
     start: str | Path | None = "wbc",
-    known: Sequence[NestedKey] = (),
+    known: Mapping[str, float] = MappingProxyType({}),
     seed: int = 0,
     cuda_graph: bool = False,
 ) -> Learner:
@@ -72,7 +73,8 @@ def task_learner(
         env: Of a task: ``ball_throw_env`` and the like.
         config: Numbers chosen by hand.
         start: A shipped policy, ``"wbc"``, or a file of :func:`~.wbc.save_wbc`; None begins anew.
-        known: What the task adds to the end of ``privileged``, which the critic learns to listen to.
+        known: What the task adds to the end of ``privileged``, which the critic learns to listen to, and the usual
+            size of each, in its unit.
         seed: Of the order of samples.
         cuda_graph: Capture control step and update, on a GPU only.
 
@@ -93,15 +95,15 @@ def task_learner(
         return wbc_learner(env, config, seed=seed, cuda_graph=cuda_graph)
     shown = env.observation_spec
     seen, told = (shown[key].shape[-1] for key in ("observation", "privileged"))
-    more = sum(shown[key].shape[env.ndim :].numel() for key in known)
+    new = [size for key, size in known.items() for _ in range(shown[key].shape[env.ndim :].numel())]
     policy, value = read_wbc(start, trainable=True)
     check_sizes(
         str(start),
-        {"observation": (policy, seen, env.action_spec.shape[-1]), "privileged": (value, told - more, 1)},
+        {"observation": (policy, seen, env.action_spec.shape[-1]), "privileged": (value, told - len(new), 1)},
     )
     phase, width = _phase_columns(env)
     open_inputs(policy, [frame + column for frame in range(0, seen, width) for column in phase])
-    open_inputs(value, phase, told)
+    open_inputs(value, phase, new)
     return Learner(
         env,
         policy.to(env.device),
@@ -121,7 +123,7 @@ def _phase_columns(env: EnvBase) -> tuple[list[int], int]:
 
 
 MakeEnv = Callable[..., TransformedEnv]
-"""``make_env(num_envs, **told)``."""
+"""``make_env(num_envs, exam=False, **told)``."""
 
 
 def fine_tune(
@@ -129,7 +131,7 @@ def fine_tune(
     make_env: MakeEnv,
     *,
     name: str,
-    known: Sequence[NestedKey],
+    known: Mapping[str, float],
     curves: Mapping[str, str],
     look_at: Sequence[str],
     judge: Callable[[TensorDict], dict[str, float]],
@@ -142,7 +144,7 @@ def fine_tune(
 
     Args:
         cfg: Of the command line.
-        make_env: Of the task.
+        make_env: Of the task; ``exam=True`` asks for the episodes by which a policy is judged, and which are drawn.
         name: Of the task, and of the policy's file.
         known: As of :func:`task_learner`.
         curves: Columns of ``progress.csv`` to draw, and their titles.
@@ -154,6 +156,9 @@ def fine_tune(
     Returns:
         The figures.
     """
+    for flag, count in {"episodes": cfg.episodes, "num-envs": cfg.num_envs}.items():
+        if count is not None and count < 1:
+            raise ValueError(f"--{flag} is {count}: there would be nothing to look at. Give 1 or more.")
     on_gpu = cfg.device == "cuda"
     torch.manual_seed(cfg.seed)
     torch.set_float32_matmul_precision("high")
@@ -180,12 +185,14 @@ def fine_tune(
     policy = learner.actor.to("cpu")
     if (progress := cfg.output / "progress.csv").exists():
         print("curves:", draw_curves({name: progress}, curves, cfg.output / "curves.png"))
-    exam = make_env(cfg.episodes, seed=cfg.seed + 1_000_003)
+    exam = make_env(cfg.episodes, exam=True, seed=cfg.seed + 1_000_003)
     figures = judge(whole_rollout(exam, policy, look_at, steps, progress=f"{cfg.episodes} episodes"))
-    (cfg.output / "figures.json").write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    (cfg.output / "figures.json").write_text(json.dumps(figures, indent=1, allow_nan=False), encoding="utf-8")
     print(", ".join(f"{key} {value:.3g}" for key, value in figures.items()))
     if cfg.video:
-        frames = draw_episode(make_env(1, seed=cfg.seed + 1), policy, steps, annotate=annotate, follow="base")
+        frames = draw_episode(
+            make_env(1, exam=True, seed=cfg.seed + 1), policy, steps, annotate=annotate, follow="base"
+        )
         print("video:", write_video(frames, cfg.output / f"{name}.mp4", 50.0))
         frame_strip(frames, 6, cfg.output / f"{name}.png")
     return figures

@@ -256,7 +256,8 @@ def full_action_spec(transform: Transform) -> Composite:
     """What the transforms further in take, without asking for what they show, as ``parent.full_action_spec`` would."""
     parent = transform.parent
     base = parent.base_env
-    spec = Composite(full_action_spec=base.full_action_spec.clone(), full_state_spec=None, shape=base.batch_size)
+    spec = Composite(full_action_spec=base.full_action_spec.clone(), shape=base.batch_size)
+    spec["full_state_spec"] = base.full_state_spec.clone()
     for part in _in_order(parent.transform):
         if isinstance(part, StatefulTransform):
             spec["full_action_spec"] = part.transform_action_spec(spec["full_action_spec"])
@@ -269,8 +270,12 @@ def full_action_spec(transform: Transform) -> Composite:
 def full_reward_spec(transform: Transform) -> Composite:
     """What the transforms further in earn, without asking for what they show, as ``parent.full_reward_spec`` would."""
     parent = transform.parent
+    parts = _in_order(parent.transform)
+    if any(type(part).transform_output_spec is not Transform.transform_output_spec for part in parts):
+        found: Composite = parent.full_reward_spec  # some need to see all of what is shown
+        return found
     spec = parent.base_env.full_reward_spec.clone()
-    for part in _in_order(parent.transform):
+    for part in parts:
         spec = part.transform_reward_spec(spec)
     return spec
 
