@@ -76,12 +76,12 @@ def judge(episodes: TensorDict) -> dict[str, float]:
     for now in up.unbind(1):
         run = (run + 1) * now
         longest = torch.maximum(longest, run)
-    seen, nothing = torch.where(episodes["counts"], height, 0.0), torch.finfo().max
+    counts, far = episodes["counts"], torch.inf
     return {
         "held_s": 0.02 * float(longest.float().mean()),
         "held_for_5_s": float((longest >= HELD).float().mean()),
-        "lowest_hand_m": float(torch.where(episodes["counts"], height, nothing).amin(1).mean()),
-        "highest_hand_m": float(seen.amax(1).mean()),
+        "lowest_hand_m": float(height.masked_fill(~counts, far).amin(1).mean()),
+        "highest_hand_m": float(height.masked_fill(~counts, -far).amax(1).mean()),
         "failed": float(training.last_of(episodes, "terminated").float().mean()),
     }
 

@@ -63,14 +63,31 @@ def episodes(**entries):
 
 
 def test_a_throw_counts_from_where_the_robot_started_and_one_that_was_kept_is_no_throw():
-    shown = episodes(ball_away=[[False, True, True], [False, False, False]], peak_power=[[1.0, 2e3, 4e3]] * 2)
-    shown["ball_position"] = torch.tensor([2.0, 3.0, 0.035]).expand(2, 3, 3)
-    shown["ball_linear_velocity"] = torch.tensor([[5.0, 0, 0], [3.0, 0, 4.0], [0, 0, 0]]).expand(2, 3, 3)
-    shown["start_line"] = torch.tensor([2.0, 0.0, math.pi / 2]).expand(2, 3, 3)
+    flies, kept = [False, True, True], [False, False, False]
+    shown = episodes(ball_away=[flies, kept, flies], peak_power=[[1.0, 2e3, 4e3]] * 3)
+    shown["ball_position"] = torch.tensor([2.0, 3.0, 0.035]).expand(3, 3, 3)
+    shown["ball_linear_velocity"] = torch.tensor([[5.0, 0, 0], [3.0, 0, 4.0], [0, 0, 0]]).expand(3, 3, 3)
+    shown["start_line"] = torch.tensor([2.0, 0.0, math.pi / 2]).expand(3, 3, 3)
+    shown["terminated"][2, 1], shown["counts"][2, 2] = True, False  # it was lost: its episode ended there
     found = throw.judge(shown)
-    assert found["distance_m"] == pytest.approx(1.5)
+    assert found["distance_m"] == pytest.approx(1.0)
     assert found["release_speed_m_s"] == pytest.approx(5.0)
-    assert (found["peak_leg_power_kw"], found["thrown"]) == (4.0, 0.5)
+    assert (found["peak_leg_power_kw"], found["thrown"]) == (pytest.approx(10 / 3), pytest.approx(1 / 3))
+
+
+def test_every_episode_of_an_exam_has_its_deed_in_it():
+    for recipe, last in ((throw, 2), (snatch, 1), (sled, 1)):
+        env = recipe.make_env("ideal", 30, exam=True)
+        shown = env.reset()
+        assert (shown["task_phase_index"] == 0).all()
+        assert (shown["task_phase_last"] == last).all()
+
+
+def test_numbers_that_make_no_sense_are_refused_before_the_training(tmp_path):
+    for flags in ({"episodes": 0}, {"num_envs": -1}):
+        with pytest.raises(ValueError, match=r"--(episodes|num-envs) is (0|-1).*Give 1 or more"):
+            throw.main(throw.Config(output=tmp_path, **flags))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_dumbbell_is_held_where_it_stays_up_without_a_break():
@@ -82,9 +99,12 @@ def test_a_dumbbell_is_held_where_it_stays_up_without_a_break():
     shown["base_position"] = torch.zeros(3, steps, 3) + torch.tensor([0.0, 0.0, 0.5])
     shown["end_effector_position"] = torch.stack((up, up, up), -1)
     shown["counts"][0, 260:] = False  # what comes after the end does not count
+    shown["end_effector_position"][0, 260:] = 9.0
     found = snatch.judge(shown)
     assert found["held_s"] == pytest.approx(0.02 * (260 + 300 + 0) / 3)
     assert found["held_for_5_s"] == pytest.approx(2 / 3)
+    assert found["highest_hand_m"] == pytest.approx((1.5 + 1.5 + 1.0) / 3)
+    assert found["lowest_hand_m"] == pytest.approx((1.5 + 1.0 + 1.0) / 3)
 
 
 def test_a_sled_s_way_and_the_robot_s_drift():

@@ -90,5 +90,5 @@ def test_it_leaves_policy_curves_and_figures_and_goes_on(tmp_path):
         fine_tune(replace(cfg, iterations=4, seed=1), ball_throw_maker, judge=judge, **told)
 
 
-def ball_throw_maker(num_envs, **told):
+def ball_throw_maker(num_envs, exam=False, **told):
     return ball_throw_env(num_envs=num_envs, **told)

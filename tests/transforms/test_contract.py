@@ -9,7 +9,20 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
-from torchrl.envs import ActionScaling, CatFrames, Compose, EnvBase, RewardSum, StepCounter, Transform
+from torchrl.envs import (
+    ActionScaling,
+    CatFrames,
+    Compose,
+    EnvBase,
+    GymEnv,
+    RewardSum,
+    SerialEnv,
+    StepCounter,
+    TargetReturn,
+    Transform,
+    TransformedEnv,
+    UnaryTransform,
+)
 
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.functional.phase import Phase, PhaseSchedule
@@ -17,6 +30,7 @@ from torchrl_athletic.robots import Dumbbell, Handle, Robot, b2z1, z1
 from torchrl_athletic.testing import TransformContract
 from torchrl_athletic.transforms import (
     ActionDelay,
+    ActionHistory,
     AddedMass,
     Decimation,
     DomainRandomization,
@@ -27,6 +41,7 @@ from torchrl_athletic.transforms import (
     PowerClip,
     Push,
     RandomizationRanges,
+    RewardTerms,
     SledRope,
     StaggeredEpisodes,
     TaskPhase,
@@ -261,3 +276,12 @@ def _keys(key: Key, *names: str) -> dict[str, object]:
     """Arguments of the actuation's transforms."""
     entries = {"position": "joint_position", "velocity": "joint_velocity", "target": "position_target"}
     return {f"{name}_key": key(entries.get(name, name)) for name in names}
+
+
+@pytest.mark.parametrize("stock", [TargetReturn(1.0), UnaryTransform(["reward"], ["reward"], fn=torch.neg)])
+def test_transforms_of_torchrl_may_stand_before_ours(stock):
+    pendulums = SerialEnv(2, lambda: GymEnv("Pendulum-v1"))
+    terms = RewardTerms({"speed": lambda before, after: after["observation"][..., 2:]}, {"speed": 1.0})
+    steps = TransformedEnv(pendulums, Compose(stock, ActionHistory(3), terms)).rollout(3)
+    assert steps["action_history"].shape == (2, 3, 3, 1)
+    assert steps["next", "reward_terms", "speed"].shape == (2, 3, 1)

@@ -190,9 +190,8 @@ def fine_tune(
     (cfg.output / "figures.json").write_text(json.dumps(figures, indent=1, allow_nan=False), encoding="utf-8")
     print(", ".join(f"{key} {value:.3g}" for key, value in figures.items()))
     if cfg.video:
-        frames = draw_episode(
-            make_env(1, exam=True, seed=cfg.seed + 1), policy, steps, annotate=annotate, follow="base"
-        )
+        shown = make_env(1, exam=True, seed=cfg.seed + 1)
+        frames = draw_episode(shown, policy, steps, annotate=annotate, follow="base")
         print("video:", write_video(frames, cfg.output / f"{name}.mp4", 50.0))
         frame_strip(frames, 6, cfg.output / f"{name}.png")
     return figures
