@@ -78,6 +78,30 @@ def test_it_earns_what_the_environment_earns():
         np.testing.assert_array_equal(reward, td["reward"].flatten().numpy())
 
 
+def test_one_robot_draws_the_episodes_that_a_row_of_many_draws():
+    one, many = (
+        gymnasium.make("torchrl_athletic/WholeBody-v0", max_steps=2),
+        GymnasiumVectorEnv("WholeBody", 1, max_steps=2),
+    )
+    action = np.zeros(19, np.float32)
+    one.reset(seed=3)
+    many.reset(seed=3)
+    for _ in range(2):
+        one.step(action)
+        last, *_, infos = many.step(action[None])
+    np.testing.assert_array_equal(one.reset()[0], last[0])
+    assert infos["_final_obs"].all()
+
+
+def test_what_cannot_be_is_refused():
+    with pytest.raises(ValueError, match="only None is known"):
+        GymnasiumVectorEnv("WholeBody", 1, render_mode="rgb_array")
+    envs = GymnasiumVectorEnv("WholeBody", 2)
+    envs.reset()
+    with pytest.raises(ValueError, match=r"shape \(19,\), needed is \(2, 19\)"):
+        envs.step(np.zeros(19, np.float32))
+
+
 def test_an_unknown_task_and_a_step_before_the_start_are_refused():
     with pytest.raises(ValueError, match=r"no task is called 'Jump'.*'SledPull'"):
         GymnasiumVectorEnv("Jump")

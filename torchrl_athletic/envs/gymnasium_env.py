@@ -40,10 +40,12 @@ class GymnasiumVectorEnv(VectorEnv[Array, Array, Any]):
     Args:
         task: Name of one of :data:`TASKS`.
         num_envs: N.
+        autoreset: Whether rows that are done start anew.
+        render_mode: None alone.
         told: To the task.
 
     Raises:
-        ValueError: If there is no such task.
+        ValueError: If there is no such task, or pictures are asked for.
 
     Example:
         >>> import gymnasium
@@ -55,13 +57,15 @@ class GymnasiumVectorEnv(VectorEnv[Array, Array, Any]):
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
 
-    def __init__(self, task: str, num_envs: int = 1, *, render_mode: None = None, **told: Any) -> None:
+    def __init__(
+        self, task: str, num_envs: int = 1, *, autoreset: bool = True, render_mode: None = None, **told: Any
+    ) -> None:
         if task not in TASKS:
             raise ValueError(f"no task is called {task!r}; there are {sorted(TASKS)}.")
         if render_mode is not None:
             raise ValueError(f"render_mode is {render_mode!r}, but only None is known: training.record_video draws.")
         self.env = TASKS[task](num_envs=num_envs, **told)
-        self.num_envs = num_envs
+        self.num_envs, self.autoreset = num_envs, autoreset
         self.single_observation_space = _box(self.env.full_observation_spec["observation"].shape[-1])
         self.single_action_space = _box(self.env.action_spec.shape[-1])
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
@@ -86,13 +90,15 @@ class GymnasiumVectorEnv(VectorEnv[Array, Array, Any]):
         if self._shown is None:
             raise gymnasium.error.ResetNeeded("step was called before reset: no episode has begun. Call reset first.")
         action = torch.as_tensor(np.asarray(actions, np.float32), device=self.env.device)
+        if action.shape != (wanted := self.env.action_spec.shape):
+            raise ValueError(f"actions have the shape {tuple(action.shape)}, needed is {tuple(wanted)}: a row each.")
         step = self._shown.set("action", action)
         shown = self.env._step(step)
         step.set("next", shown)
         following = step_mdp(step, exclude_action=True)
         done = (shown["terminated"] | shown["truncated"]).reshape(self.num_envs, 1)
         infos: dict[str, Any] = {}
-        if done.any():
+        if done.any() and self.autoreset:
             infos = {"final_obs": _array(shown["observation"]), "_final_obs": done.flatten().cpu().numpy()}
             fresh = self.env.reset(following.set("_reset", done))
             following = fresh.exclude("_reset")
@@ -112,7 +118,7 @@ class GymnasiumEnv(gymnasium.Env[Array, Array]):
     metadata = {"render_modes": []}  # noqa: RUF012
 
     def __init__(self, task: str, **told: Any) -> None:
-        self.rows = GymnasiumVectorEnv(task, 1, **told)
+        self.rows = GymnasiumVectorEnv(task, 1, autoreset=False, **told)
         self.observation_space, self.action_space = self.rows.single_observation_space, self.rows.single_action_space
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
@@ -124,8 +130,7 @@ class GymnasiumEnv(gymnasium.Env[Array, Array]):
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Act once."""
         observation, reward, terminated, truncated, infos = self.rows.step(np.asarray(action)[None])
-        last = infos.get("final_obs", observation)[0]
-        return last, float(reward[0]), bool(terminated[0]), bool(truncated[0]), {}
+        return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), infos
 
 
 def reseed(env: TransformedEnv, seed: int) -> None:
