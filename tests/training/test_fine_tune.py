@@ -82,10 +82,14 @@ def test_it_leaves_policy_curves_and_figures_and_goes_on(tmp_path):
     figures = fine_tune(cfg, ball_throw_maker, judge=judge, **told)
     assert seen[0].shape == (3, 2)
     assert json.loads((tmp_path / "figures.json").read_text()) == figures
+    before = json.loads((tmp_path / "figures_before.json").read_text())
+    assert before.keys() == figures.keys()
+    assert len(seen) == 2
     assert (tmp_path / "curves.png").stat().st_size > 5000
     assert read_network(tmp_path / "throw.npz").in_keys == ["observation"]
     fine_tune(replace(cfg, iterations=3), ball_throw_maker, judge=judge, **told)
     assert [row["step"] for row in CSVTable(tmp_path / "progress.csv").rows] == ["1", "2", "3"]
+    assert len(seen) == 3  # what came before is known
     with pytest.raises(ValueError, match="seed"):
         fine_tune(replace(cfg, iterations=4, seed=1), ball_throw_maker, judge=judge, **told)
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from tensordict import TensorDict
@@ -154,7 +155,7 @@ def fine_tune(
         steps: Of an episode [policy steps].
 
     Returns:
-        The figures.
+        The figures, which are measured before the training too.
     """
     for flag, count in {"episodes": cfg.episodes, "num-envs": cfg.num_envs}.items():
         if count is not None and count < 1:
@@ -172,6 +173,9 @@ def fine_tune(
         seed=cfg.seed,
         cuda_graph=on_gpu,
     )
+    first = cfg.output / "figures_before.json"
+    if not first.exists():  # a run that goes on has its own
+        _examine(cfg, make_env, learner.actor, first, look_at, judge, steps)
     train(
         learner,
         minutes=(15.0 if on_gpu else 10.0) if cfg.minutes is None else cfg.minutes,
@@ -185,13 +189,33 @@ def fine_tune(
     policy = learner.actor.to("cpu")
     if (progress := cfg.output / "progress.csv").exists():
         print("curves:", draw_curves({name: progress}, curves, cfg.output / "curves.png"))
-    exam = make_env(cfg.episodes, exam=True, seed=cfg.seed + 1_000_003)
-    figures = judge(whole_rollout(exam, policy, look_at, steps, progress=f"{cfg.episodes} episodes"))
-    (cfg.output / "figures.json").write_text(json.dumps(figures, indent=1, allow_nan=False), encoding="utf-8")
-    print(", ".join(f"{key} {value:.3g}" for key, value in figures.items()))
+    figures = _examine(cfg, make_env, policy, cfg.output / "figures.json", look_at, judge, steps)
+    for key, before in json.loads(first.read_text("utf-8")).items():
+        print(f"{key:>20} {before:9.3g} -> {figures[key]:.3g}")
     if cfg.video:
         shown = make_env(1, exam=True, seed=cfg.seed + 1)
         frames = draw_episode(shown, policy, steps, annotate=annotate, follow="base")
         print("video:", write_video(frames, cfg.output / f"{name}.mp4", 50.0))
         frame_strip(frames, 6, cfg.output / f"{name}.png")
+    return figures
+
+
+def _examine(
+    cfg: FineTune,
+    make_env: MakeEnv,
+    policy: Any,
+    path: Path,
+    look_at: Sequence[str],
+    judge: Callable[[TensorDict], dict[str, float]],
+    steps: int,
+) -> dict[str, float]:
+    """Judge a policy by episodes that no training saw, and write the figures down."""
+    copied = deepcopy(policy).to("cpu")  # what a graph has recorded shall stay where it is
+    exam = make_env(cfg.episodes, exam=True, seed=cfg.seed + 1_000_003)
+    episodes = whole_rollout(exam, copied, look_at, steps, progress=f"{cfg.episodes} episodes")
+    figures = judge(episodes)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}")
+    part.write_text(json.dumps(figures, indent=1, allow_nan=False), encoding="utf-8")
+    part.replace(path)
     return figures
