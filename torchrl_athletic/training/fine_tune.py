@@ -123,6 +123,8 @@ def _phase_columns(env: EnvBase) -> tuple[list[int], int]:
     return list(range(first, first + widths["task_phase"])), sum(widths.values())
 
 
+DRAWN = 400
+"""Most policy steps in a video: 8 s."""
 MakeEnv = Callable[..., TransformedEnv]
 """``make_env(num_envs, exam=False, **told)``."""
 
@@ -194,7 +196,7 @@ def fine_tune(
         print(f"{key:>20} {before:9.3g} -> {figures[key]:.3g}")
     if cfg.video:
         shown = make_env(1, exam=True, seed=cfg.seed + 1)
-        frames = draw_episode(shown, policy, steps, annotate=annotate, follow="base")
+        frames = draw_episode(shown, policy, min(steps, DRAWN), annotate=annotate, follow="base")
         print("video:", write_video(frames, cfg.output / f"{name}.mp4", 50.0))
         frame_strip(frames, 6, cfg.output / f"{name}.png")
     return figures
