@@ -1,6 +1,6 @@
 """Teach a B2 with a Z1 to throw a ball as far as it can.
 
-python recipes/finetune_throw.py                  # ten minutes of two cores: a reward that rises, and a video
+python recipes/finetune_throw.py                  # ten minutes of two cores: first steps, curves and a video
 python recipes/finetune_throw.py --device cuda    # the paper's scale: 4,096 robots, 15 minutes
 python recipes/finetune_throw.py --actuation outputs/identification/diagnosed   # in an identified simulator
 
