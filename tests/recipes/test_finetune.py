@@ -19,7 +19,9 @@ sys.path.insert(0, str(ROOT / "recipes"))
 throw, snatch, sled = (importlib.import_module(f"finetune_{name}") for name in ("throw", "snatch", "sled"))
 
 
-@pytest.mark.parametrize("name", ["throw", "snatch", "sled"])
+@pytest.mark.parametrize(
+    "name", ["sled", *(pytest.param(name, marks=pytest.mark.slow) for name in ("throw", "snatch"))]
+)
 def test_it_learns_says_how_good_it_is_and_goes_on(name, tmp_path):
     command = [
         sys.executable,
@@ -40,6 +42,7 @@ def test_it_learns_says_how_good_it_is_and_goes_on(name, tmp_path):
     assert {"curves.png", f"{name}.npz", f"{name}_critic.npz"} <= {path.name for path in tmp_path.iterdir()}
 
 
+@pytest.mark.slow
 def test_ways_to_a_throw_are_set_side_by_side(tmp_path, capsys):
     ablation = importlib.import_module("ablate_finetuning")
     ways = ("No-Fine-Tuning", "No-E2E")
