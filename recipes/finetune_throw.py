@@ -22,7 +22,8 @@ from torchrl.envs import TransformedEnv
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import ball_throw_distance, ball_throw_env, draw_ball
-from torchrl_athletic.envs.ball_throw import BUCKET, KNOWN
+from torchrl_athletic.envs.ball_throw import KNOWN
+from torchrl_athletic.envs.throw import BUCKET
 from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.identification import with_actuation
 from torchrl_athletic.robots import Terrain, b2z1, with_bucket

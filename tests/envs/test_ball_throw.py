@@ -8,7 +8,8 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, ball_throw_distance, ball_throw_env, ball_throw_rewards
-from torchrl_athletic.envs.ball_throw import BUCKET, KNOWN
+from torchrl_athletic.envs.ball_throw import KNOWN
+from torchrl_athletic.envs.throw import BUCKET
 from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.robots import b2z1, with_bucket
 from torchrl_athletic.transforms import BallFlight, Decimation, StartRanges

@@ -18,10 +18,11 @@ from torchrl_athletic.envs.task_parts import (
     references,
     stance,
 )
+from torchrl_athletic.envs.throw import BUCKET, PLACED_AT
 from torchrl_athletic.envs.whole_body import PRIVILEGED, Disturbances, whole_body_env
 from torchrl_athletic.functional import ball, rotations
 from torchrl_athletic.functional.phase import PhaseSchedule, throw_phases
-from torchrl_athletic.robots import Bucket, Robot, Terrain, b2z1, with_bucket
+from torchrl_athletic.robots import Robot, Terrain, b2z1, with_bucket
 from torchrl_athletic.transforms import (
     BallFlight,
     EarlyTermination,
@@ -32,10 +33,6 @@ from torchrl_athletic.transforms import (
     Term,
 )
 
-BUCKET = Bucket(opening=(0.0, 0.0, -1.0))
-"""Opens upwards where the arm is stretched backwards, whence an overhead swing throws forward."""
-PLACED_AT = 1.5
-"""When the ball is put into the bucket, since the set-up's beginning [s]."""
 KNOWN = {"ball_linear_velocity": 5.0, "ball_away": 1.0, "bucket_linear_velocity": 5.0, "bucket_axis": 1.0}
 """What the critic sees besides, and the usual sizes [m/s, 1]."""
 

@@ -11,7 +11,7 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.envs import Transform
 
-from torchrl_athletic.envs.whole_body_rewards import GAIT, TRACKING, whole_body_rewards
+from torchrl_athletic.envs.whole_body_rewards import GAIT, TRACKING, hand_tracking, whole_body_rewards
 from torchrl_athletic.functional import rewards
 from torchrl_athletic.functional.phase import PhaseSchedule
 from torchrl_athletic.robots import Motion, Robot, motion_tables, read_motion
@@ -80,7 +80,7 @@ def stance(phases: list[int]) -> InPhase:
 
 def pose_tracking(phases: list[int]) -> InPhase:
     """Closeness of the hand's keypoints to those commanded."""
-    return InPhase(phases, Term(_pose_tracking, "pose_error"))
+    return InPhase(phases, Term(hand_tracking, "pose_error"))
 
 
 def off_reference(phases: list[int], joints: list[int], position_key: NestedKey) -> InPhase:
@@ -110,10 +110,6 @@ def position_key_of(encoder_offset: tuple[float, float]) -> str:
 
 def _off_stance(height: Tensor, gravity: Tensor) -> Tensor:
     return (height - 0.6).square() + rewards.square(gravity[..., :2])
-
-
-def _pose_tracking(way: Tensor) -> Tensor:
-    return rewards.keypoint_tracking(way, torch.zeros_like(way))
 
 
 def _off_reference(position: Tensor, reference: Tensor, joints: Tensor) -> Tensor:

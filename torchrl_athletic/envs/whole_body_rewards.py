@@ -37,7 +37,7 @@ def whole_body_rewards(
     limits = torch.tensor(robot.position_limit, dtype=torch.float32)
     feet = {"offset": torch.tensor(TROT)}
     terms: dict[str, RewardTerm] = {
-        "ee_pose_tracking": Term(_pose_tracking, "pose_error"),
+        "ee_pose_tracking": Term(hand_tracking, "pose_error"),
         "linear_velocity_tracking": Term(_linear_velocity_tracking, "base_linear_velocity", "base_velocity_command"),
         "angular_velocity_tracking": Term(_angular_velocity_tracking, "base_angular_velocity", "base_velocity_command"),
         "gait": Term(_gait, "gait_cycle", "foot_height", **feet),
@@ -56,7 +56,8 @@ def whole_body_rewards(
     return kept, {name: rewards.WBC_SCALES[name] for name in kept}
 
 
-def _pose_tracking(way: Tensor) -> Tensor:
+def hand_tracking(way: Tensor) -> Tensor:
+    """Closeness of the hand's keypoints to those commanded, by the ways that are left. (*B, 4, 3) to (*B, 1)."""
     return rewards.keypoint_tracking(way, torch.zeros_like(way))
 
 
