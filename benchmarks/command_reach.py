@@ -4,8 +4,7 @@
 
 For each goal of the command ranges, the arm's six joints, and the base's height, roll and pitch within what a standing
 B2 does, are sought that bring the hand's keypoints nearest to those commanded, by least squares from four starts
-(``mujoco.minimize``). Nothing collides and nothing moves. Compared are attitudes drawn about the line of sight from the
-shoulder, the default, and about the base's heading.
+(``mujoco.minimize``). Nothing collides and nothing moves.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from torchrl_athletic.functional import streams
-from torchrl_athletic.functional.commands import POSITION, QUATERNION, CommandRanges, draw_goal
+from torchrl_athletic.functional.commands import CommandRanges, draw_goal, goal_to_pose
 from torchrl_athletic.robots import Robot, b2z1
 
 LENGTH = 0.3
@@ -50,13 +49,10 @@ class Config:
 
 
 def main(cfg: Config) -> None:
-    ranges = CommandRanges()
-    ahead = replace(ranges, shoulder=None, pitch=(-math.pi / 4, math.pi / 2), yaw=(-math.pi / 4, math.pi / 4))
-    kinds = {"about the line of sight": ranges, "about the heading, pitch -45° to 90°, yaw ±45°": ahead}
-    lines = ["| attitudes drawn | base | within 2 cm | hand | attitude |", "|---|---|---|---|---|"]
-    for name, kind in kinds.items():
+    lines = ["| goals | base | within 2 cm | hand | attitude |", "|---|---|---|---|---|"]
+    for name, ranges in kinds().items():
         for base, limits in (("helps", BASE), ("stands still", STILL)):
-            errors = np.array([nearest(pose, limits, cfg) for pose in tqdm(goals(kind, cfg), desc=f"{name}, {base}")])
+            errors = np.array([nearest(pose, limits, cfg) for pose in tqdm(goals(ranges, cfg), desc=f"{name}, {base}")])
             near = (errors[:, 0] < 0.02).mean()
             position, attitude = errors[:, 1:].mean(0)
             lines.append(f"| {name} | {base} | {100 * near:.0f} % | {100 * position:.1f} cm | {attitude:.3f} rad |")
@@ -75,14 +71,28 @@ def commit() -> str:
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
 
+def kinds() -> dict[str, CommandRanges]:
+    """What is compared."""
+    whole = CommandRanges()
+    (low, high), level = whole.elevation, math.pi / 2
+    return {
+        "all": whole,
+        "ahead of the shoulder": replace(whole, elevation=(low, level)),
+        "behind it": replace(whole, elevation=(level, high)),
+        "all, attitudes twice as wide": replace(
+            whole, **{turn: tuple(2 * bound for bound in getattr(whole, turn)) for turn in ("roll", "pitch", "yaw")}
+        ),
+    }
+
+
 def goals(ranges: CommandRanges, cfg: Config) -> list[Array]:
     """Keypoints in the world of a base that heads along x. Shape (4, 3) each [m]."""
-    drawn, _ = draw_goal(streams.stream(cfg.seed, torch.arange(cfg.goals)), ranges.bounds(), 0.0, ranges.shoulder)
+    drawn, _ = draw_goal(streams.stream(cfg.seed, torch.arange(cfg.goals)), ranges.bounds())
     poses = []
-    for goal in drawn.double().numpy():
+    for pose in goal_to_pose(drawn, torch.tensor(ranges.shoulder)).double().numpy():
         turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, goal[QUATERNION])
-        poses.append(keypoints(goal[POSITION] + [0, 0, ranges.frame_height], turn.reshape(3, 3)))
+        mujoco.mju_quat2Mat(turn, pose[3:])
+        poses.append(keypoints(pose[:3] + [0, 0, ranges.frame_height], turn.reshape(3, 3)))
     return poses
 
 

@@ -8,16 +8,18 @@ from scipy.spatial.transform import Rotation
 
 from torchrl_athletic.functional import rotations, streams
 from torchrl_athletic.functional.commands import (
-    POSITION,
-    QUATERNION,
+    ATTITUDE,
+    PLACE,
     VELOCITY,
     CommandRanges,
     blend_goals,
     deviation_from_line,
     draw_goal,
     from_roll_pitch_yaw,
+    goal_to_pose,
     line_ahead,
     pose_to_frame,
+    pose_to_goal,
     pose_to_world,
     sled_commands,
     straighten,
@@ -43,8 +45,8 @@ def random_base(seed=0):
 
 def test_goals_fill_their_ranges_evenly_and_never_leave_them():
     goal, duration = goals()
-    angles = torch.as_tensor(scipy_rotation(goal[:, QUATERNION]).as_euler("ZYX")[:, ::-1].copy()).float()
-    values = torch.cat((goal[:, VELOCITY], goal[:, POSITION], angles, duration), -1)
+    angles = torch.as_tensor(scipy_rotation(goal[:, ATTITUDE]).as_euler("ZYX")[:, ::-1].copy()).float()
+    values = torch.cat((goal[:, VELOCITY], goal[:, PLACE], angles, duration), -1)
     low, high = RANGES.bounds()
     assert (values >= low - 1e-5).all()
     assert (values <= high + 1e-5).all()
@@ -74,28 +76,28 @@ def test_a_way_begins_at_the_start_and_ends_at_the_goal():
     torch.testing.assert_close(blend_goals(start, goal, torch.zeros(N, 1), duration), start)
     reached = blend_goals(start, goal, torch.full((N, 1), 5.0), duration)
     torch.testing.assert_close(reached[:, :6], goal[:, :6])
-    torch.testing.assert_close(rotations.matrix(reached[:, QUATERNION]), rotations.matrix(goal[:, QUATERNION]))
+    torch.testing.assert_close(rotations.matrix(reached[:, ATTITUDE]), rotations.matrix(goal[:, ATTITUDE]))
 
 
-def test_velocity_and_position_move_at_constant_speed_in_their_own_times():
+def test_velocity_distance_and_angles_change_at_constant_speed_in_their_own_times():
     (start, _), (goal, duration) = goals(0), goals(1)
     for elapsed in (0.5, 1.5, 3.0):
         command = blend_goals(start, goal, torch.full((N, 1), elapsed), duration)
         share = (elapsed / duration).clamp(max=1)
-        for columns, of in ((VELOCITY, share[:, :1]), (POSITION, share[:, 1:])):
+        for columns, of in ((VELOCITY, share[:, :1]), (PLACE, share[:, 1:])):
             expected = start[:, columns] + of * (goal[:, columns] - start[:, columns])
             torch.testing.assert_close(command[:, columns], expected)
 
 
 def test_an_attitude_turns_about_one_axis_the_shorter_way():
     (start, _), (goal, duration) = goals(0), goals(1)
-    goal[::2, QUATERNION] *= -1  # the same attitude
-    first, last = scipy_rotation(start[:, QUATERNION]), scipy_rotation(goal[:, QUATERNION])
+    goal[::2, ATTITUDE] *= -1  # the same attitude
+    first, last = scipy_rotation(start[:, ATTITUDE]), scipy_rotation(goal[:, ATTITUDE])
     whole = (first.inv() * last).magnitude()
     done = np.zeros(N)
     for share in (0.25, 0.5, 0.75):
         command = blend_goals(start, goal, share * duration[:, 1:], duration)
-        attitude = scipy_rotation(command[:, QUATERNION])
+        attitude = scipy_rotation(command[:, ATTITUDE])
         behind, ahead = (first.inv() * attitude).magnitude(), (attitude.inv() * last).magnitude()
         np.testing.assert_allclose(behind + ahead, whole, atol=1e-3)
         assert (behind > done).all()
@@ -104,10 +106,10 @@ def test_an_attitude_turns_about_one_axis_the_shorter_way():
             np.testing.assert_allclose(behind, ahead, atol=1e-3)
 
 
-def test_the_way_between_two_goals_stays_in_the_box():
+def test_the_way_between_two_goals_stays_in_the_ranges():
     (start, _), (goal, duration) = goals(0), goals(1)
-    low, high = RANGES.bounds()[:, POSITION]
-    command = blend_goals(start, goal, torch.rand(N, 1) * 5, duration)[:, POSITION]
+    low, high = RANGES.bounds()[:, PLACE]
+    command = blend_goals(start, goal, torch.rand(N, 1) * 5, duration)[:, PLACE]
     assert ((command >= low - 1e-6) & (command <= high + 1e-6)).all()
 
 
@@ -122,8 +124,8 @@ def test_a_pose_goes_to_the_frame_and_back():
 
 
 def test_a_command_does_not_bob_or_tilt_with_the_base():
-    goal, _ = goals()
-    command = torch.cat((goal[:, POSITION], rotations.two_columns(goal[:, QUATERNION])), -1)
+    pose = goal_to_pose(goals()[0], torch.tensor(RANGES.shoulder))
+    command = torch.cat((pose[:, :3], rotations.two_columns(pose[:, 3:])), -1)
     base, _ = random_base()
     yaw = torch.rand(N, 1) * 2 - 1
     upright = rotations.yaw_quaternion(yaw)
@@ -165,7 +167,7 @@ def test_a_base_that_shall_stand_is_left_where_it_is():
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ({"x": (0.8, 0.4)}, "lower bound first"),
+        ({"distance": (0.8, 0.4)}, "lower bound first"),
         ({"duration": (2.0, 8.0)}, "at most the interval"),
         ({"duration": (0.0, 2.0)}, "more than 0"),
         ({"standstill_probability": 1.2}, "0 to 1"),
@@ -176,13 +178,53 @@ def test_ranges_that_cannot_be_drawn_from_are_refused(arguments, told):
         CommandRanges(**arguments)
 
 
+SHOULDER = torch.tensor(RANGES.shoulder)
+
+
 def test_goals_seen_from_the_shoulder_turn_with_the_way_to_them():
     """At the middle of all angles the gripper's x axis points from the shoulder to the goal."""
-    middle = replace(CommandRanges(), roll=(0.0, 0.0), pitch=(0.0, 0.0), yaw=(0.0, 0.0))
-    goal, _ = draw_goal(streams.stream(0, torch.arange(200)), middle.bounds(), 0.0, middle.shoulder)
-    way = goal[:, POSITION] - torch.tensor(middle.shoulder)
-    axis = rotations.rotate(goal[:, QUATERNION], torch.tensor([1.0, 0.0, 0.0]).expand(200, 3))
+    middle = replace(RANGES, roll=(0.0, 0.0), pitch=(0.0, 0.0), yaw=(0.0, 0.0))
+    goal, _ = goals(ranges=middle)
+    pose = goal_to_pose(goal, SHOULDER)
+    way = pose[:, :3] - SHOULDER
+    axis = rotations.rotate(pose[:, 3:], torch.tensor([1.0, 0.0, 0.0]).expand(N, 3))
     torch.testing.assert_close(axis, way / way.norm(dim=-1, keepdim=True), atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(way.norm(dim=-1), goal[:, PLACE][:, 0])
+
+
+def test_a_gripper_that_goes_overhead_is_not_rolled_over():
+    """Its y axis stays to the left all the way to behind the head: the arm's plane does not turn round."""
+    goal, _ = goals(ranges=replace(RANGES, roll=(0.0, 0.0), pitch=(0.0, 0.0), yaw=(0.0, 0.0), azimuth=(0.0, 0.0)))
+    left = torch.tensor([0.0, 1.0, 0.0]).expand(N, 3)
+    torch.testing.assert_close(rotations.rotate(goal_to_pose(goal, SHOULDER)[:, 3:], left), left)
+
+
+def test_a_goal_becomes_a_pose_and_back():
+    goal, _ = goals()
+    back = pose_to_goal(goal_to_pose(goal, SHOULDER), SHOULDER)
+    far = (goal[:, PLACE][:, 1] - math.pi / 2).abs() > 0.01  # straight overhead any azimuth is as good
+    torch.testing.assert_close(back[far, 3:6], goal[far, 3:6], atol=1e-3, rtol=0)
+    assert not back[:, VELOCITY].any()
+    there = goal_to_pose(back, SHOULDER)
+    torch.testing.assert_close(there[:, :3], goal_to_pose(goal, SHOULDER)[:, :3], atol=1e-5, rtol=0)
+    turned = rotations.matrix(there[:, 3:])
+    torch.testing.assert_close(turned, rotations.matrix(goal_to_pose(goal, SHOULDER)[:, 3:]), atol=1e-4, rtol=0)
+
+
+def test_any_pose_becomes_a_goal_and_back():
+    position, attitude = random_base(3)
+    back = goal_to_pose(pose_to_goal(torch.cat((position, attitude), -1), SHOULDER), SHOULDER)
+    torch.testing.assert_close(back[:, :3], position, atol=1e-5, rtol=0)
+    torch.testing.assert_close(rotations.matrix(back[:, 3:]), rotations.matrix(attitude), atol=1e-4, rtol=0)
+
+
+def test_no_way_leads_through_the_shoulder():
+    """From the ground ahead to behind the head a straight line would pass it by a few centimetres."""
+    start, goal = torch.zeros(2, 10)
+    start[3:], goal[3:] = torch.tensor([0.85, -0.8, 0, 1, 0, 0, 0]), torch.tensor([0.8, 2.3, 0, 1, 0, 0, 0])
+    for elapsed in (0.5, 1.0, 1.5):
+        command = blend_goals(start, goal, torch.tensor([elapsed]), torch.tensor([2.0, 2.0]))
+        assert (goal_to_pose(command, SHOULDER)[:3] - SHOULDER).norm() > 0.79
 
 
 def test_a_frame_stands_on_the_ground_under_the_base():

@@ -81,11 +81,11 @@ def test_an_episode_starts_from_the_pose_that_the_end_effector_has():
     shown = rollout(1, **names)[:, 0]
     heading = rotations.yaw_quaternion(rotations.yaw(shown["base_quaternion"]))
     frame = torch.cat((shown["base_position"][:, :2], torch.full((50, 1), CommandRanges().frame_height)), -1)
-    start = shown["command_start"]
-    position = frame + rotations.rotate(heading, start[:, 3:6])
+    start = commands.goal_to_pose(shown["command_start"], torch.tensor(CommandRanges().shoulder))
+    position = frame + rotations.rotate(heading, start[:, :3])
     torch.testing.assert_close(position, shown["end_effector_position"])
-    attitude = rotations.multiply(heading, start[:, 6:])
-    torch.testing.assert_close(attitude, shown["end_effector_quaternion"])
+    attitude = rotations.matrix(rotations.multiply(heading, start[:, 3:]))
+    torch.testing.assert_close(attitude, rotations.matrix(shown["end_effector_quaternion"]), atol=1e-5, rtol=1e-5)
 
 
 def test_rows_and_goals_of_one_row_are_drawn_apart(long):

@@ -20,6 +20,8 @@ from torchrl_athletic.transforms import InPhase, ReferenceTrajectory, RewardTerm
 POLICY_DT, PHYSICS_DT = 0.02, 0.005
 """Of a policy's step and of a step of the physics [s]."""
 PHASE_KEYS: tuple[NestedKey, NestedKey] = ("task_phase_index", "task_phase_step")
+FAILURE = -500.0
+"""Scale of a failure, which lasts one step of 0.02 s: as much as the sled's other penalties of some 200 steps."""
 WRIST = ("joint4", "joint5", "joint6")
 
 
@@ -65,12 +67,16 @@ def references(
 def auxiliary_rewards(
     robot: Robot, position_key: NestedKey = "joint_position"
 ) -> tuple[dict[str, RewardTerm], dict[str, float]]:
-    """Those terms of the controller's that serve every task, and their scales.
+    """Those terms of the controller's that serve every task, and their scales; and what a failure costs.
+
+    The last is ours. The sled's reward, and that of the throw's set-up, are penalties alone: an episode that ends early
+    has fewer of them, so that a fall would pay.
 
     Source:
         Fey et al. 2025, appendix A, table of WBC rewards, below the dashed line; appendix B.
     """
-    return whole_body_rewards(robot, position_key, without=(*TRACKING, *GAIT))
+    terms, scales = whole_body_rewards(robot, position_key, without=(*TRACKING, *GAIT))
+    return {**terms, "failure": Term(_as_number, "terminated")}, {**scales, "failure": FAILURE}
 
 
 def stance(phases: list[int]) -> InPhase:
@@ -106,6 +112,10 @@ def change_of(phases: list[int], key: NestedKey) -> InPhase:
 def position_key_of(encoder_offset: tuple[float, float]) -> str:
     """Where rewards read the true positions of the joints."""
     return "true_joint_position" if any(encoder_offset) else "joint_position"
+
+
+def _as_number(flag: Tensor) -> Tensor:
+    return flag.float()
 
 
 def _off_stance(height: Tensor, gravity: Tensor) -> Tensor:

@@ -13,21 +13,20 @@ from torchrl_athletic.functional import rotations, streams
 
 Range = tuple[float, float]
 Place = tuple[float, float, float]
-VELOCITY, POSITION, QUATERNION = slice(0, 3), slice(3, 6), slice(6, 10)
-"""Columns of a goal: base velocity, end effector's position and attitude (wxyz)."""
+VELOCITY, PLACE, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 10)
+"""Columns of a goal: base velocity; the hand's distance from the shoulder, elevation and azimuth; its attitude from the
+line of sight (wxyz)."""
 
 
 @dataclass(frozen=True)
 class CommandRanges:
     """What commands are drawn from, and when.
 
-    The paper gives the times and no ranges. Those of the velocity are round figures within what the robot can do. The
-    box of positions is what the Z1 on a B2 reaches with some help of the legs; Fu et al. draw from a part of a sphere
-    shell instead, 0.2 to 0.7 m about the arm's base for a smaller robot. A box is convex: the straight way from one of
-    its points to another lies in it, so that no command leads through the robot. A gripper that points away from the
-    shoulder reaches low goals from above and high ones from below: with attitudes about this line of sight, 95 % of the
-    goals bring the hand's key points to a mean distance of under 2 cm, by the arm on a base that moves by 0.1 m and
-    tilts by 0.25 rad; with attitudes about the base's heading, 72 % (``benchmarks/command_reach.py``).
+    The paper gives the times and no ranges. Those of the velocity are round figures within what the robot can do. Places
+    of the hand are drawn about the arm's shoulder, by distance and two angles, as Fu et al. do: the way from one to
+    another leads around the robot, where a straight line would lead through it. Elevations go from the ground ahead to
+    behind the head, since athletic tasks take the hand to both. Attitudes are drawn about the line of sight from the
+    shoulder, which is how an arm points: ``benchmarks/command_reach.py`` says how many goals can be reached.
     """
 
     forward: Range = (-1.0, 1.0)
@@ -38,20 +37,20 @@ class CommandRanges:
     """Counter-clockwise [rad/s]."""
     standstill_probability: float = 0.1
     """That a goal's velocity is 0 instead."""
-    x: Range = (0.5, 0.8)
-    """Ahead of the base's origin [m]."""
-    y: Range = (-0.3, 0.3)
-    """To its left [m]."""
-    z: Range = (-0.25, 0.5)
-    """Above ``frame_height`` [m]."""
+    distance: Range = (0.5, 0.9)
+    """Of the hand from the shoulder [m]."""
+    elevation: Range = (math.radians(-48), math.radians(135))
+    """Of the hand over the shoulder's horizon [rad]; more than a right angle is behind it."""
+    azimuth: Range = (-math.pi / 6, math.pi / 6)
+    """Of the plane in which the hand is elevated, counter-clockwise [rad]."""
     roll: Range = (-math.pi / 4, math.pi / 4)
     """Of the end effector about its own x axis [rad]; last of the three turns in its own axes."""
     pitch: Range = (-math.pi / 9, math.pi / 4)
     """Nose down, from the line of sight [rad]."""
     yaw: Range = (-math.pi / 6, math.pi / 6)
-    """About the vertical, from the line of sight [rad]."""
-    shoulder: Place | None = (0.15, 0.0, 0.25)
-    """Where lines of sight to goals begin, in the commands' frame [m]: the Z1's on a B2. None looks ahead."""
+    """From the line of sight, about the axis that a forearm along it would have upwards [rad]."""
+    shoulder: Place = (0.15, 0.0, 0.25)
+    """Where it is in the commands' frame [m]: that of the Z1 on a B2."""
     frame_height: float = 0.5
     """Of the commands' frame above the ground [m]. It follows the base's place and heading, and stays upright."""
     interval: float = 7.0
@@ -78,12 +77,12 @@ class CommandRanges:
         return torch.tensor(list(self._ranges().values())).T.contiguous()
 
     def centre(self) -> Tensor:
-        """A goal in the middle of the box, at rest, pointing ahead. Shape (10,)."""
-        middle = self.bounds().mean(0)[POSITION]
+        """A goal in the middle of the ranges, at rest, pointing away from the shoulder. Shape (10,)."""
+        middle = self.bounds().mean(0)[PLACE]
         return torch.cat((torch.zeros(3), middle, torch.tensor([1.0, 0.0, 0.0, 0.0])))
 
     def _ranges(self) -> dict[str, Range]:
-        names = ("forward", "lateral", "yaw_rate", "x", "y", "z", "roll", "pitch", "yaw")
+        names = ("forward", "lateral", "yaw_rate", "distance", "elevation", "azimuth", "roll", "pitch", "yaw")
         ranges: dict[str, Range] = {name: getattr(self, name) for name in names}
         return ranges | {"duration of velocity": self.duration, "duration of pose": self.duration}
 
@@ -99,20 +98,21 @@ def sled_commands() -> CommandRanges:
     )
 
 
-def draw_goal(
-    key: Tensor, bounds: Tensor, standstill_probability: float = 0.0, shoulder: Place | None = None
-) -> tuple[Tensor, Tensor]:
+def draw_goal(key: Tensor, bounds: Tensor, standstill_probability: float = 0.0) -> tuple[Tensor, Tensor]:
     """A goal, and how long the way to it takes.
 
     Args:
         key: Of :func:`~.streams.stream`. Shape (*B,).
         bounds: Of :meth:`CommandRanges.bounds`. Shape (2, 11).
         standstill_probability: That the velocity is 0.
-        shoulder: Where the line of sight begins about which attitudes are drawn [m]; None for the heading.
 
     Returns:
-        Goal: base velocity [m/s, m/s, rad/s], end effector's position [m] and quaternion (wxyz) in the commands' frame.
-        Shape (*B, 10). Durations for velocity and for pose [s]. Shape (*B, 2).
+        Goal: base velocity [m/s, m/s, rad/s]; the hand's distance [m], elevation and azimuth [rad]; its quaternion
+        (wxyz) from the line of sight. :func:`goal_to_pose` says where that is. Shape (*B, 10). Durations for velocity
+        and for pose [s]. Shape (*B, 2).
+
+    Source:
+        Fu, Cheng and Pathak 2023, Deep Whole-Body Control, section 3 (distances and angles of goals).
 
     Example:
         >>> goal, duration = draw_goal(streams.stream(0, torch.arange(100)), CommandRanges().bounds())
@@ -121,34 +121,69 @@ def draw_goal(
     """
     unit = streams.uniform(key, 12)
     drawn = bounds[0] + (bounds[1] - bounds[0]) * unit[..., 1:]
-    velocity, position, angles, duration = drawn.split((3, 3, 3, 2), -1)
+    velocity, place, angles, duration = drawn.split((3, 3, 3, 2), -1)
     velocity = torch.where(unit[..., :1] < standstill_probability, torch.zeros_like(velocity), velocity)
-    if shoulder is not None:
-        angles = angles + line_of_sight(position, shoulder)
-    return torch.cat((velocity, position, from_roll_pitch_yaw(angles)), -1), duration
+    return torch.cat((velocity, place, from_roll_pitch_yaw(angles)), -1), duration
 
 
-def line_of_sight(position: Tensor, shoulder: Place) -> Tensor:
-    """Roll, pitch and yaw of what points from the shoulder to a place [rad]. Shape (*B, 3).
+def goal_to_pose(goal: Tensor, shoulder: Tensor) -> Tensor:
+    """Where a goal has the hand; :func:`pose_to_goal` undoes it.
 
     Args:
-        position: In the commands' frame [m]. Shape (*B, 3).
-        shoulder: There too [m].
+        goal: As of :func:`draw_goal`. Shape (*B, 10).
+        shoulder: In the commands' frame [m]. Shape (3,).
+
+    Returns:
+        Position [m] and quaternion (wxyz) in the commands' frame. Shape (*B, 7).
 
     Example:
-        >>> line_of_sight(torch.tensor([1.0, 0.0, -1.0]), (0.0, 0.0, 0.0)).tolist()  # half a right angle down
-        [0.0, 0.7853981852531433, 0.0]
+        >>> overhead = torch.tensor([0, 0, 0, 0.8, math.pi / 2, 0, 1, 0, 0, 0])
+        >>> goal_to_pose(overhead, torch.tensor([0.1, 0.0, 0.2]))[:3].round(decimals=3).tolist()
+        [0.10000000149011612, 0.0, 1.0]
     """
-    x, y, z = (position[..., k] - shoulder[k] for k in range(3))
-    return torch.stack((torch.zeros_like(x), torch.atan2(-z, torch.hypot(x, y)), torch.atan2(y, x)), -1)
+    distance, elevation, azimuth = goal[..., PLACE].split(1, -1)
+    ahead, up = elevation.cos(), elevation.sin()
+    sight = torch.cat((ahead * azimuth.cos(), ahead * azimuth.sin(), up), -1)
+    attitude = rotations.multiply(_aim(elevation, azimuth), goal[..., ATTITUDE])
+    return torch.cat((shoulder + distance * sight, attitude), -1)
+
+
+def pose_to_goal(pose: Tensor, shoulder: Tensor) -> Tensor:
+    """A pose of the hand as a goal at rest.
+
+    Azimuths lie within a right angle, so that what is behind the shoulder is elevated by more than one; what is behind
+    and below is told by elevations of up to one and a half half-turns.
+
+    Args:
+        pose: Position [m] and quaternion (wxyz) in the commands' frame. Shape (*B, 7).
+        shoulder: There too [m]. Shape (3,).
+
+    Returns:
+        Shape (*B, 10).
+    """
+    way = pose[..., :3] - shoulder
+    x, y, z = way.split(1, -1)
+    behind = x < 0
+    level = torch.where(behind, -1.0, 1.0) * torch.hypot(x, y)
+    azimuth = torch.atan2(torch.where(behind, -y, y), x.abs())
+    elevation = torch.atan2(z, level)
+    elevation = torch.where(behind & (z < 0), elevation + 2 * math.pi, elevation)
+    attitude = rotations.multiply(rotations.conjugate(_aim(elevation, azimuth)), pose[..., 3:])
+    distance = torch.linalg.vector_norm(way, dim=-1, keepdim=True)
+    return torch.cat((torch.zeros_like(way), distance, elevation, azimuth, attitude), -1)
+
+
+def _aim(elevation: Tensor, azimuth: Tensor) -> Tensor:
+    """Attitude whose x axis is the line of sight. Angles (*B, 1), quaternion (*B, 4)."""
+    return from_roll_pitch_yaw(torch.cat((torch.zeros_like(azimuth), -elevation, azimuth), -1))
 
 
 def blend_goals(start: Tensor, goal: Tensor, elapsed: Tensor, duration: Tensor) -> Tensor:
     r"""The command on the way from one goal to the next.
 
-    Velocity and position move on a straight line at constant speed. The attitude turns about one axis, the shorter way
-    (normalised linear interpolation of quaternions: the path of slerp, in the middle faster by 5 % on a quarter
-    turn and by 27 % on half a turn).
+    Velocity, distance and angles change at constant speed. The attitude turns with the line of sight, and from it about
+    one axis, the shorter way (normalised linear interpolation of quaternions: the path of slerp, in the middle faster by
+    5 % on a quarter turn and by 27 % on half a turn).
 
     Args:
         start: What was commanded before. Shape (*B, 10), as of :func:`draw_goal`.
@@ -167,11 +202,11 @@ def blend_goals(start: Tensor, goal: Tensor, elapsed: Tensor, duration: Tensor) 
     """
     share = (elapsed / duration).clamp(max=1.0)
     of_velocity, of_pose = share.split(1, -1)
-    alike = (start[..., QUATERNION] * goal[..., QUATERNION]).sum(-1, keepdim=True)
+    alike = (start[..., ATTITUDE] * goal[..., ATTITUDE]).sum(-1, keepdim=True)
     nearer = torch.where(alike < 0, -of_pose, of_pose)  # q and -q are one attitude: take the nearer
     left, reached = _for_each((1 - share).split(1, -1), (3, 7)), _for_each((of_velocity, of_pose, nearer), (3, 3, 4))
     blended = start * left + goal * reached
-    attitude = torch.nn.functional.normalize(blended[..., QUATERNION], dim=-1)
+    attitude = torch.nn.functional.normalize(blended[..., ATTITUDE], dim=-1)
     return torch.cat((blended[..., :6], attitude), -1)
 
 

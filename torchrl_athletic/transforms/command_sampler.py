@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
 from torchrl_athletic.functional import commands, rotations, streams
-from torchrl_athletic.functional.commands import POSITION, QUATERNION, VELOCITY, CommandRanges
+from torchrl_athletic.functional.commands import VELOCITY, CommandRanges
 from torchrl_athletic.transforms.stateful import RandomTransform
 
 Pose = tuple[NestedKey, NestedKey]
@@ -21,8 +21,8 @@ class CommandSampler(RandomTransform):
     """Command a velocity of the base and a pose of the end effector: new goals now and then, and a smooth way there.
 
     An episode starts from rest and from the pose that the end effector has; its first goal is set at once. The way from
-    one command to the next goal is a straight line (:func:`~.functional.commands.blend_goals`). Poses are given in a
-    frame that follows the base's place and heading at a fixed height above the ground.
+    one command to the next goal leads around the shoulder (:func:`~.functional.commands.blend_goals`). Poses are given
+    in a frame that follows the base's place and heading at a fixed height above the ground.
 
     Args:
         ranges: What is drawn, and when.
@@ -30,7 +30,7 @@ class CommandSampler(RandomTransform):
         base_keys: Pose of the base; None has it rest at the world's origin, as an arm's does.
         height_key: Height of the base over the ground [m], shape (*B, 1), where the environment shows it: the ground
             is that much below the base. Else it is at z = 0.
-        end_effector_keys: Pose of the end effector; None starts from the middle of the ranges, pointing ahead.
+        end_effector_keys: Pose of the end effector; None starts from the middle of the ranges.
         velocity_key: Where to command: forward, lateral [m/s], yaw rate [rad/s]. Shape (*B, 3).
         pose_key: Where to command: position [m] and the first two columns of the rotation matrix. Shape (*B, 9).
             :func:`~.functional.commands.pose_to_world` says where that is.
@@ -57,6 +57,7 @@ class CommandSampler(RandomTransform):
 
     bounds: Tensor
     centre: Tensor
+    shoulder: Tensor
 
     def __init__(
         self,
@@ -88,6 +89,7 @@ class CommandSampler(RandomTransform):
         self.interval_steps = max(1, round(ranges.interval / dt))
         self.register_buffer("bounds", ranges.bounds(), persistent=False)
         self.register_buffer("centre", ranges.centre(), persistent=False)
+        self.register_buffer("shoulder", torch.tensor(ranges.shoulder), persistent=False)
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         start = self._present(key, tensordict_reset)
@@ -123,7 +125,7 @@ class CommandSampler(RandomTransform):
         }
 
     def _goal(self, key: Tensor) -> tuple[Tensor, Tensor]:
-        return commands.draw_goal(key, self.bounds, self.ranges.standstill_probability, self.ranges.shoulder)
+        return commands.draw_goal(key, self.bounds, self.ranges.standstill_probability)
 
     def _blend(self, memory: dict[str, Tensor]) -> Tensor:
         elapsed = memory["step"] * self.dt
@@ -141,7 +143,8 @@ class CommandSampler(RandomTransform):
         if self.ranges.straighten:
             lateral, heading = commands.deviation_from_line(memory["line"], *self._base(shown))
             velocity = commands.straighten(velocity, lateral, heading, self.ranges.straighten)
-        pose = torch.cat((command[..., POSITION], rotations.two_columns(command[..., QUATERNION])), -1)
+        pose = commands.goal_to_pose(command, self.shoulder)
+        pose = torch.cat((pose[..., :3], rotations.two_columns(pose[..., 3:])), -1)
         return {self.velocity_key: velocity, self.pose_key: pose} | {
             self.keys[name]: memory[name] for name in self.keys
         }
@@ -160,7 +163,7 @@ class CommandSampler(RandomTransform):
         if self.base_keys is not None and (height := tensordict.get(self.height_key, None)) is not None:
             ground = base[0][..., 2:] - height
         pose = commands.pose_to_frame(position, quaternion, *base, self.ranges.frame_height, ground)
-        return torch.cat((centre[..., VELOCITY], pose), -1)
+        return commands.pose_to_goal(pose, self.shoulder)
 
     def _base(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         assert self.base_keys is not None
