@@ -256,7 +256,7 @@ def full_action_spec(transform: Transform) -> Composite:
     """What the transforms further in take, without asking for what they show, as ``parent.full_action_spec`` would."""
     parent = transform.parent
     base = parent.base_env
-    spec = Composite(full_action_spec=base.full_action_spec.clone(), shape=base.batch_size)
+    spec = Composite(full_action_spec=base.full_action_spec.clone(), shape=base.batch_size, device=base.device)
     spec["full_state_spec"] = base.full_state_spec.clone()
     for part in _in_order(parent.transform):
         if isinstance(part, StatefulTransform):
