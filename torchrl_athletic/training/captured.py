@@ -14,7 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_athletic.training.checkpoint import env_state, restore_env
 from torchrl_athletic.training.rollout import Policy, Rollout, control_step
-from torchrl_athletic.transforms import AddedMass, Decimation, DomainRandomization, ExternalPush
+from torchrl_athletic.transforms import AddedMass, Decimation, DomainRandomization, ExternalPush, SledRope
 from torchrl_athletic.transforms.stateful import base_env_of
 
 
@@ -119,7 +119,7 @@ _OF_PHYSICS = (
     "field",
 )
 """What a compiler must not look into."""
-_NOT_COMPILED = (AddedMass, DomainRandomization, ExternalPush)
+_NOT_COMPILED = (AddedMass, DomainRandomization, ExternalPush, SledRope)
 """They write to the physics. TorchRL's StepCounter looks up specs in its reset, which cannot be traced either."""
 
 
@@ -171,7 +171,7 @@ def fuse_transforms(env: EnvBase, backend: str = "inductor") -> None:
     outer._inv_call = _in_groups([*reversed(outside), *reversed(inside)], "_inv_call", compiled)
     outer._reset = _in_groups([*inside, *outside], "_reset", compiled)
     outer._reset_env_preprocess = compiled(outer._reset_env_preprocess)
-    chain._inv_call = compiled(chain._inv_call)
+    chain._inv_call = _in_groups([*reversed(list(chain.transforms))], "_inv_call", compiled)
     decimation.merge = compiled(decimation.merge)
 
 

@@ -97,7 +97,6 @@ class SledRope(RandomTransform):
             self._pull(tensordict.get("rope_force"))
         return tensordict
 
-    @torch.compiler.disable  # it writes to the physics
     def _pull(self, force: Tensor) -> None:
         wrench = torch.cat((force, torch.zeros_like(force)), -1).unsqueeze(-2)
         simulated_env(self).set_wrench("rope_force", once_per_model(self, self._body_id), wrench)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
@@ -55,6 +55,7 @@ class StatefulTransform(Transform):
             out_keys_inv=list(out_keys_inv),
         )
         self._given_reset_key = reset_key
+        self._specs: dict[str, Any] = {}  # asked of the parent anew, they would cost the square of a chain's length
 
     def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         """What every entry of :meth:`state_spec` is when an episode starts.
@@ -116,7 +117,7 @@ class StatefulTransform(Transform):
         return self._reset(tensordict, tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        self.__dict__["_state_spec"] = specs = dict(self.state_spec(observation_spec))
+        self._specs["state"] = specs = dict(self.state_spec(observation_spec))
         for key, spec in specs.items():
             observation_spec[key] = spec
         return observation_spec
@@ -124,7 +125,7 @@ class StatefulTransform(Transform):
     def transform_input_spec(self, input_spec: Composite) -> Composite:
         """A manual reset hands over what the state spec names, and the rows that go on need their memory."""
         input_spec = super().transform_input_spec(input_spec)
-        specs = self.__dict__.get("_state_spec")  # asked of the parent anew, they would cost the square of a chain
+        specs = self._specs.get("state")
         if specs is None:
             specs = self.state_spec(self.parent.full_observation_spec)
         state = input_spec["full_state_spec"]
@@ -138,17 +139,17 @@ class StatefulTransform(Transform):
     def empty_cache(self) -> None:
         """Called where what lies further in has changed."""
         super().empty_cache()
-        self.__dict__.pop("_state_spec", None)
+        self._specs.clear()
 
     def reset_parent(self) -> None:
         """Called where it leaves its place in a chain."""
         super().reset_parent()
-        self.__dict__.pop("_state_spec", None)
+        self._specs.clear()
 
     def clone(self) -> StatefulTransform:
         """A copy, for another place."""
         copied = super().clone()
-        copied.__dict__.pop("_state_spec", None)
+        copied._specs = {}
         return copied
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -252,8 +253,13 @@ def base_env_of(env: EnvBase | None) -> EnvBase | None:
     return env
 
 
-def full_action_spec(transform: Transform) -> Composite:
-    """What the transforms further in take, without asking for what they show, as ``parent.full_action_spec`` would."""
+def full_action_spec(transform: StatefulTransform) -> Composite:
+    """What the transforms further in take, without asking for what they show, as ``parent.full_action_spec`` would.
+
+    It is made once: a step that is compiled or recorded cannot make it, and a reset reads it.
+    """
+    if (known := transform._specs.get("action")) is not None:
+        return known
     parent = transform.parent
     base = parent.base_env
     spec = Composite(full_action_spec=base.full_action_spec.clone(), shape=base.batch_size, device=base.device)
@@ -264,19 +270,26 @@ def full_action_spec(transform: Transform) -> Composite:
         else:
             spec = part.transform_input_spec(spec)
     found: Composite = spec["full_action_spec"]
+    transform._specs["action"] = found
     return found
 
 
-def full_reward_spec(transform: Transform) -> Composite:
-    """What the transforms further in earn, without asking for what they show, as ``parent.full_reward_spec`` would."""
+def full_reward_spec(transform: StatefulTransform) -> Composite:
+    """What the transforms further in earn, without asking for what they show, as ``parent.full_reward_spec`` would.
+
+    It is made once, as :func:`full_action_spec` is.
+    """
+    if (known := transform._specs.get("reward")) is not None:
+        return known
     parent = transform.parent
     parts = _in_order(parent.transform)
     if any(type(part).transform_output_spec is not Transform.transform_output_spec for part in parts):
-        found: Composite = parent.full_reward_spec  # some need to see all of what is shown
-        return found
-    spec = parent.base_env.full_reward_spec.clone()
-    for part in parts:
-        spec = part.transform_reward_spec(spec)
+        spec: Composite = parent.full_reward_spec  # some need to see all of what is shown
+    else:
+        spec = parent.base_env.full_reward_spec.clone()
+        for part in parts:
+            spec = part.transform_reward_spec(spec)
+    transform._specs["reward"] = spec
     return spec
 
 
