@@ -25,7 +25,7 @@ from torchrl_athletic.envs import draw_sled, sled_drift, sled_pull_env
 from torchrl_athletic.envs.sled_pull import KNOWN
 from torchrl_athletic.functional.commands import sled_commands
 from torchrl_athletic.identification import with_actuation
-from torchrl_athletic.robots import Handle, Terrain, b2z1
+from torchrl_athletic.robots import Handle, Robot, Terrain, b2z1
 
 CURVES = {
     "reward": "reward per step",
@@ -35,6 +35,7 @@ CURVES = {
     "terminated": "falls per step",
 }
 STEPS = 1000
+LOOK_AT = ["base_position", "base_quaternion", "start_line", "sled_position", "sled_mass", "rope_tension"]
 
 
 @dataclass(frozen=True)
@@ -50,19 +51,29 @@ def main(cfg: Config) -> None:
         name="sled",
         known=KNOWN,
         curves=CURVES,
-        look_at=["base_position", "base_quaternion", "start_line", "sled_position", "sled_mass", "rope_tension"],
+        look_at=LOOK_AT,
         judge=judge,
         annotate=draw_sled,
         steps=STEPS,
     )
 
 
+def nominal() -> Robot:
+    return b2z1(terrain=Terrain(), cone="pyramidal", tool=Handle())
+
+
 def make_env(
-    actuation: str, num_envs: int, *, exam: bool = False, seed: int = 0, first_row: int = 0, **told: Any
+    actuation: str,
+    num_envs: int,
+    *,
+    robot: Robot | None = None,
+    exam: bool = False,
+    seed: int = 0,
+    first_row: int = 0,
+    **told: Any,
 ) -> TransformedEnv:
     """The task; in an exam the robot is told to walk at 0.5 m/s all the time."""
-    nominal = b2z1(terrain=Terrain(), cone="pyramidal", tool=Handle())
-    robot, chain = with_actuation(nominal, actuation, delay=(0, 6), seed=seed, first_row=first_row)
+    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), seed=seed, first_row=first_row)
     if exam:
         told["velocity"] = replace(sled_commands(), forward=(-0.5, -0.5), standstill_probability=0.0)
     return sled_pull_env(robot, num_envs=num_envs, chain=chain, seed=seed, first_row=first_row, **told)

@@ -25,7 +25,7 @@ from torchrl_athletic.envs import dumbbell_snatch_env
 from torchrl_athletic.envs.dumbbell_snatch import KNOWN, hand_height
 from torchrl_athletic.functional.phase import Phase, PhaseSchedule
 from torchrl_athletic.identification import with_actuation
-from torchrl_athletic.robots import Dumbbell, Terrain, b2z1
+from torchrl_athletic.robots import Dumbbell, Robot, Terrain, b2z1
 
 CURVES = {
     "reward": "reward per step",
@@ -36,10 +36,13 @@ CURVES = {
 }
 STEPS, OVERHEAD, HELD = 500, 1.2, 250
 """Policy steps of an episode; height of the hand that counts as overhead [m]; steps that it shall stay there, 5 s."""
+LOOK_AT = ["end_effector_position", "base_position", "base_height", "added_mass"]
 
 
 @dataclass(frozen=True)
 class Config(training.FineTune):
+    start: str | None = "wbc_wide"
+    """A shipped controller, or a file of ``pretrain_wbc.py``, to go on from; ``None`` begins anew."""
     output: Path = Path("outputs/finetune_snatch")
     """Folder for all that is written."""
 
@@ -51,18 +54,28 @@ def main(cfg: Config) -> None:
         name="snatch",
         known=KNOWN,
         curves=CURVES,
-        look_at=["end_effector_position", "base_position", "base_height", "added_mass"],
+        look_at=LOOK_AT,
         judge=judge,
         steps=STEPS,
     )
 
 
+def nominal() -> Robot:
+    return b2z1(terrain=Terrain(), cone="pyramidal", tool=Dumbbell())
+
+
 def make_env(
-    actuation: str, num_envs: int, *, exam: bool = False, seed: int = 0, first_row: int = 0, **told: Any
+    actuation: str,
+    num_envs: int,
+    *,
+    robot: Robot | None = None,
+    exam: bool = False,
+    seed: int = 0,
+    first_row: int = 0,
+    **told: Any,
 ) -> TransformedEnv:
     """The task; in an exam every episode has a lift in it."""
-    nominal = b2z1(terrain=Terrain(), cone="pyramidal", tool=Dumbbell())
-    robot, chain = with_actuation(nominal, actuation, delay=(0, 6), seed=seed, first_row=first_row)
+    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), seed=seed, first_row=first_row)
     if exam:
         told["schedule"] = PhaseSchedule((Phase("snatch-set-up", duration=2.5), Phase("snatch")))
     return dumbbell_snatch_env(robot, num_envs=num_envs, chain=chain, seed=seed, first_row=first_row, **told)

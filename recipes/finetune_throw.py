@@ -26,7 +26,7 @@ from torchrl_athletic.envs.ball_throw import KNOWN
 from torchrl_athletic.envs.throw import BUCKET
 from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.identification import with_actuation
-from torchrl_athletic.robots import Terrain, b2z1, with_bucket
+from torchrl_athletic.robots import Robot, Terrain, b2z1, with_bucket
 
 CURVES = {
     "reward": "reward per step",
@@ -36,10 +36,13 @@ CURVES = {
     "terminated": "falls and lost balls per step",
 }
 STEPS = 300
+LOOK_AT = ["ball_position", "ball_linear_velocity", "ball_away", "start_line", "peak_power"]
 
 
 @dataclass(frozen=True)
 class Config(training.FineTune):
+    start: str | None = "wbc_wide"
+    """A shipped controller, or a file of ``pretrain_wbc.py``, to go on from; ``None`` begins anew."""
     output: Path = Path("outputs/finetune_throw")
     """Folder for all that is written."""
 
@@ -51,19 +54,29 @@ def main(cfg: Config) -> None:
         name="throw",
         known=KNOWN,
         curves=CURVES,
-        look_at=["ball_position", "ball_linear_velocity", "ball_away", "start_line", "peak_power"],
+        look_at=LOOK_AT,
         judge=judge,
         annotate=draw_ball,
         steps=STEPS,
     )
 
 
+def nominal() -> Robot:
+    return with_bucket(b2z1(terrain=Terrain(), cone="pyramidal"), BUCKET)
+
+
 def make_env(
-    actuation: str, num_envs: int, *, exam: bool = False, seed: int = 0, first_row: int = 0, **told: Any
+    actuation: str,
+    num_envs: int,
+    *,
+    robot: Robot | None = None,
+    exam: bool = False,
+    seed: int = 0,
+    first_row: int = 0,
+    **told: Any,
 ) -> TransformedEnv:
     """The task; in an exam every episode has a throw in it."""
-    nominal = with_bucket(b2z1(terrain=Terrain(), cone="pyramidal"), BUCKET)
-    robot, chain = with_actuation(nominal, actuation, delay=(0, 6), seed=seed, first_row=first_row)
+    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), seed=seed, first_row=first_row)
     if exam:
         told["schedule"] = throw_phases(stay_probability=0.0, settle_probability=0.0)
     return ball_throw_env(robot, num_envs=num_envs, chain=chain, seed=seed, first_row=first_row, **told)

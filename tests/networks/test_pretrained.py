@@ -71,13 +71,13 @@ def test_a_file_that_would_run_code_or_is_something_else_is_refused(tmp_path):
 
 
 def test_all_that_is_shipped_is_small_sound_and_known_by_name():
-    names = ("uan", "wbc", "wbc_critic")
+    names = ("sled", "snatch", "throw", "uan", "wbc", "wbc_critic", "wbc_wide", "wbc_wide_critic")
     assert sum(shipped_path(name).stat().st_size for name in names) < 20e6
     for name in names:
         net = pretrained(name)
         assert all(torch.isfinite(parameter).all() for parameter in net.parameters())
         assert describe(name)["trained_with"].startswith("python recipes/")
-    with pytest.raises(ValueError, match=r"no network 'walk'.*\['uan', 'wbc', 'wbc_critic'\]"):
+    with pytest.raises(ValueError, match=r"no network 'walk'.*\['sled', 'snatch', 'throw', 'uan', 'wbc'"):
         pretrained("walk")
 
 
@@ -85,6 +85,27 @@ def test_the_controller_says_which_actuator_net_it_was_trained_with_and_how_good
     told = describe("wbc")
     assert told["uan_sha256"] == __import__("hashlib").sha256(shipped_path("uan").read_bytes()).hexdigest()
     assert told["evaluation"]["all randomised"]["falls"][0] < 0.05
+
+
+@pytest.mark.parametrize("name", ["throw", "snatch", "sled"])
+def test_a_tuned_policy_says_what_it_was_tuned_from_and_how_good_it_is(name):
+    told = describe(name)
+    assert told["start"] in ("wbc", "wbc_wide")
+    assert told["evaluation"]["episodes"] == 100
+    assert told["evaluation"]["failed"] < 0.1
+
+
+def test_half_of_the_bits_make_half_the_file_and_nearly_the_same_policy(tmp_path):
+    net = actor(40, 3, hidden=(64, 64))
+    write_network(tmp_path / "whole.npz", net)
+    write_network(tmp_path / "half.npz", net, half=True)
+    whole, half = (read_network(tmp_path / f"{name}.npz") for name in ("whole", "half"))
+    seen = TensorDict(observation=torch.randn(100, 40), batch_size=[100])
+    one, other = (read(seen.clone())["loc"] for read in (whole, half))
+    assert next(half.parameters()).dtype == torch.float32
+    assert 0 < (one - other).abs().max() < 1e-2 * one.abs().max()
+    sizes = [(tmp_path / f"{name}.npz").stat().st_size for name in ("whole", "half")]
+    assert sizes[1] < 0.65 * sizes[0]
 
 
 @pytest.mark.parametrize("name", ["weight", "scale of what it saw", "entry"])

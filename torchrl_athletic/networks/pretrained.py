@@ -30,6 +30,8 @@ def pretrained(name: str, *, trainable: bool = False) -> nn.Module:
     Args:
         name: ``"wbc"``, the whole-body controller of a B2 with a Z1, a policy that reads ``observation``;
             ``"wbc_critic"``, its value function; ``"uan"``, the actuator net of the arm that both were trained with.
+            ``"wbc_wide"`` and ``"wbc_wide_critic"`` take the hand to the ground and behind the head, less exactly.
+            ``"throw"``, ``"snatch"`` and ``"sled"`` are policies tuned to these tasks.
 
         trainable: Whether it shall learn; else its parameters take no gradients.
 
@@ -56,12 +58,13 @@ def describe(name: str) -> dict[str, Any]:
     return read_metadata(shipped_path(name))
 
 
-def write_network(path: str | Path, network: nn.Module, **told: Any) -> str:
+def write_network(path: str | Path, network: nn.Module, *, half: bool = False, **told: Any) -> str:
     """Write a policy, a value function or an actuator net so that :func:`read_network` can build it again.
 
     Args:
         path: File to write, ``.npz``; its folder is made.
         network: Of :func:`actor`, :func:`critic` or :func:`uan`.
+        half: Whether weights take 16 bits: half the file, and each within 0.05 % of what it was, or within 3e-8.
         told: What else a reader should know, in what JSON can hold.
 
     Returns:
@@ -80,6 +83,8 @@ def write_network(path: str | Path, network: nn.Module, **told: Any) -> str:
         name: value.detach().cpu().numpy() for name, value in state.items() if isinstance(value, Tensor)
     }
     extra = {name: value for name, value in state.items() if name not in arrays}
+    if half:
+        arrays |= {name: value.astype(np.float16) for name, value in arrays.items() if value.ndim == 2}
     metadata = {"format": FORMAT, **_kind_and_sizes(network), "extra": extra, **told}
     content = io.BytesIO()
     arrays["metadata"] = np.frombuffer(_json(path, metadata).encode(), np.uint8)

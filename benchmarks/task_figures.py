@@ -1,0 +1,128 @@
+"""What the tuned policies can do, where they were tuned and elsewhere: 100 episodes in each condition.
+
+    python -m benchmarks.task_figures                                     # the shipped ones: half an hour of two cores
+    python -m benchmarks.task_figures --only throw --policy outputs/finetune_throw/throw.npz
+
+Robots are randomised as in training, with other seeds. One condition differs from the first by what its name says: a
+policy that learnt the solver's error, or the actuator net's, falls behind there. Snatch and sled are played with masses
+of one kind too, to find the heaviest.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import platform
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import torch
+import tyro
+from tqdm import tqdm
+
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances
+from torchrl_athletic.functional.commands import sled_commands
+from torchrl_athletic.networks import digest_of, pretrained, read_network
+from torchrl_athletic.robots import with_options
+from torchrl_athletic.training import whole_rollout
+from torchrl_athletic.transforms import RandomizationRanges
+
+TASKS = ("throw", "snatch", "sled")
+SHOWN = {
+    "throw": ("distance_m", "spread_m", "release_speed_m_s", "peak_leg_power_kw", "thrown", "failed"),
+    "snatch": ("held_s", "held_for_5_s", "lowest_hand_m", "highest_hand_m", "failed"),
+    "sled": ("sled_moved_m", "sled_10_m", "lateral_drift_m", "heading_drift_rad", "mean_tension_n", "failed"),
+}
+DUMBBELLS = (1.0, 4.0, 6.0, 8.0, 10.0)  # kg
+SLEDS = (20.0, 50.0, 100.0, 150.0)  # kg
+LONG = 1500
+"""Policy steps in which a sled is pulled 10 m or not: 30 s at 0.5 m/s."""
+
+
+@dataclass(frozen=True)
+class Config:
+    only: tuple[str, ...] = ()
+    """Names of tasks; none takes all."""
+    policy: str | None = None
+    """A file that a recipe wrote; None takes the shipped policies."""
+    episodes: int = 100
+    """In each condition."""
+    seed: int = 2_000_003
+    """Of robots and disturbances: other than in training and in the recipes' examination."""
+    commit: str = ""
+    """Of the code, where git cannot tell."""
+    output: Path = Path("benchmarks/results")
+    """Folder for the tables."""
+
+
+def main(cfg: Config) -> None:
+    if unknown := [name for name in cfg.only if name not in TASKS]:
+        raise SystemExit(f"there is no task {unknown[0]!r}; there are {list(TASKS)}.")
+    if cfg.policy is not None and len(cfg.only) != 1:
+        raise SystemExit("--policy is of one task: name it with --only.")
+    torch.set_grad_enabled(False)
+    for task in cfg.only or TASKS:
+        policy: Any = pretrained(task) if cfg.policy is None else read_network(cfg.policy)
+        rows = {name: figures(task, policy, told, cfg) for name, told in tqdm(list(conditions(task)), desc=task)}
+        lines = [
+            f"| {task} | {' | '.join(SHOWN[task])} |",
+            "|---" * (len(SHOWN[task]) + 1) + "|",
+            *(f"| {name} | {' | '.join(f'{row[key]:.3g}' for key in SHOWN[task])} |" for name, row in rows.items()),
+        ]
+        made = (
+            f"`python -m benchmarks.task_figures --only {task}`, {cfg.episodes} episodes each, policy "
+            f"{digest_of(policy)}, commit {cfg.commit or commit()}, {platform.machine()}, MuJoCo {mujoco.__version__}."
+        )
+        text = "\n".join([f"# What the tuned policy can do: {task}", "", *lines, "", made, ""])
+        print(text)
+        (cfg.output / f"task_{task}.md").write_text(text)
+        (cfg.output / f"task_{task}.json").write_text(json.dumps(rows, indent=1) + "\n")
+
+
+def conditions(task: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Names, and what is told to the recipe's ``make_env``; ``options`` and ``steps`` go elsewhere."""
+    yield "as tuned, other seeds", {}
+    yield "1 ms steps", {"options": {"timestep": 0.001}, "substeps": 5}
+    yield "elliptic cones", {"options": {"cone": mujoco.mjtCone.mjCONE_ELLIPTIC}}
+    yield "100 solver iterations", {"options": {"iterations": 100, "ls_iterations": 50}}
+    for field, name in (("friction", "friction"), ("restitution", "restitution")):
+        for end in getattr(RandomizationRanges(), field):
+            ranges = replace(RandomizationRanges(), **{field: (end, end)})
+            yield f"{name} {end:g}", {"disturbances": replace(Disturbances(), randomization=ranges)}
+    yield "nothing randomised", {"disturbances": NO_DISTURBANCES}
+    yield "ideal arm", {"actuation": "ideal"}
+    if task == "snatch":
+        for mass in DUMBBELLS:
+            yield f"{mass:g} kg", {"mass": (mass, mass)}
+    if task == "sled":
+        back = replace(sled_commands(), forward=(-0.5, -0.5), standstill_probability=0.0)
+        for mass in SLEDS:
+            yield f"{mass:g} kg, 30 s", {"mass": (mass, mass), "velocity": back, "max_steps": LONG, "steps": LONG}
+
+
+def figures(task: str, policy: Any, told: dict[str, Any], cfg: Config) -> dict[str, float]:
+    recipe = importlib.import_module(f"recipes.finetune_{task}")
+    told = dict(told)
+    robot, steps = with_options(recipe.nominal(), **told.pop("options", {})), told.pop("steps", recipe.STEPS)
+    exam = not (task == "sled" and "velocity" in told)  # else the recipe's own velocity would take its place
+    actuation = told.pop("actuation", "uan")
+    env = recipe.make_env(actuation, cfg.episodes, robot=robot, exam=exam, seed=cfg.seed, **told)
+    episodes = whole_rollout(env, policy, recipe.LOOK_AT, steps)
+    found: dict[str, float] = recipe.judge(episodes)
+    if task == "sled":
+        way = recipe.training.last_of(episodes, "sled_position") - episodes["sled_position"][:, 0]
+        found["sled_10_m"] = float((torch.linalg.vector_norm(way, dim=-1) >= 10).float().mean())
+    return found
+
+
+def commit() -> str:
+    command = ["git", "rev-parse", "--short", "HEAD"]
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))
