@@ -92,7 +92,7 @@ def goals(ranges: CommandRanges, cfg: Config) -> list[Array]:
     for pose in goal_to_pose(drawn, torch.tensor(ranges.shoulder)).double().numpy():
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, pose[3:])
-        poses.append(keypoints(pose[:3] + [0, 0, ranges.frame_height], turn.reshape(3, 3)))
+        poses.append(keypoints(pose[:3] + np.array([0, 0, ranges.frame_height]), turn.reshape(3, 3)))
     return poses
 
 

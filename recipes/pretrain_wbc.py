@@ -31,8 +31,7 @@ ONE_RUN = ("seed", "actuation", "randomize", "start", "without", "history", "hid
 @dataclass(frozen=True)
 class Config:
     device: Literal["cpu", "cuda"] = "cpu"  # of simulation and nets
-    minutes: float | None = None
-    """When to stop [min]; None takes 10 on CPUs and 25 on a GPU."""
+    minutes: float | None = None  # when to stop; None takes 10 on CPUs and 25 on a GPU
     iterations: int | None = None  # when to stop in any case
     seed: int = 0  # of weights, robots, commands and exploration
     actuation: str = "uan"
@@ -40,7 +39,7 @@ class Config:
     randomize: bool = True
     """Whether robots, ground, starts, delays differ, and pushes come."""
     start: str | None = None
-    """A shipped controller, ``wbc``, or a file that this recipe wrote, to go on from."""
+    """A shipped controller, ``wbc``, or a file that this recipe wrote, to go on from, by small steps at first."""
     without: tuple[str, ...] = ()
     """Terms of the reward to leave out."""
     minibatches: Literal["split", "joint"] = "split"
@@ -69,6 +68,8 @@ def main(cfg: Config) -> None:
     ppo = replace(ppo, critic_minibatches=ppo.actor_minibatches if cfg.minibatches == "joint" else 1)
     cfg = replace(cfg, ppo=ppo, hidden=cfg.hidden or ((512, 512, 512) if on_gpu else (128, 128)))
     same = {name: str(getattr(cfg, name)) for name in ONE_RUN}
+    if cfg.start is not None and ppo.actor_lr == training.PRE_TRAIN.actor_lr:
+        ppo = replace(ppo, actor_lr=training.FINE_TUNE.actor_lr)  # that of the beginning would undo what was learnt
     rows, first_row = processes.share(ppo.num_envs), processes.first_row(ppo.num_envs)
     learner = training.wbc_learner(
         make_env(cfg, 1 if cfg.collectors == "ray" else rows, first_row, processes.device, staggered=True),

@@ -84,6 +84,23 @@ def test_ablations_leave_out_what_they_say(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("start", "given", "first"), [(None, 1e-3, 1e-3), ("wbc", 1e-3, 1e-5), ("wbc", 2e-4, 2e-4), (None, 2e-4, 2e-4)]
+)
+def test_a_controller_goes_on_by_small_steps_unless_told_otherwise(tmp_path, monkeypatch, start, given, first):
+    rates = []
+
+    def stop(env, ppo, **told):
+        rates.append(ppo.actor_lr)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(recipe.training, "wbc_learner", stop)
+    monkeypatch.setattr(recipe, "make_env", lambda *args, **told: None)
+    with pytest.raises(KeyboardInterrupt):
+        recipe.main(replace(short(tmp_path, start=start), ppo=replace(FEW, actor_lr=given)))
+    assert rates == [first]
+
+
+@pytest.mark.parametrize(
     ("changes", "told"),
     [
         ({"seed": 1}, r"whose seed is '0'; here it is '1'"),

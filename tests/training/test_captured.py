@@ -4,11 +4,11 @@ import pytest
 import torch
 from torchrl.envs import Compose, GymEnv, StepCounter, TransformedEnv
 
-from torchrl_athletic.envs import TorqueEnv, actuation_chain
+from torchrl_athletic.envs import TorqueEnv, actuation_chain, ball_throw_env, dumbbell_snatch_env, sled_pull_env
 from torchrl_athletic.robots import z1
 from torchrl_athletic.training import Rollout, control_step
 from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
-from torchrl_athletic.transforms import ObservationHistory
+from torchrl_athletic.transforms import ObservationHistory, stateful
 
 ARM = z1()
 POSE = torch.tensor(ARM.default_pose)
@@ -53,3 +53,29 @@ def test_compiled_transforms_lead_to_the_same_steps_and_resets():
                 step["next", key] if isinstance(key, str) else step["next"][key], other["next"][key]
             )
     assert ours["step_count"].unique().tolist() == [1]
+
+
+@pytest.mark.parametrize(
+    "task",
+    [
+        sled_pull_env,
+        pytest.param(ball_throw_env, marks=pytest.mark.slow),
+        pytest.param(dumbbell_snatch_env, marks=pytest.mark.slow),
+    ],
+)
+def test_what_a_gpu_records_of_a_task_is_traced_whole_and_makes_no_specs(task, monkeypatch):
+    """Specs made while a graph is recorded copy to the device, which it cannot hold; a break compiles for minutes."""
+    env = task(num_envs=2, staggered=True)
+    still = torch.zeros(2, 19)
+    torch._dynamo.reset()
+    fuse_transforms(env, backend="eager")
+    shown = env.reset()
+
+    def refuse(*arguments):
+        raise AssertionError("a spec is made in a step")
+
+    monkeypatch.setattr(stateful, "_in_order", refuse)
+    for _ in range(3):
+        _, shown = control_step(env, lambda step: step.set("action", still.clone()), shown)
+    assert not torch._dynamo.utils.counters["graph_break"]
+    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] > 5
