@@ -1,4 +1,4 @@
-"""The concealed arm's drives on a robot that walks: bodies and ground are MuJoCo's, all between command and link is not.
+"""The concealed arm's drives on a robot that walks: bodies and ground are MuJoCo's, what drives the links is not.
 
 The arm of :mod:`benchmarks.concealed.arm` stands on a table. A policy that was tuned in a simulator of it is to be
 rehearsed on a quadruped, so its drives, the very same records and delays, turn the links of the whole robot here: gears
@@ -197,7 +197,7 @@ def slope(p, s, position, velocity, wanted, out):  # type: ignore[no-untyped-def
 
 
 def without_drives(robot: Robot) -> Robot:
-    """A robot whose arm's joints turn freely: rotors and friction are the drives'. Its steps are of :data:`TIMESTEP`."""
+    """A robot whose arm's joints turn freely: rotors and friction are the drives'. Steps are of :data:`TIMESTEP`."""
     names = tuple(robot.joint_names[column] for column in list(robot.joint_groups["arm"])[: len(SIZES)])
     return with_options(replace(robot, build=_WithoutDrives(robot.build, names)), timestep=TIMESTEP)
 

@@ -60,9 +60,18 @@ def test_the_pose_that_is_asked_for_earns_one():
 
 def test_what_stands_below_the_dashed_line_of_the_paper_s_table_serves_every_task():
     terms, scales = auxiliary_rewards(ROBOT)
-    assert set(terms) == set(scales) == set(AUXILIARY)
+    assert set(terms) == set(scales) == {*AUXILIARY, "failure"}
     assert "gait" not in terms
     assert "ee_pose_tracking" not in terms
+
+
+def test_a_failure_costs_as_much_as_many_steps_of_other_penalties():
+    """The sled's reward was -0.056 a step: at a discount of 0.99 an early end saved at most 100 steps of it."""
+    terms, scales = auxiliary_rewards(ROBOT)
+    step = TensorDict(terminated=torch.tensor([[True], [False]]), batch_size=[2])
+    cost = 0.02 * scales["failure"] * terms["failure"](step, step)
+    assert cost.flatten().tolist() == pytest.approx([-10.0, 0.0])
+    assert -cost[0] > 0.056 / (1 - 0.99)
 
 
 def test_rewards_read_the_joints_behind_their_encoders():
