@@ -58,7 +58,7 @@ def main(cfg: Config) -> None:
             lines.append(f"| {name} | {base} | {100 * near:.0f} % | {100 * position:.1f} cm | {attitude:.3f} rad |")
     table = "\n".join(lines)
     told = (
-        f"`python benchmarks/command_reach.py`, {cfg.goals} goals each, MuJoCo {mujoco.__version__}, commit {commit()}."
+        f"`python benchmarks/command_reach.py --goals {cfg.goals}`, MuJoCo {mujoco.__version__}, commit {commit()}."
     )
     text = f"# Commands within reach\n\n{table}\n\n{told}\n"
     print(text)
