@@ -33,23 +33,30 @@ def make(loss=None, dtype=torch.float32, **options):
     return SplitOptimizationStepper(SplitClipPPOLoss(policy, value, **loss), **options)
 
 
-def test_one_minibatch_and_one_rate_are_stock_ppo_step_by_step():
+@pytest.mark.parametrize("critic_lr", [3e-4, 7e-5])
+@pytest.mark.parametrize("limit", [None, 0.05])
+def test_one_minibatch_is_stock_ppo_step_by_step_with_a_rate_and_a_limit_for_each_network(critic_lr, limit):
     policy, value = networks(torch.float64)
     batch = collected(policy, 32)
     twins = copy.deepcopy((policy, value))
     stepper = SplitOptimizationStepper(
         SplitClipPPOLoss(policy, value, clip_value=0.2),
-        actor_lr=3e-4, critic_lr=3e-4, adaptive_kl=None, epochs=3, minibatches=1, max_grad_norm=None,
+        actor_lr=3e-4, critic_lr=critic_lr, adaptive_kl=None, epochs=3, minibatches=1, max_grad_norm=limit,
     )  # fmt: skip
-    stepper.update(batch)
+    report = stepper.update(batch)
 
     loss = ClipPPOLoss(*twins, clip_value=0.2)
-    optimizer = torch.optim.AdamW(loss.parameters(), lr=torch.tensor(3e-4), weight_decay=0.01, fused=True)
+    groups = [{"params": list(net.parameters()), "lr": torch.tensor(lr)} for net, lr in zip(twins, (3e-4, critic_lr))]
+    optimizer = torch.optim.AdamW(groups, weight_decay=0.01, fused=True)
     for _ in range(3):
         out = loss(batch)
         optimizer.zero_grad()
         (out["loss_objective"] + out["loss_entropy"] + out["loss_critic"]).backward()
+        for group in groups:
+            torch.nn.utils.clip_grad_norm_(group["params"], float("inf") if limit is None else limit)
         optimizer.step()
+    if limit is not None:
+        assert min(report["actor_grad_norm"], report["critic_grad_norm"]) > limit  # both are cut
     agree(parameters(policy, value), parameters(*twins), rtol=1e-9, atol=1e-12)
 
 
