@@ -339,6 +339,7 @@ def test_a_row_that_leaves_the_recording_ends_with_a_finite_penalty_and_starts_a
     assert failed[0].any()
     assert not failed[1:].any()
     assert (steps["next", "reward"][failed] == -10.0).all()
+    assert (steps["next", "joint_reward"][failed] == -10.0).all()  # with credit by joint this is what counts
     for key in ("observation", "privileged", "reward", "joint_reward"):
         assert steps["next", key].isfinite().all()
     when = int(failed[0].nonzero()[0])

@@ -42,6 +42,15 @@ def test_an_iteration_learns_and_counts():
     assert learner.samples == 3 * 4 * 6
 
 
+@pytest.mark.parametrize("coefficient", [0.0, 0.01, 0.3])
+def test_entropy_counts_as_much_as_is_told(coefficient):
+    policy = actor(7, 7, in_keys=["joint_position"], hidden=(16,))
+    value = critic(7, in_keys=["joint_position"], hidden=(16,))
+    learner = Learner(arm_env(4), policy, value, PPO(num_envs=4, horizon=6, epochs=1, entropy_coeff=coefficient))
+    report = iterate(learner)
+    torch.testing.assert_close(report["loss_entropy"], -coefficient * report["entropy"])
+
+
 def test_each_entry_has_a_scale_of_its_own_and_every_one_learns():
     torch.manual_seed(0)
     scales = {"joint_position": RunningNormalizer(7), "joint_velocity": RunningNormalizer(7)}

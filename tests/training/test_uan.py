@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 from identification.arms import commands, recorded, robot
 
 from torchrl_athletic.envs import replay_env
@@ -144,6 +145,15 @@ def test_a_lost_replay_is_charged_the_bound_until_the_window_ends():
     assert validate.best[0] == good["mse"]
     for name, value in validate.best[1].items():
         assert name.endswith("extra_state") or (value == before[name]).all()
+
+
+def test_what_follows_a_loss_is_charged_though_the_row_started_anew_and_tracks_well():
+    windows = set_aside([take(900)], seconds=1.0)[1]
+    validate = validation_of(Simulator("s", ROBOT), windows, uan(torque_unit=[1.0, 1.0]))
+    lost = torch.tensor([[0, 1, 0, 0], [0, 0, 0, 0]], dtype=torch.bool).unsqueeze(-1)
+    after = TensorDict(terminated=lost, privileged=torch.zeros(2, 4, 2, 1), batch_size=[2, 4])
+    validate.rollout = lambda: TensorDict(next=after, batch_size=[2, 4])
+    assert validate() == pytest.approx({"mse": 3 / 8 * validate.bound**2, "lost": 0.5})
 
 
 def _heavier(spec):
