@@ -57,9 +57,7 @@ def main(cfg: Config) -> None:
             position, attitude = errors[:, 1:].mean(0)
             lines.append(f"| {name} | {base} | {100 * near:.0f} % | {100 * position:.1f} cm | {attitude:.3f} rad |")
     table = "\n".join(lines)
-    told = (
-        f"`python benchmarks/command_reach.py --goals {cfg.goals}`, MuJoCo {mujoco.__version__}, commit {commit()}."
-    )
+    told = f"`python benchmarks/command_reach.py --goals {cfg.goals}`, MuJoCo {mujoco.__version__}, commit {commit()}."
     text = f"# Commands within reach\n\n{table}\n\n{told}\n"
     print(text)
     cfg.output.mkdir(parents=True, exist_ok=True)
@@ -80,9 +78,13 @@ def kinds() -> dict[str, CommandRanges]:
         "ahead of the shoulder": replace(whole, elevation=(low, level)),
         "behind it": replace(whole, elevation=(level, high)),
         "all, attitudes twice as wide": replace(
-            whole, **{turn: tuple(2 * bound for bound in getattr(whole, turn)) for turn in ("roll", "pitch", "yaw")}
+            whole, roll=_twice(whole.roll), pitch=_twice(whole.pitch), yaw=_twice(whole.yaw)
         ),
     }
+
+
+def _twice(between: tuple[float, float]) -> tuple[float, float]:
+    return 2 * between[0], 2 * between[1]
 
 
 def goals(ranges: CommandRanges, cfg: Config) -> list[Array]:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+
 from benchmarks.concealed.arm import ConcealedArm, bodies
 from benchmarks.concealed.harmonic import PERIOD
 from benchmarks.concealed.on_legs import SUBSTEPS, ConcealedDrives, put_on, without_drives
@@ -81,9 +82,7 @@ def test_a_walking_robot_s_arm_is_driven_by_them_and_gets_delayed_targets():
     robot = without_drives(b2z1(cone="pyramidal"))
     chance = Disturbances(None, (), None, (0.0, 0.0), (2, 2))
     assert chance != NO_DISTURBANCES
-    env = put_on(
-        whole_body_env(robot, num_envs=2, net=None, disturbances=chance, substeps=SUBSTEPS, history=1), robot
-    )
+    env = put_on(whole_body_env(robot, num_envs=2, net=None, disturbances=chance, substeps=SUBSTEPS, history=1), robot)
     shown = env.reset()
     drive = env.base_env.physics
     assert isinstance(drive, ConcealedDrives)

@@ -46,7 +46,10 @@ def test_one_minibatch_is_stock_ppo_step_by_step_with_a_rate_and_a_limit_for_eac
     report = stepper.update(batch)
 
     loss = ClipPPOLoss(*twins, clip_value=0.2)
-    groups = [{"params": list(net.parameters()), "lr": torch.tensor(lr)} for net, lr in zip(twins, (3e-4, critic_lr))]
+    groups = [
+        {"params": list(net.parameters()), "lr": torch.tensor(lr)}
+        for net, lr in zip(twins, (3e-4, critic_lr), strict=False)
+    ]
     optimizer = torch.optim.AdamW(groups, weight_decay=0.01, fused=True)
     for _ in range(3):
         out = loss(batch)

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict
 from identification.arms import commands, recorded, robot
+from tensordict import TensorDict
 
 from torchrl_athletic.envs import replay_env
 from torchrl_athletic.envs.replay import HISTORY

@@ -22,10 +22,10 @@ line of sight (wxyz)."""
 class CommandRanges:
     """What commands are drawn from, and when.
 
-    The paper gives the times and no ranges. Those of the velocity are round figures within what the robot can do. Places
-    of the hand are drawn about the arm's shoulder, by distance and two angles, as Fu et al. do: the way from one to
-    another leads around the robot, where a straight line would lead through it. Elevations go from the ground ahead to
-    behind the head, since athletic tasks take the hand to both. Attitudes are drawn about the line of sight from the
+    The paper gives the times and no ranges. Those of the velocity are round figures within what the robot can do.
+    Places of the hand are drawn about the arm's shoulder, by distance and two angles, as Fu et al. do: the way from one
+    to another leads around the robot, where a straight line would lead through it. Elevations go from the ground ahead
+    to behind the head, since athletic tasks take the hand to both. Attitudes are drawn about the line of sight from the
     shoulder, which is how an arm points: ``benchmarks/command_reach.py`` says how many goals can be reached.
     """
 
@@ -182,8 +182,8 @@ def blend_goals(start: Tensor, goal: Tensor, elapsed: Tensor, duration: Tensor) 
     r"""The command on the way from one goal to the next.
 
     Velocity, distance and angles change at constant speed. The attitude turns with the line of sight, and from it about
-    one axis, the shorter way (normalised linear interpolation of quaternions: the path of slerp, in the middle faster by
-    5 % on a quarter turn and by 27 % on half a turn).
+    one axis, the shorter way (normalised linear interpolation of quaternions: the path of slerp, in the middle faster
+    by 5 % on a quarter turn and by 27 % on half a turn).
 
     Args:
         start: What was commanded before. Shape (*B, 10), as of :func:`draw_goal`.
