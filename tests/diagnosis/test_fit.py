@@ -151,6 +151,14 @@ def test_only_takes_that_the_model_follows_are_fitted_end_to_end():
     assert np.abs(simulate(short, nothing.build, np.zeros((1, 0)))[0] - short.measured).mean() < 0.02
 
 
+def test_a_take_is_followed_only_if_every_joint_is():
+    calm = windows_of(take(double_pendulum(), record(double_pendulum(), np.zeros((200, 2)), start=(0.3, 0.2))), None)
+    loose, tight = 1.0, 1e-12
+    assert _follows(Hypothesis(()), calm, np.zeros(0), np.array([loose, loose]))
+    for typical in ([loose, tight], [tight, loose], [tight, tight]):
+        assert not _follows(Hypothesis(()), calm, np.zeros(0), np.array(typical))
+
+
 def test_a_push_does_not_steer_the_parameters():
     r = record(pendulum(joint='damping="0.12"'), smooth_torque(6.0), noise=1e-4)
     pushed = r.position.copy()

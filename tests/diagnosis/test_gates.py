@@ -334,6 +334,13 @@ def test_the_summary_of_no_finding_tells_nothing_missing_from_unexplained():
     assert "no effect of the catalogue explains how" in summarise("unexplained", [], WHERE, score(1.0), True, 1.0)[0]
 
 
+def test_a_joint_is_as_far_above_its_floor_as_in_the_worst_of_the_scores():
+    def scored(**before):
+        return Score(1, 1, 1, 0, {name: {"before": b, "after": 1.0, "floor": 0.5} for name, b in before.items()})
+
+    assert gates._above_floor([scored(elbow=1.0, wrist=3.0), scored(elbow=4.0)]) == {"elbow": 8.0, "wrist": 6.0}
+
+
 @pytest.mark.parametrize(("before", "expected"), [(1.2, True), (4.0, False)])
 def test_a_gear_is_not_read_from_the_noise_of_a_joint_that_the_given_model_follows(before, expected):
     seen = gates._above_floor([Score(1, 1, 1, 0, {"elbow": {"before": before, "after": 1.0, "floor": 1.0}})])

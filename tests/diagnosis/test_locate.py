@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from diagnosis.columns import NAMES, STEP, signals
 
-from torchrl_athletic.diagnosis.locate import feature, feature_unit, locate, regime_maps, regime_of
+from torchrl_athletic.diagnosis.locate import _binned, feature, feature_unit, locate, regime_maps, regime_of
 from torchrl_athletic.diagnosis.screen import Bank
 
 N = 3000
@@ -100,6 +100,29 @@ def test_bands_hold_the_share_and_are_narrow_for_a_long_even_take():
     )
     assert narrow < 0.1
     assert wide > narrow
+
+
+def test_the_band_of_a_map_is_of_95_percent():
+    """Of means over blocks that are drawn apart it is as wide as that of a normal mean: 2 x 1.96 standard errors."""
+    count = 400
+    block = np.repeat(np.arange(count), 5)
+    own = rng().normal(size=count)
+    used = np.ones(block.size, dtype=bool)
+    mean, band = _binned(own[block], np.zeros(block.size, dtype=np.intp), used, block, np.random.default_rng(1))
+    assert mean[0] == pytest.approx(own.mean())
+    assert np.ptp(band[0]) == pytest.approx(2 * 1.96 * own.std() / np.sqrt(count), rel=0.15)
+
+
+def test_the_band_of_a_share_is_of_95_percent():
+    """Blocks are as strong as each other, and half of them are the elbow's: resampled shares are a binomial's."""
+    any_bank = bank_of(np.full((N, 2), 6.0))
+    block, own = any_bank.block, np.diagonal(any_bank.takes[0].inertia, axis1=1, axis2=2)
+    count = int(block[-1]) + 1
+    of_elbow = rng().permutation(count) < count // 2
+    bank = bank_of(np.where(of_elbow[block][:, None] == [False, True], 1000.0 * own, 0.0))
+    for joint in joints_and_regimes(locate(bank, rng()))[0]:
+        assert joint.share_of_error == pytest.approx(0.5, abs=0.1)
+        assert np.ptp(joint.ci95) == pytest.approx(2 * 1.96 * 0.5 / np.sqrt(count), rel=0.25)
 
 
 def test_below_the_noise_there_is_nothing_to_locate_and_masked_rows_count_for_nothing():
