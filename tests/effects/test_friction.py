@@ -241,6 +241,17 @@ def test_a_motor_at_rest_brakes_by_what_its_own_friction_presses():
     np.testing.assert_allclose(np.diff(v)[820:1100] / STEP, -0.5 / 0.8 / MASS, rtol=1e-3)
 
 
+@pytest.mark.parametrize("held", [0.2, 0.45])
+def test_a_motor_that_drives_by_less_than_its_friction_is_driven_by_its_load(held):
+    """It still pushes the way it slides, but the load turns the gear: F = 0.5 + 0.2 T and T = F - u."""
+    force = np.where(np.arange(1200) < 800, 6.0, held)
+    (position,) = push(force, (LoadDependentFriction(), [0.5, 0.2]))
+    v = speed(position)
+    friction = (0.5 - 0.2 * held) / 0.8
+    assert v[1100] > 0
+    np.testing.assert_allclose(np.diff(v)[820:1100] / STEP, -(friction - held) / MASS, rtol=1e-3)
+
+
 def test_a_gear_that_locks_itself_holds_what_pushes_it():
     """Pushed by less than its friction it comes to rest, however short its bristles, and does not ring on them."""
     (position,) = push(np.full(1000, 2.0), (LoadDependentFriction(), [2.5, 0.9]))
