@@ -39,7 +39,7 @@ class Config:
     randomize: bool = True
     """Whether robots, ground, starts, delays differ, and pushes come."""
     start: str | None = None
-    """A shipped controller, ``wbc``, or a file that this recipe wrote, to go on from, by small steps at first."""
+    """A shipped controller, or a file of this recipe, to go on from, at 1e-5 unless told another rate than 1e-3."""
     without: tuple[str, ...] = ()
     """Terms of the reward to leave out."""
     minibatches: Literal["split", "joint"] = "split"

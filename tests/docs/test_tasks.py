@@ -6,16 +6,36 @@ from pathlib import Path
 import pytest
 import torch
 
+from torchrl_athletic import training
+
 PAGE = (Path(__file__).parents[2] / "docs" / "tasks.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
 def kick():
-    """All that the page's code defines."""
+    """All that the code of a task of one's own defines."""
     scope = {}
-    for block in re.findall(r"^```python\n(.*?)^```", PAGE, re.S | re.M):
+    own = PAGE[PAGE.index("## A task of your own") :]
+    for block in re.findall(r"^```python\n(.*?)^```", own, re.S | re.M):
         exec(compile(block, "tasks.md", "exec"), scope)
     return scope
+
+
+def test_the_throw_that_the_page_records_is_one(monkeypatch):
+    """The ball leaves in the throw, not while the arm is taken back."""
+    recorded = []
+    monkeypatch.setattr(
+        training, "record_video", lambda env, policy, path, **told: recorded.append((env, policy, told))
+    )
+    block = next(code for code in re.findall(r"^```python\n(.*?)^```", PAGE, re.S | re.M) if "throw.mp4" in code)
+    exec(compile(block, "tasks.md", "exec"), {})
+    ((env, policy, told),) = recorded
+    with torch.no_grad():
+        steps = training.whole_rollout(env, policy, ["ball_away", "task_phase_index"], told["steps"])
+    left = int(steps["ball_away"][0, :, 0].float().argmax())
+    assert steps["ball_away"].any()
+    assert steps["task_phase_index"][0, left].item() == 1
+    assert not steps["terminated"].any()
 
 
 def test_a_task_of_one_s_own_takes_less_than_a_hundred_lines():

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torchrl.modules import ValueOperator
 
@@ -70,6 +71,9 @@ def write_network(path: str | Path, network: nn.Module, *, half: bool = False, *
     Returns:
         The file's SHA-256.
 
+    Raises:
+        ValueError: If JSON cannot hold what was told, or 16 bits a weight.
+
     Example:
         >>> import tempfile
         >>> path = Path(tempfile.mkdtemp()) / "value.npz"
@@ -84,7 +88,7 @@ def write_network(path: str | Path, network: nn.Module, *, half: bool = False, *
     }
     extra = {name: value for name, value in state.items() if name not in arrays}
     if half:
-        arrays |= {name: value.astype(np.float16) for name, value in arrays.items() if value.ndim == 2}
+        arrays |= {name: _halved(path, name, value) for name, value in arrays.items() if value.ndim == 2}
     metadata = {"format": FORMAT, **_kind_and_sizes(network), "extra": extra, **told}
     content = io.BytesIO()
     arrays["metadata"] = np.frombuffer(_json(path, metadata).encode(), np.uint8)
@@ -153,6 +157,16 @@ def _metadata(path: Path, arrays: Any) -> dict[str, Any]:
     if metadata.get("format") != FORMAT:
         raise ValueError(f"{path.name} is not a network of format {FORMAT}. Write it with write_network.")
     return dict(metadata)
+
+
+def _halved(path: Path, name: str, value: NDArray[np.floating]) -> NDArray[np.float16]:
+    greatest, limit = float(np.abs(value).max(initial=0.0)), float(np.finfo(np.float16).max)
+    if not greatest <= limit:
+        raise ValueError(
+            f"{path.name}: {name} has a weight of {greatest:g}, and 16 bits hold {limit:g} at most. Write it with "
+            "half=False."
+        )
+    return value.astype(np.float16)
 
 
 def _json(path: Path, metadata: Mapping[str, Any]) -> str:

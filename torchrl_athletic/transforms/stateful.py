@@ -256,7 +256,9 @@ def base_env_of(env: EnvBase | None) -> EnvBase | None:
 def full_action_spec(transform: StatefulTransform) -> Composite:
     """What the transforms further in take, without asking for what they show, as ``parent.full_action_spec`` would.
 
-    It is made once: a step that is compiled or recorded cannot make it, and a reset reads it.
+    It is made once: a step that is compiled or recorded cannot make it, and a reset reads it. It is made anew where the
+    chain changes (:meth:`StatefulTransform.empty_cache`), but not where somebody changes a chain within another one
+    behind its back (``TransformedEnv(..., auto_unwrap=False)``). Do not change what is returned.
     """
     if (known := transform._specs.get("action")) is not None:
         return known
