@@ -51,9 +51,11 @@ def test_the_gripper_stays_shut_and_zero_is_the_default_pose():
         shown = env._step(shown.set("action", torch.zeros(2, 7)))
     default = torch.tensor(robot.default_pose)
     assert (shown["joint_position"] - default).abs().max() < 0.2  # it sags under its weight
-    shown = env._step(shown.set("action", torch.ones(2, 7)))
-    wanted = default + torch.tensor([1.0] * 6 + [0.01])
-    torch.testing.assert_close(shown["position_target"][0] if "position_target" in shown.keys() else wanted, wanted)
+    for _ in range(25):
+        shown = env._step(shown.set("action", -torch.ones(2, 7)))
+    moved = (shown["joint_position"] - default).abs()
+    assert moved[:, 0].min() > 0.1  # the first joint turns freely
+    assert moved[:, 6].max() < 0.03
 
 
 def test_the_reward_is_greatest_at_the_goal():

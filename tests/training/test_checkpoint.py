@@ -100,6 +100,10 @@ def test_the_physics_goes_on_where_it_stood():
     env, twin = arm_env(episode=50), arm_env(episode=50)
     shown = env.rollout(4, break_when_any_done=False)[:, -1]["next"].exclude("reward")
     current = restore_env(twin, shown.clone(), env_state(env))
+    for name in ("qpos", "qvel", "time", "qacc_warmstart"):  # the solver starts from the last, too
+        ours, theirs = (each.base_env.physics.data(name) for each in (twin, env))
+        assert torch.equal(ours, theirs), name
+        assert theirs.any(), name
     action = torch.ones(4, 7)
     for _ in range(3):
         shown = env._step(shown.set("action", action)).exclude("reward")

@@ -10,7 +10,7 @@ from identification.arms import commands, recorded, robot
 from tensordict import TensorDict
 
 from torchrl_athletic.envs import replay_env
-from torchrl_athletic.envs.replay import HISTORY
+from torchrl_athletic.envs.replay import HISTORY, Takes
 from torchrl_athletic.identification import Simulator
 from torchrl_athletic.networks import uan
 from torchrl_athletic.recordings import Recording, RecordingError
@@ -212,6 +212,14 @@ def test_episodes_do_not_all_end_at_once():
     left = uan_learner(arm_env(net, 32), net, replace(UAN, num_envs=32)).rollout.current["steps_left"]
     assert left.unique().numel() > 12
     assert left.min() >= 1
+
+
+def test_a_net_of_these_takes_tells_creeping_from_rest():
+    """Friction turns over there: a hundredth of the usual velocity is seen as more than five hundredths."""
+    moved = torch.randn(100, 2, generator=torch.Generator().manual_seed(0))
+    seen = uan(**units_of(Takes(moved, moved, moved, (100,)), ROBOT))[0]
+    creeping = seen((0.01 * moved.std()).expand(1, 40))[0, 20]
+    assert creeping > 0.05
 
 
 @pytest.mark.slow
