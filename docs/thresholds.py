@@ -1,0 +1,62 @@
+"""Write the tables of thresholds into the pages from the code, as the pages are built: a hook of mkdocs."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+PACKAGE = Path(__file__).parents[1] / "torchrl_athletic"
+TABLES = {
+    "<!-- thresholds of a diagnosis -->": (
+        "recordings.quality recordings.resampling effects.signals effects.base diagnosis.prepare diagnosis.screen "
+        "diagnosis.search diagnosis.fit diagnosis.compare diagnosis.diagnose diagnosis.gates diagnosis.calibration "
+    ).split(),
+    "<!-- thresholds of experiments -->": ["diagnosis.separation", "diagnosis.motions", "diagnosis.experiment"],
+}
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Put a table in the place of each marker."""
+    for marker, modules in TABLES.items():
+        if marker in markdown:
+            markdown = markdown.replace(marker, table(modules))
+    return markdown
+
+
+def table(modules: list[str]) -> str:
+    """A row for each constant that the modules set by hand and explain."""
+    rows = [f"| `{module}.{name}` | {value} | {why} |" for module in modules for name, value, why in constants(module)]
+    return "\n".join(["| constant | value | what it is |", "|---|---|---|", *rows])
+
+
+def constants(module: str) -> Iterator[tuple[str, str, str]]:
+    """Name, value and docstring of each number, or tuple of numbers, at the top of a module."""
+    body = ast.parse((PACKAGE / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")).body
+    for statement, after in pairwise(body):
+        match statement, after:
+            case (
+                ast.Assign(targets=[ast.Name(id=name)], value=given)
+                | ast.AnnAssign(target=ast.Name(id=name), value=given),
+                ast.Expr(value=ast.Constant(value=str(why))),
+            ) if given and name.isupper() and not name.startswith("_"):
+                if numbers := _numbers(given):
+                    yield name, ", ".join(f"{number:g}" for number in numbers), _line(why)
+
+
+def _numbers(value: ast.expr) -> tuple[float, ...]:
+    try:
+        given = ast.literal_eval(value)
+    except ValueError:
+        return ()
+    found = given if isinstance(given, tuple) else (given,)
+    return found if all(isinstance(each, int | float) and not isinstance(each, bool) for each in found) else ()
+
+
+def _line(docstring: str) -> str:
+    words = " ".join(docstring.split())
+    for role in (":data:`", ":func:`", ":class:`", ":meth:`", ":mod:`"):
+        words = words.replace(role, "`")
+    return words.replace("``", "`").replace("|", "∣")
