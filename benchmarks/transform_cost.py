@@ -36,7 +36,7 @@ from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.testing import ToyEnv
 
 JOINTS = 7
-"""Of the toy: those of an arm with its gripper. Its observation is twice as wide."""
+"""Joints of the toy: those of an arm with its gripper. Its observation is twice as wide."""
 HISTORY = 10
 NEVER = 1_000_000
 """Steps: StepCounter has a limit, as everybody gives it one, but the toy ends its episodes itself."""
@@ -51,13 +51,13 @@ class Config:
     rounds: int = 40
     """Measurements of each variant."""
     steps: int = 54
-    """Of each environment in a round: an episode."""
+    """Steps of each environment in a round: an episode."""
     episode: int = 50
     """Least length of an episode [steps]; rows differ by up to 4."""
     only: tuple[str, ...] = ()
     """Names of transforms; none means all."""
     commit: str = ""
-    """Of the code, where git cannot tell."""
+    """Commit of the code, where git cannot tell."""
     output: Path = Path("benchmarks/results/transform_cost.md")
     """Where the table goes."""
 

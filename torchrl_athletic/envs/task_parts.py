@@ -18,7 +18,7 @@ from torchrl_athletic.robots import Motion, Robot, motion_tables, read_motion
 from torchrl_athletic.transforms import InPhase, ReferenceTrajectory, RewardTerm, Term
 
 POLICY_DT, PHYSICS_DT = 0.02, 0.005
-"""Of a policy's step and of a step of the physics [s]."""
+"""Duration of a policy's step and of a step of the physics [s]."""
 PHASE_KEYS: tuple[NestedKey, NestedKey] = ("task_phase_index", "task_phase_step")
 FAILURE = -500.0
 """Scale of a failure, which lasts one step of 0.02 s: as much as the sled's other penalties of some 200 steps."""

@@ -396,7 +396,7 @@ class UANCorrection(StatefulTransform):
         return {key: unbounded_like(position, size) for key, size in self._shapes(shape).items()}
 
     def _shapes(self, joints: Sequence[int]) -> dict[NestedKey, tuple[int, ...]]:
-        """Of what it notes, for joints of a shape."""
+        """Shapes of what it notes, for joints of a shape."""
         shapes = {self.correction_key: tuple(joints), self.history_key: (*joints, 2, self.length)}
         return shapes | ({self.wound_key: (*joints, len(self.memory))} if self.memory else {})
 
