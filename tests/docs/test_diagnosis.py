@@ -24,8 +24,8 @@ FILES = PAGE[PAGE.index("## What is written") : PAGE.index("## Stopping")]
 
 @pytest.fixture(scope="module")
 def hook():
-    """What writes the tables of thresholds when the pages are built."""
-    spec = importlib.util.spec_from_file_location("thresholds", DOCS / "thresholds.py")
+    """What writes the tables of thresholds as the pages are built."""
+    spec = importlib.util.spec_from_file_location("tables", DOCS / "tables.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

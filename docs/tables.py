@@ -1,4 +1,4 @@
-"""Write the tables of thresholds into the pages from the code, as the pages are built: a hook of mkdocs."""
+"""Write tables of thresholds and of the contract's clauses into the pages from the code: a hook of mkdocs."""
 
 from __future__ import annotations
 
@@ -9,27 +9,37 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = Path(__file__).parents[1] / "torchrl_athletic"
-TABLES = {
+THRESHOLDS = {
     "<!-- thresholds of a diagnosis -->": (
         "recordings.quality recordings.resampling effects.signals effects.base diagnosis.prepare diagnosis.screen "
         "diagnosis.search diagnosis.fit diagnosis.compare diagnosis.diagnose diagnosis.gates diagnosis.calibration "
     ).split(),
     "<!-- thresholds of experiments -->": ["diagnosis.separation", "diagnosis.motions", "diagnosis.experiment"],
 }
+CLAUSES = "<!-- clauses of the contract -->"
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Put a table in the place of each marker."""
-    for marker, modules in TABLES.items():
+    for marker, modules in THRESHOLDS.items():
         if marker in markdown:
-            markdown = markdown.replace(marker, table(modules))
-    return markdown
+            markdown = markdown.replace(marker, thresholds(modules))
+    return markdown.replace(CLAUSES, clauses()) if CLAUSES in markdown else markdown
 
 
-def table(modules: list[str]) -> str:
+def thresholds(modules: list[str]) -> str:
     """A row for each constant that the modules set by hand and explain."""
     rows = [f"| `{module}.{name}` | {value} | {why} |" for module in modules for name, value, why in constants(module)]
     return "\n".join(["| constant | value | what it is |", "|---|---|---|", *rows])
+
+
+def clauses() -> str:
+    """A row for each test of the contract, with the sentence that its docstring begins with."""
+    tree = ast.parse((PACKAGE / "testing/contract.py").read_text(encoding="utf-8"))
+    tests = [f for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) and f.name.startswith("test_")]
+    told = [(f.name.removeprefix("test_"), (ast.get_docstring(f) or "").split("\n\n")[0]) for f in tests]
+    rows = [f"| `{name}` | {_line(sentence)} |" for name, sentence in told]
+    return "\n".join(["| clause, after `test_` | what has to hold |", "|---|---|", *rows])
 
 
 def constants(module: str) -> Iterator[tuple[str, str, str]]:
