@@ -1,8 +1,9 @@
-"""Write tables of thresholds and of the contract's clauses into the pages from the code: a hook of mkdocs."""
+"""Write tables of flags, thresholds and the contract's clauses into the pages from the code: a hook of mkdocs."""
 
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +18,7 @@ THRESHOLDS = {
     "<!-- thresholds of experiments -->": ["diagnosis.separation", "diagnosis.motions", "diagnosis.experiment"],
 }
 CLAUSES = "<!-- clauses of the contract -->"
+FLAGS = "<!-- flags of a diagnosis -->"
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
@@ -24,7 +26,10 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
     for marker, modules in THRESHOLDS.items():
         if marker in markdown:
             markdown = markdown.replace(marker, thresholds(modules))
-    return markdown.replace(CLAUSES, clauses()) if CLAUSES in markdown else markdown
+    for marker, table in ((CLAUSES, clauses), (FLAGS, flags)):
+        if marker in markdown:
+            markdown = markdown.replace(marker, table())
+    return markdown
 
 
 def thresholds(modules: list[str]) -> str:
@@ -40,6 +45,19 @@ def clauses() -> str:
     told = [(f.name.removeprefix("test_"), (ast.get_docstring(f) or "").split("\n\n")[0]) for f in tests]
     rows = [f"| `{name}` | {_line(sentence)} |" for name, sentence in told]
     return "\n".join(["| clause, after `test_` | what has to hold |", "|---|---|", *rows])
+
+
+def flags() -> str:
+    """A row for each flag of a diagnosis, with its help text."""
+    tree = ast.parse((PACKAGE / "diagnosis/command.py").read_text(encoding="utf-8"))
+    [config] = [node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Config"]
+    rows = []
+    for field, after in pairwise(config.body):
+        match field, after:
+            case ast.AnnAssign(target=ast.Name(id=name), annotation=kind), ast.Expr(value=ast.Constant(value=str(why))):
+                said = re.search(r"arg\(name='(\w+)'\)", ast.unparse(kind))
+                rows.append(f"| `--{said[1] if said else name.replace('_', '-')}` | {_line(why)} |")
+    return "\n".join(["| flag | meaning |", "|---|---|", *rows])
 
 
 def constants(module: str) -> Iterator[tuple[str, str, str]]:
