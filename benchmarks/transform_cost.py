@@ -156,7 +156,7 @@ def corrected() -> Transform:
     ]
     correction = {"schema": "torchrl_athletic/corrected/1", "joint_names": joints, "effects": effects, "trims": []}
     return ours.CorrectedActuation(
-        correction, timestep=0.005, kp=20.0, kd=0.5, torque_limit=30.0, torque_key="action", action_key="target"
+        correction, timestep=0.005, kp=20.0, kd=0.5, torque_limit=30.0, keys=ours.CorrectedKeys("action", "target")
     )
 
 
@@ -186,7 +186,7 @@ OURS: dict[str, Callable[[], Transform]] = {
     "PowerClip of some joints": lambda: ours.PowerClip(200.0, joints="neighbours", torque_key="action"),
     "PDControl": lambda: ours.PDControl(20.0, 0.5, torque_key="action", action_key="target"),
     "UANCorrection, net of one layer": lambda: ours.UANCorrection(
-        nn.Linear(40, 1), torque_key="action", target_key="action"
+        nn.Linear(40, 1), keys=ours.UANKeys("action", "action")
     ),
     "CorrectedActuation": corrected,
     "Decimation(1)": lambda: ours.Decimation(1),
