@@ -27,11 +27,11 @@ from torchrl_athletic.functional.commands import CommandRanges, draw_goal, goal_
 from torchrl_athletic.robots import Robot, b2z1
 
 LENGTH = 0.3
-"""Of the keypoints' axes [m]."""
+"""Length of the keypoints' axes [m]."""
 BASE = np.array([[0.42, -0.25, -0.25], [0.62, 0.25, 0.25]])
 """Least and greatest height [m], roll and pitch [rad] of a base that helps."""
 STILL = np.array([[0.549, -1e-6, -1e-6], [0.551, 1e-6, 1e-6]])
-"""Of one that stands as it settles under its gains."""
+"""Base of a robot that stands as it settles under its gains."""
 
 Array = NDArray[np.float64]
 
@@ -39,11 +39,11 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class Config:
     goals: int = 500
-    """Of each kind."""
+    """Goals of each kind."""
     starts: int = 4
-    """Of the search for each goal."""
+    """Starts of the search for each goal."""
     seed: int = 0
-    """Of goals and starts."""
+    """Seed of goals and starts."""
     output: Path = Path("benchmarks/results")
     """Folder for the table."""
 

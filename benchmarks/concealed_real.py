@@ -75,7 +75,7 @@ class Config:
     jobs: int = 2
     """Processes at a time, each on one core."""
     timeout: float = 900.0
-    """Of a case [s]; one that takes longer counts as failed."""
+    """Time limit of a case [s]; one that takes longer counts as failed."""
     fresh: tuple[str, ...] = ()
     """Benches whose cases are run again although they are done, such as 'emps'; '*' for all."""
     table: bool = False
@@ -96,7 +96,7 @@ class Takes:
     aside: tuple[Recording, ...]
 
     def changed(self, by: Callable[[Recording], Recording]) -> Takes:
-        """The same with every recording changed."""
+        """The takes with every recording changed."""
         return replace(self, fit=tuple(map(by, self.fit)), aside=tuple(map(by, self.aside)))
 
 
@@ -114,7 +114,7 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Of its file."""
+        """Name of its file."""
         return "-".join(re.sub(r"[^A-Za-z0-9.-]+", "_", p) for p in (self.bench, self.kind, self.what, self.size) if p)
 
 
@@ -369,7 +369,7 @@ KINDS = {  # of motion
 ONE_OF_THREE = ("link_mass", "link_com", "torque_scale")
 """A hinge that moves one link shows ratios of these only."""
 SLIDES_MASS = ("link_mass", "payload", "reflected_inertia", "torque_scale")
-"""The same of a level slide, where a load, the carriage and the screw are one inertia."""
+"""A level slide shows ratios of these only: a load, the carriage and the screw are one inertia."""
 
 
 def cases() -> list[Case]:

@@ -54,7 +54,7 @@ class Config:
     flat: bool = False
     """Whether the ground is a plane."""
     cone: str = "pyramidal"
-    """Of friction."""
+    """Cone of friction."""
     pairs: int = 20
     """Ratios; each compares ``steps`` control steps. 0 leaves the comparison out, and its memory."""
     steps: int = 6
@@ -66,7 +66,7 @@ class Config:
     iterations: int = 20
     """PPO iterations to time."""
     commit: str = ""
-    """Of the code, where git cannot tell."""
+    """Commit of the code, where git cannot tell."""
     output: Path = Path("benchmarks/results")
     """Folder for the table."""
 

@@ -28,7 +28,7 @@ from torchrl_athletic.recordings import Recording, write_recording
 from torchrl_athletic.recordings.demo import concealed_demo
 
 SEED = 20261121
-"""Of the sealed cases that were scored before; their truths are known."""
+"""One seed of the sealed cases that were scored before; their truths are known."""
 DIAGNOSE = """
 import json, resource, sys, time
 from pathlib import Path
@@ -55,7 +55,7 @@ class Config:
     cases: tuple[int, ...] = (56, 158)
     """Indices of single concealed effects on six joints: dry friction under torques, a tilt under position targets."""
     shares: tuple[float, ...] = (0.5, 1.0)
-    """Of every take of the first case."""
+    """Shares of every take of the first case."""
     output: Path = Path("benchmarks/results/diagnosis_time.md")
 
 

@@ -71,15 +71,15 @@ class Config:
     ours: tuple[int, ...] = (16, 64, 256, 1024, 4096)
     """Batch sizes to try."""
     rivals: tuple[int, ...] = (2, 4, 16, 64, 256)
-    """The same for theirs, a process each; those in one process take them too."""
+    """Batch sizes to try with the rivals, a process each; those in one process take them too."""
     most_processes: int = 64
     """Larger batches are left out where each takes a process."""
     seconds: float = 3.0
-    """Of one measurement."""
+    """Duration of one measurement."""
     pairs: int = 7
     """Ratios per row."""
     commit: str = ""
-    """Of the code, where git cannot tell."""
+    """Commit of the code, where git cannot tell."""
     output: Path = Path("benchmarks/results/env_rivals.md")
     """Where the table goes."""
 
@@ -175,7 +175,7 @@ def clip_velocity(observation: Tensor) -> Tensor:
 
 
 class GymHopper(gymnasium.Env):
-    """The same in Gymnasium's terms, one env on MuJoCo's bindings."""
+    """The hopper in Gymnasium's terms, one env on MuJoCo's bindings."""
 
     def __init__(self) -> None:
         self.model = mujoco.MjModel.from_xml_path(str(MODEL))

@@ -44,7 +44,7 @@ class Config:
     inputs: int = 300
     """Features that actor and critic see."""
     actions: int = 19
-    """Of the policy."""
+    """Actions of the policy."""
     hidden: tuple[int, ...] = (128, 128, 128)
     """Layer sizes of both networks."""
     epochs: int = 5

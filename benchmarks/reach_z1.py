@@ -33,7 +33,7 @@ class Config:
     output: Path
     """Folder of the run, or of the table."""
     seed: int = 0
-    """Of the run."""
+    """Seed of the run."""
     minibatches: Literal["split", "joint"] = "split"
     """What the critic learns from: the whole batch, or the actor's minibatches."""
     minutes: float = 15.0

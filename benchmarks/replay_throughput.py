@@ -40,7 +40,7 @@ class Config:
     num_envs: tuple[int, ...] = (16, 256, 1024)
     """Batch sizes."""
     threads: int = 1
-    """Of library and rival; the Python loop has one."""
+    """Threads of library and rival; the Python loop has one."""
     pairs: int = 15
     """Ratios per row."""
     env_steps: int = 8192

@@ -55,9 +55,9 @@ class Config:
     episodes: int = 100
     """In each condition."""
     seed: int = 2_000_003
-    """Of robots and disturbances: other than in training and in the recipes' examination."""
+    """Seed of robots and disturbances: other than in training and in the recipes' examination."""
     commit: str = ""
-    """Of the code, where git cannot tell."""
+    """Commit of the code, where git cannot tell."""
     output: Path = Path("benchmarks/results")
     """Folder for the tables."""
 

@@ -42,7 +42,7 @@ class Score:
 
     method: str
     name: str
-    """Of its folder."""
+    """Name of its folder."""
     own: str
     """World that it was trained in."""
     samples: int
@@ -62,7 +62,7 @@ class Score:
 
     @property
     def difference(self) -> float:
-        """Of simulated and real, throw by throw, absolute [m]."""
+        """Differences of simulated and real, throw by throw, absolute [m]."""
         pairs = zip(self.throws[self.own].distance, self.throws[ARM].distance, strict=True)
         return fmean(abs(a - b) for a, b in pairs)
 
@@ -155,7 +155,7 @@ def best_table(scores: Sequence[Score]) -> str:
 
 
 def ratio_of(these: Sequence[float], those: Sequence[float]) -> tuple[float, float]:
-    """Of two means, and what the standard deviations make of it [1]."""
+    """Ratio of two means, and what the standard deviations make of it [1]."""
     if fmean(those) == 0:
         return math.inf, math.inf
     ratio = fmean(these) / fmean(those)
@@ -319,7 +319,7 @@ def draw_matrix(scores: Sequence[Score], path: Path) -> None:
 
 
 def mean_error(group: Sequence[Score], method: str, worlds: Sequence[str]) -> float:
-    """Of a method's simulators about some policies; a policy that was trained in one of them has that one alone [m]."""
+    """Mean error of a method's simulators about some policies [m]; a policy trained in one of them has that alone."""
     return fmean(
         fmean(each.foretold(world) for world in ([each.own] if method_of(each.own) == method else worlds))
         for each in group

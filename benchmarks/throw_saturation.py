@@ -35,13 +35,13 @@ from torchrl_athletic.transforms import CorrectedActuation, TorqueSpeedClip  # n
 from torchrl_athletic.transforms.stateful import StatefulTransform  # noqa: E402
 
 NEAR = 1e-3
-"""Of the torque limit: how near to what is left counts as all of it."""
+"""Share of the torque limit: how near to what is left counts as all of it."""
 
 
 @dataclass(frozen=True)
 class Config:
     folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Of policies."""
+    """Folders of policies."""
     throws: int = 10
     """With each policy."""
     samples: int | None = None
@@ -58,7 +58,7 @@ def main(cfg: Config) -> None:
 
 @torch.no_grad()
 def share_at_limit(of: Trained, throws: int) -> Tensor:
-    """Of the time between the throw's beginning and the ball's release. Shape (6,).
+    """Share of the time between the throw's beginning and the ball's release. Shape (6,).
 
     Raises:
         ValueError: If a ball was away before.

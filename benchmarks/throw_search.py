@@ -45,7 +45,7 @@ SIGMA = 0.3
 @dataclass(frozen=True)
 class Config:
     seeds: tuple[int, ...] = (0,)
-    """Of the search, one after another."""
+    """Seeds of the search, one after another."""
     generations: int = 60
     population: int = 16
     """Throws of a generation."""
@@ -94,7 +94,7 @@ def starts(count: int) -> Tensor:
 
 
 def distances(knots: Array, begin: Tensor) -> Array:
-    """Of throws on the arm, 0 where one fails [m].
+    """Distances of throws on the arm, 0 where one fails [m].
 
     Args:
         knots: What is added to targets [rad]. Shape (1 or N, K, joints).

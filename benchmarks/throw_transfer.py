@@ -70,7 +70,7 @@ class Config:
     """Every field is a flag."""
 
     folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Of policies."""
+    """Folders of policies."""
     results: Path = Path("benchmarks/results")
     """Where table and numbers go."""
     images: Path = Path("docs/images")

@@ -30,11 +30,11 @@ from tqdm import tqdm
 
 RECIPE = Path(__file__).parents[1] / "recipes" / "throw_arm.py"
 FILES = ("simulator.json", "corrected.json", "net.pt")
-"""Of a simulator."""
+"""Files of a simulator."""
 MINIBATCH = 8192
-"""Of the actor [samples]; of a small batch a quarter."""
+"""Minibatch of the actor [samples]; of a small batch a quarter."""
 STARTING = 75.0
-"""Of a training's time, for what comes before its first iteration and after its last [s]."""
+"""Share of a training's time, for what comes before its first iteration and after its last [s]."""
 
 
 @dataclass(frozen=True)
@@ -42,17 +42,17 @@ class Config:
     """Every field is a flag."""
 
     folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Of simulators."""
+    """Folders of simulators."""
     output: Path = Path("outputs/throw")
     """Where folders of policies go."""
     begin_with: Path | None = None
     """Folder of policies to begin with, whose folders end in the same seeds; none begins with the reference."""
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Of the policies."""
+    """Seeds of the policies."""
     iterations: int = 120
-    """Of each training, so that all have learnt from as many samples."""
+    """Iterations of each training, so that all have learnt from as many samples."""
     num_envs: int = 512
-    """Of each training."""
+    """Environments of each training."""
     horizon: int = 16
     """Steps of each environment per iteration."""
     evaluate_every: int = 10
@@ -74,7 +74,7 @@ class Job:
     """One policy."""
 
     folder: Path
-    """Of the simulator."""
+    """Folder of the simulator."""
     seed: int
     output: Path
     device: str

@@ -36,7 +36,7 @@ from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.testing import ToyEnv
 
 JOINTS = 7
-"""Of the toy: those of an arm with its gripper. Its observation is twice as wide."""
+"""Joints of the toy: those of an arm with its gripper. Its observation is twice as wide."""
 HISTORY = 10
 NEVER = 1_000_000
 """Steps: StepCounter has a limit, as everybody gives it one, but the toy ends its episodes itself."""
@@ -51,13 +51,13 @@ class Config:
     rounds: int = 40
     """Measurements of each variant."""
     steps: int = 54
-    """Of each environment in a round: an episode."""
+    """Steps of each environment in a round: an episode."""
     episode: int = 50
     """Least length of an episode [steps]; rows differ by up to 4."""
     only: tuple[str, ...] = ()
     """Names of transforms; none means all."""
     commit: str = ""
-    """Of the code, where git cannot tell."""
+    """Commit of the code, where git cannot tell."""
     output: Path = Path("benchmarks/results/transform_cost.md")
     """Where the table goes."""
 
@@ -156,7 +156,7 @@ def corrected() -> Transform:
     ]
     correction = {"schema": "torchrl_athletic/corrected/1", "joint_names": joints, "effects": effects, "trims": []}
     return ours.CorrectedActuation(
-        correction, timestep=0.005, kp=20.0, kd=0.5, torque_limit=30.0, torque_key="action", action_key="target"
+        correction, timestep=0.005, kp=20.0, kd=0.5, torque_limit=30.0, keys=ours.CorrectedKeys("action", "target")
     )
 
 
@@ -186,7 +186,7 @@ OURS: dict[str, Callable[[], Transform]] = {
     "PowerClip of some joints": lambda: ours.PowerClip(200.0, joints="neighbours", torque_key="action"),
     "PDControl": lambda: ours.PDControl(20.0, 0.5, torque_key="action", action_key="target"),
     "UANCorrection, net of one layer": lambda: ours.UANCorrection(
-        nn.Linear(40, 1), torque_key="action", target_key="action"
+        nn.Linear(40, 1), keys=ours.UANKeys("action", "action")
     ),
     "CorrectedActuation": corrected,
     "Decimation(1)": lambda: ours.Decimation(1),

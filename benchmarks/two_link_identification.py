@@ -80,14 +80,14 @@ class Config:
     output: Path = Path("outputs/two_link")
     """Folder of simulators, numbers and pictures."""
     seconds: tuple[float, ...] = (5.0, 10.0, 20.0, 40.0, 60.0)
-    """Of data to fit."""
+    """Seconds of data to fit."""
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Of methods that draw random numbers, with all the data; the first ``seeds_with_less`` of them with less."""
+    """Seeds of methods that draw random numbers, with all the data; the first ``seeds_with_less`` of them with less."""
     seeds_with_less: int = 3
     methods: tuple[Method, ...] = get_args(Method)
     """Which to run."""
     iterations: int = 200
-    """Of training each net, by gradient descent: a minute of a core, however busy it is."""
+    """Iterations of training each net, by gradient descent: a minute of a core, however busy it is."""
     jobs: int = 1
     """Cases at a time."""
     score_only: bool = False

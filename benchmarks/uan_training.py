@@ -60,9 +60,9 @@ class Config:
     methods: tuple[str, ...] = tuple(METHODS)
     """Which."""
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Of each method."""
+    """Seeds of each method."""
     minutes: float = 3.0
-    """Of each run [min]."""
+    """Duration of each run [min]."""
     device: Literal["cpu", "cuda"] = "cpu"
     """To train on."""
     num_envs: int | None = None
@@ -100,7 +100,7 @@ class Run:
     seed: int
     seconds: list[float]
     mse: list[float]
-    """Of the windows, at these times [rad²]; first without a net."""
+    """Mean squared error of the windows, at these times [rad²]; first without a net."""
 
     def time_to(self, share: float = 0.95) -> float:
         """Until this share of the improvement was there, for good [s]."""

@@ -45,11 +45,11 @@ class Config:
     model: Path | None = None
     """MJCF of another robot than B2+Z1; its first keyframe is the start."""
     device: str = "cuda"
-    """Of WarpPhysics; ``cpu`` serves to try this script."""
+    """Device of WarpPhysics; ``cpu`` serves to try this script."""
     num_envs: int = 4096
     """Worlds."""
     cones: tuple[str, ...] = ("pyramidal", "elliptic")
-    """Of friction; one row of throughput each."""
+    """Cones of friction; one row of throughput each."""
     iterations: int = 10
     """Most iterations of the solver; its line search gets twice as many."""
     nconmax: int | None = None

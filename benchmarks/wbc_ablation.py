@@ -42,19 +42,19 @@ CONDITION = "all randomised"
 @dataclass(frozen=True)
 class Config:
     device: Literal["cpu", "cuda"] = "cpu"
-    """Of the trainings."""
+    """Device of the trainings."""
     iterations: int = 400
-    """Of each training."""
+    """Iterations of each training."""
     episodes: int = 300
-    """Of each examination."""
+    """Episodes of each examination."""
     only: tuple[str, ...] = ()
     """Names of variants; none takes all."""
     seed: int = 0
-    """Of the trainings."""
+    """Seed of the trainings."""
     folder: Path = Path("outputs/wbc_ablation")
     """For the trainings."""
     commit: str = ""
-    """Of the code, where git cannot tell."""
+    """Commit of the code, where git cannot tell."""
     output: Path = Path("benchmarks/results")
     """Folder for the table."""
 

@@ -1,4 +1,4 @@
-"""Write the catalogue's part of ``docs/effects.md`` from the catalogue itself: ``python docs/catalogue.py``."""
+"""Write ``docs/generated/catalogue.md``, which the page of effects includes: ``python docs/catalogue.py``."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy as np
 from torchrl_athletic.diagnosis.screen import FIT_TRIMS, TRIMS
 from torchrl_athletic.effects import CATALOGUE, Effect, JointAddress, Parameter, Plant
 
-PAGE = Path(__file__).with_name("effects.md")
-BEGIN, END = "<!-- from here on written by docs/catalogue.py -->\n", "<!-- to here -->\n"
+PAGE = Path(__file__).parent / "generated" / "catalogue.md"
 HINGE, SLIDE = (
     mujoco.MjModel.from_xml_string(f"""
     <mujoco><worldbody><body><joint name="joint" {kind}/>
@@ -21,14 +20,12 @@ HINGE, SLIDE = (
 )
 
 
-def page(text: str) -> str:
-    """The page with the catalogue's part written anew."""
-    before, _, rest = text.partition(BEGIN)
-    _, _, after = rest.partition(END)
+def page() -> str:
+    """All effects and trims: two tables of them, and a section for each."""
     found = {e.name for e in CATALOGUE}
     trims = [e for e in FIT_TRIMS if e.name not in found]
     parts = [overview(), tolerances(), *(section(effect) for effect in (*CATALOGUE, *trims))]
-    return before + BEGIN + "\n".join(parts) + END + after
+    return "\n".join(parts).lstrip()
 
 
 def overview() -> str:
@@ -135,4 +132,4 @@ def _listed(names: list[str]) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    PAGE.write_text(page(), encoding="utf-8")

@@ -13,7 +13,7 @@ INLINE = re.compile(r":math:`([^`]+)`")
 
 
 def markdown(docstring: str) -> str:
-    """The same text, as Markdown with MathML, which browsers draw without a script."""
+    """The docstring as Markdown with MathML, which browsers draw without a script."""
     docstring = DISPLAY.sub(_display, docstring)
     docstring = INLINE.sub(lambda match: convert(match[1]), docstring)
     docstring = EXAMPLE.sub(r"\1Examples:", docstring)  # the name that the parser knows

@@ -1,4 +1,4 @@
-"""Write the tables of ``docs/robots.md`` and draw its pictures: ``MUJOCO_GL=egl python docs/robots.py``."""
+"""Write the tables that ``docs/robots.md`` includes and draw its pictures: ``MUJOCO_GL=egl python docs/robots.py``."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ import numpy as np
 
 from torchrl_athletic.robots import Bucket, Dumbbell, Robot, Terrain, b2z1, z1
 
-PAGE = Path(__file__).with_name("robots.md")
+TABLES = Path(__file__).with_name("generated")
 IMAGES = Path(__file__).with_name("images")
-BEGIN, END = "<!-- {}, written by docs/robots.py -->\n", "<!-- end of {} -->\n"
 WIDTH, HEIGHT = 900, 600
 
 ROUGH = Terrain(roughness=(0.025, 0.025), tiles=3, spacing=0.1)
@@ -24,15 +23,6 @@ PICTURES = {  # robot, what the camera looks at [m], distance [m], azimuth, elev
     "b2z1_bucket": (b2z1(reinforced=True, tool=Bucket()), (0.2, 0.0, 0.6), 2.0, 145.0, -24.0),
     "b2z1_terrain": (b2z1(terrain=ROUGH, payload=8.0), (0.0, 0.0, 0.4), 2.6, 130.0, -20.0),
 }
-
-
-def page(text: str, **tables: str) -> str:
-    """The page with tables written anew between their marks."""
-    for name, table in tables.items():
-        before, begin, rest = text.partition(BEGIN.format(name))
-        _, end, after = rest.partition(END.format(name))
-        text = before + begin + table + end + after
-    return text
 
 
 def joint_table(robot: Robot) -> str:
@@ -130,7 +120,7 @@ def draw(
 
 
 if __name__ == "__main__":
-    text = page(PAGE.read_text(encoding="utf-8"), joints=joint_table(b2z1()), standing=standing_table())
-    PAGE.write_text(text, encoding="utf-8")
+    for name, table in (("joints", joint_table(b2z1())), ("standing", standing_table())):
+        (TABLES / f"robots_{name}.md").write_text(table, encoding="utf-8")
     for name, view in PICTURES.items():
         matplotlib.image.imsave(IMAGES / f"robots_{name}.png", draw(*view))

@@ -36,15 +36,15 @@ WAYS: dict[str, dict[str, Any]] = {
 @dataclass(frozen=True)
 class Config:
     device: Literal["cpu", "cuda"] = "cpu"
-    """Of the trainings."""
+    """Device of the trainings."""
     minutes: float | None = None
-    """Of each training [min]; None takes 10 on CPUs and 15 on a GPU."""
+    """Duration of each training [min]; None takes 10 on CPUs and 15 on a GPU."""
     iterations: int | None = None
     """When to stop in any case."""
     num_envs: int | None = None
     """Robots; None takes 256 on CPUs and 4,096 on a GPU."""
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Of the trainings."""
+    """Seeds of the trainings."""
     ways: tuple[str, ...] = tuple(WAYS)
     """Which ones."""
     episodes: int = 100

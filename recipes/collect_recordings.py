@@ -7,10 +7,10 @@ The arm is simulated: a concealed one that stands for the real Z1, three minutes
 after Ctrl-C, or after the watchdog stopped a take. For your own arm, see docs/collecting.md.
 """
 
-import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from runpy import run_path
 from typing import Any
 
 import numpy as np
@@ -46,8 +46,10 @@ THROW = ((0.0, FORWARD), (1.5, COCKED), (2.1, SWUNG), (3.5, FORWARD), (5.0, FORW
 class Config:
     output: Path = Path("outputs/recordings/z1")
     """Folder for the takes, and a picture of them."""
+    arm: Path = Path(__file__).parents[1] / "benchmarks/concealed/z1_arm.py"
+    """Python file whose ``make_arm(seed)`` returns the arm to record."""
     pose: tuple[float, ...] = (0.0, 1.2, -1.6, -0.4, 0.0, 0.0, 0.0)
-    """That is held while torques are added: all joints have room, and nothing reaches the table [rad]."""
+    """Held while torques are added: all joints have room, and nothing reaches the table [rad]."""
     amplitude: float = 1.0
     """Largest of the square and sine waves [share of the torque limit]."""
     deviation: float = 0.4
@@ -55,11 +57,11 @@ class Config:
     seconds_per_take: float = np.inf
     """Cuts every take to this length [s], to try things out."""
     seed: int = 0
-    """Of the Gaussian torques and of the simulated noise."""
+    """Seed of the Gaussian torques and of the simulated noise."""
 
 
 def main(cfg: Config, arm: Arm | None = None) -> None:
-    robot, arm = z1(), arm or concealed_arm(cfg.seed)
+    robot, arm = z1(), arm or run_path(str(cfg.arm))["make_arm"](cfg.seed)
     takes = excitations(robot, cfg)
     speed, torque = np.array(robot.velocity_limit), np.array(robot.torque_limit)
     watchdog = Watchdog(np.add(robot.position_limit, (-0.02, 0.02)), 2.0 * speed, 1.2 * torque)
@@ -94,13 +96,6 @@ def excitations(robot: Robot, cfg: Config) -> dict[str, tuple[Excitation, dict[s
         name: (beginning(t, cfg.seconds_per_take), {"kind": t.kind, "split": split, "repeat": repeat, **notes})
         for name, (t, split, repeat) in takes.items()
     }
-
-
-def concealed_arm(seed: int) -> Arm:
-    sys.path.append(str(Path(__file__).parents[1]))  # benchmarks/ is no part of the package
-    from benchmarks.concealed.arm import ConcealedArm
-
-    return ConcealedArm(seed=seed)
 
 
 def draw(folder: Path) -> None:

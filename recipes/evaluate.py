@@ -29,15 +29,15 @@ class Config:
     episodes: int = 1000
     """In each condition."""
     seconds: float = 20.0
-    """Of an episode [s]."""
+    """Length of an episode [s]."""
     batch: int = 500
     """Robots at once."""
     seed: int = 1_000_003
-    """Of robots, commands and pushes: other than in training."""
+    """Seed of robots, commands and pushes: other than in training."""
     actuation: str = "uan"
-    """Of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
+    """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Of the simulation."""
+    """Device of the simulation."""
     video: bool = True
     """Whether to draw episodes."""
     output: Path = Path("outputs/evaluate")

@@ -46,7 +46,7 @@ class Config:
     robot: str = "z1"
     """``z1``, or the path of an MJCF."""
     seed: int = 0
-    """Of the search, the weights, the windows."""
+    """Seed of the search, the weights, the windows."""
     cem: CEM = field(default_factory=CEM)
     """How long and how closely CEM looks."""
     actuator_net: ActuatorNetTraining = field(default_factory=ActuatorNetTraining)
@@ -54,7 +54,7 @@ class Config:
     seconds_per_take: float = 6.0
     """What the diagnosis looks at of each take [s]."""
     time_budget: float = 600.0
-    """Of the diagnosis [s]."""
+    """Time budget of the diagnosis [s]."""
 
 
 def main(cfg: Config) -> None:

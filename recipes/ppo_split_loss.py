@@ -42,11 +42,11 @@ class Config:
     num_envs: int = 16
     """Pendulums at once."""
     steps: int = 100
-    """Of each, between updates."""
+    """Steps of each pendulum between updates."""
     updates: int = 45
     """Rounds of collecting and learning."""
     seed: int = 0
-    """Of everything."""
+    """Seed of everything."""
 
 
 def main(cfg: Config) -> float:

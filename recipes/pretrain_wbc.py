@@ -35,7 +35,7 @@ class Config:
     iterations: int | None = None  # when to stop in any case
     seed: int = 0  # of weights, robots, commands and exploration
     actuation: str = "uan"
-    """Of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
+    """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     randomize: bool = True
     """Whether robots, ground, starts, delays differ, and pushes come."""
     start: str | None = None

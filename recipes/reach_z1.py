@@ -36,7 +36,7 @@ class Config:
     iterations: int | None = None
     """When to stop in any case."""
     seed: int = 0
-    """Of weights, goals and exploration."""
+    """Seed of weights, goals and exploration."""
     minibatches: Literal["split", "joint"] = "split"
     """What the critic learns from: the whole batch, or the actor's minibatches."""
     hidden: tuple[int, ...] = (128, 128)

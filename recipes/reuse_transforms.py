@@ -43,9 +43,9 @@ class Config:
     parallel: bool = False
     """Give each pendulum a process."""
     steps: int = 20
-    """Of the rollouts."""
+    """Steps of the rollouts."""
     seed: int = 0
-    """Of environments, actions and delays."""
+    """Seed of environments, actions and delays."""
 
 
 def main(cfg: Config) -> dict[str, TensorDictBase]:

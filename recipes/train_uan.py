@@ -33,7 +33,7 @@ class Config:
     method: Literal["gradient", "ppo"] = "gradient"
     """Down the position error's own gradient, or the paper's reinforcement learning."""
     credit: Literal["arm", "joint"] = "joint"
-    """Of PPO: one reward for all joints, as the paper has it, or each joint its own."""
+    """Credit in PPO: one reward for all joints, as the paper has it, or each joint its own."""
     knows: training.Knows = "errors"
     """What the net is told of a joint: its errors, as in the paper; which one it is; how the arm stands and moves."""
     memory: tuple[float, ...] = ()
@@ -51,9 +51,9 @@ class Config:
     """When to stop in any case. The gradient method then plans by them, however busy the machine is."""
     seed: int = 0  # of weights, starts and exploration
     device: Literal["cpu", "cuda"] = "cuda" if torch.cuda.is_available() else "cpu"
-    """Of simulation and nets."""
+    """Device of simulation and nets."""
     window: float = 5.0
-    """Of what is kept aside for validation, a tenth of the takes, the length of one piece [s]."""
+    """Length of one piece kept aside for validation, in all a tenth of the takes [s]."""
     evaluate_every: int = 20  # iterations between validations
     logger: training.LoggerName = "csv"  # where numbers go; wandb stays offline
     output: Path = Path("outputs/identification/uan")

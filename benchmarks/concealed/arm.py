@@ -49,7 +49,7 @@ class Reading(NamedTuple):
     """What the drives report."""
 
     position: Array
-    """Of the rotor behind the gear [rad]. Shape (7,)."""
+    """Position of the rotor behind the gear [rad]. Shape (7,)."""
     velocity: Array
     """From differences of the encoder, filtered by the drive [rad/s]. Shape (7,)."""
     torque: Array

@@ -468,7 +468,7 @@ def _objective(xml: str, takes: Sequence[Recording], full: bool) -> tuple[list[P
     low, span = np.array([p.low for p in free]), np.array([p.high - p.low for p in free])
 
     def residual(x: Array) -> Array:
-        """Of parameters that are scaled to 0..1."""
+        """Residual of parameters that are scaled to 0..1."""
         error = (simulated(xml, w, takes, free, low + span * x) - w.measured) / unit
         return np.clip(np.nan_to_num(error, nan=10.0), -10, 10).ravel()
 

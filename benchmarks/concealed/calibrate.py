@@ -55,7 +55,7 @@ class Config:
     answers: Path = Path("outputs/concealed/diagnosis")
     output: Path = Path("torchrl_athletic/diagnosis/calibration.json")
     seeds: tuple[int, ...] = (0, 1)
-    """Of the tuning cases."""
+    """Seeds of the tuning cases."""
     former: tuple[int, ...] = ()
     """More seeds, whose answers are of a former state of the diagnosis: they help to find the weights; how high and how
     steep the probabilities are comes from the others."""
@@ -64,7 +64,7 @@ class Config:
     keep: bool = False
     """Keep the ratios of the weights in force, learnt from more findings than these, and learn level and steepness."""
     relative: float = 0.05
-    """Of a parameter's value: the least that its interval reaches to either side."""
+    """Share of a parameter's value: the least that its interval reaches to either side."""
     any_program: bool = False
     """Take answers of another state of the diagnosis, too; to look, not to commit."""
     dry: bool = False
@@ -82,7 +82,7 @@ class Stated:
     grade: NDArray[np.str_]
     """As the score's. Shape (F,)."""
     weight: Array
-    """Of its case, so that the blocks count as much as they do in the whole proof. Shape (F,)."""
+    """Weight of its case, so that the blocks count as much as they do in the whole proof. Shape (F,)."""
     case: NDArray[np.int64]
     """Shape (F,)."""
     cases: int

@@ -117,7 +117,7 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """Name of its files."""
         return f"{self.split}-{self.block}-{self.seed}-{self.index:04d}"
 
     def to_json(self) -> dict[str, Any]:
@@ -134,7 +134,7 @@ class Session:
     robot: Robot
     body: Body
     plans: tuple[Plan, ...]
-    """Of the takes to fit, then of those kept aside."""
+    """Plans of the takes to fit, then of those kept aside."""
     fitted: int
     sensors: Sensors
     kp: Array
@@ -506,7 +506,7 @@ def visibility(session: Session) -> list[float]:
 
 
 def _on_nominal(truth: Truth, session: Session) -> Truth:
-    """The same change on a robot whose links do not err: totals that start from an erring link are moved."""
+    """Carry the change over to a robot whose links do not err: totals that start from an erring link are moved."""
     if truth.effect not in ("link_mass", "link_com") or truth.joint is None:
         return truth
     j = session.robot.joint_names.index(truth.joint)

@@ -34,16 +34,16 @@ from benchmarks.concealed.plant import dynamics, solve
 Array = NDArray[np.float64]
 
 STEP = 1e-4
-"""Of the integrator [s]."""
+"""Step of the integrator [s]."""
 LOOP = 1e-3
 """Period of the drives' own control loop [s]."""
 PERIOD = 5e-3
 """Between two commands [s]."""
 LOOPS, STEPS = round(PERIOD / LOOP), round(LOOP / STEP)
 RATIO = 50
-"""Of the gears."""
+"""Ratio of the gears."""
 RESOLUTION = 2 * np.pi / (2**14 * RATIO)
-"""Of the encoders, 14 bits on the rotor, seen at the joint [rad]."""
+"""Resolution of the encoders, 14 bits on the rotor, seen at the joint [rad]."""
 SPEED_FILTER = 0.4
 """Share of a new encoder difference in the drive's estimate of the speed, each millisecond."""
 SPEED_RESOLUTION = 1e-6

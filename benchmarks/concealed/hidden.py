@@ -274,7 +274,7 @@ def eligible(effect: str, robot: Robot) -> list[int]:
 
 
 def conceal(body: Body, robot: Robot, truth: Truth, rich: bool, rng: np.random.Generator) -> Body:
-    """The same robot with one more piece of physics. Fields of ``body.laws`` are written in place."""
+    """Add one more piece of physics to a robot. Fields of ``body.laws`` are written in place."""
     p, h = truth.parameters, truth.hidden
     j = robot.joint_names.index(truth.joint) if truth.joint is not None else 0
     law = body.laws[j]

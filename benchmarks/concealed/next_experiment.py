@@ -81,7 +81,7 @@ class Config:
     jobs: int = 2
     """Processes at a time, each on one core."""
     timeout: float = 900.0
-    """Of one diagnosis [s]."""
+    """Time limit of one diagnosis [s]."""
     table: bool = False
     """Run nothing."""
     output: Path = Path("benchmarks/results")

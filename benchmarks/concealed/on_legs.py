@@ -39,7 +39,7 @@ from torchrl_athletic.transforms import ActionDelay
 from torchrl_athletic.transforms.simulated import simulated_env
 
 TIMESTEP = 2 * STEP
-"""Of MuJoCo [s]."""
+"""Time step of MuJoCo [s]."""
 SUBSTEPS = round(PERIOD / TIMESTEP)
 """Steps of MuJoCo between two commands."""
 ROTOR, SPEED, FRICTION, HYSTERESIS, TORQUE = range(5)

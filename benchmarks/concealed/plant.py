@@ -42,7 +42,7 @@ class Tree(NamedTuple):
     axis: Array
     """In the body's frame. Shape (J, 3)."""
     place: Array
-    """Of the frame in the parent's, at q = 0 [m]. Shape (J, 3)."""
+    """Origin of the frame in the parent's, at q = 0 [m]. Shape (J, 3)."""
     turn: Array
     """Rotation of the frame into the parent's, at q = 0. Shape (J, 3, 3)."""
     mass: Array
@@ -65,7 +65,7 @@ class Drive(NamedTuple):
     feedforward: Array
     """Torque beside the feedback [N·m]. Shape (T, J)."""
     kp: Array
-    """Of the loop that makes torques, or of the drive's own [N·m/rad]. Shape (J,)."""
+    """Stiffness of the loop that makes torques, or of the drive's own [N·m/rad]. Shape (J,)."""
     kd: Array
     limit: Array
     """Largest torque that is commanded [N·m]. Shape (J,)."""
@@ -74,9 +74,9 @@ class Drive(NamedTuple):
     sample: Array
     """Instants at which the encoders are read for the log [s]. Shape (T,)."""
     noise: Array
-    """Of the readings [rad]. Shape (T, J)."""
+    """Noise of the readings [rad]. Shape (T, J)."""
     resolution: Array
-    """Of the encoders [rad]. Shape (J,)."""
+    """Resolution of the encoders [rad]. Shape (J,)."""
     take: float
 
 

@@ -75,7 +75,7 @@ class Config:
     jobs: int = 2
     """Processes at a time."""
     timeout: float = 900.0
-    """Of a case [s]."""
+    """Time limit of a case [s]."""
     method: Method = "diagnosis"
     """What answers: the diagnosis or a baseline."""
     output: Path = Path("outputs/concealed")
@@ -144,7 +144,7 @@ def _count(block: str, cfg: Config) -> int:
 
 
 def name_of(split: str, block: str, index: int, seed: int) -> str:
-    """Of a case's files, without drawing it."""
+    """Name of a case's files, without drawing it."""
     return f"{split}-{block}-{seed}-{index:04d}"
 
 

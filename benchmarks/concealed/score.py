@@ -395,7 +395,7 @@ def _coverage_by_effect(rows: Sequence[Row]) -> dict[str, list[float | int | Non
 
 
 def _calibration(rows: Sequence[Row]) -> dict[str, Any]:
-    """Of every finding of every block."""
+    """Calibration of every finding of every block."""
     stated = [(float(f["probability"]), r.grade(f) in RIGHT) for r in rows for f in r.findings]
     return reliability(np.array([p for p, _ in stated]), np.array([right for _, right in stated], dtype=bool))
 

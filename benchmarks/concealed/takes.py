@@ -33,14 +33,14 @@ class Sensors:
     noise: float = 3e-5
     """Standard deviation of a reading [rad, m]."""
     correlation: float = 0.0
-    """Of that noise from one sample to the next [1]."""
+    """Correlation of that noise from one sample to the next [1]."""
     velocity: Literal["measured", "difference"] | None = "measured"
     velocity_noise: float = 3e-3
     """[rad/s, m/s]"""
     loop_jitter: float = 0.0
-    """Of the control loop's period, honestly stamped [1]."""
+    """Jitter of the control loop's period, honestly stamped [1]."""
     stamp_jitter: float = 0.0
-    """Of the stamps, as a share of the period [1]."""
+    """Jitter of the stamps, as a share of the period [1]."""
     dropouts: float = 0.0
     """Share of rows that the logger loses, in bursts [1]."""
     clock_offset: float = 0.0
@@ -109,7 +109,7 @@ def plan(robot: Robot, kind: str, duration: float, rate: float, amplitude: float
 
 
 def thinned(motion: Plan) -> Plan:
-    """The same motion about every 10 ms, which shows what it takes as well."""
+    """Thin the motion to every 10 ms, which shows what it takes as well."""
     every = slice(None, None, max(1, round(0.010 / (motion.time[1] - motion.time[0]))))
     rows = (motion.time, motion.position, motion.velocity, motion.acceleration, motion.dither)
     return Plan(motion.kind, *(x[every] for x in rows))
@@ -246,5 +246,5 @@ def log(robot: Robot, drive: Drive, sensors: Sensors, command: Array, reading: A
 
 
 def perfect(sensors: Sensors) -> Sensors:
-    """The same loop with encoders that do not err, for the oracle."""
+    """The loop with encoders that do not err, for the oracle."""
     return replace(sensors, bits=40, noise=0.0, stamp_jitter=0.0, dropouts=0.0, velocity="measured", velocity_noise=0.0)

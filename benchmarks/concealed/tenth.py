@@ -58,7 +58,7 @@ class Config:
     jobs: int = 2
     """Processes at a time, each on one core."""
     every: int = 10
-    """Of so many quick cases one is run: 10 is a tenth."""
+    """One of so many quick cases is run: 10 is a tenth."""
     write: bool = False
     """Keep the answers as those to compare with."""
 

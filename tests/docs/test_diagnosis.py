@@ -1,6 +1,7 @@
 """The page on the diagnosis states the numbers and the fields that the code has."""
 
 import importlib
+import importlib.util
 import re
 from dataclasses import fields
 from pathlib import Path
@@ -16,24 +17,41 @@ from torchrl_athletic.diagnosis.result import SCHEMA as ANSWER_SCHEMA
 from torchrl_athletic.diagnosis.screen import FIT_TRIMS, TRIMS
 from torchrl_athletic.diagnosis.search import DECISIVE, MISFIT, TERM
 
-PAGE = (Path(__file__).parents[2] / "docs/diagnosis.md").read_text(encoding="utf-8")
-THRESHOLDS = re.findall(r"^\| `([\w.]+)\.([A-Z_]+)` \| ([\d., ]+) \|", PAGE, re.M)
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "diagnosis.md").read_text(encoding="utf-8")
 FILES = PAGE[PAGE.index("## What is written") : PAGE.index("## Stopping")]
 
 
-@pytest.mark.parametrize(("module", "name", "value"), THRESHOLDS, ids=lambda text: text)
-def test_a_threshold_is_the_codes(module, name, value):
-    constant = getattr(importlib.import_module(f"torchrl_athletic.{module}"), name)
-    np.testing.assert_allclose(np.atleast_1d(constant), [float(number) for number in value.split(",")])
+@pytest.fixture(scope="module")
+def hook():
+    """What writes the tables of thresholds as the pages are built."""
+    spec = importlib.util.spec_from_file_location("tables", DOCS / "tables.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
-def test_every_threshold_of_the_gates_and_the_search_is_explained():
-    assert len(THRESHOLDS) > 20
-    stated = {f"{module}.{name}" for module, name, _ in THRESHOLDS}
+def test_thresholds_are_the_codes(hook):
+    rows = re.findall(r"^\| `([\w.]+)\.([A-Z_]+)` \| ([^|]+) \| [^|]{10,} \|$", hook.on_page_markdown(PAGE), re.M)
+    assert len(rows) > 60
+    for module, name, value in rows:
+        constant = getattr(importlib.import_module(f"torchrl_athletic.{module}"), name)
+        np.testing.assert_allclose(np.atleast_1d(constant), [float(number) for number in value.split(",")])
+
+
+def test_every_threshold_of_the_gates_and_the_search_is_explained(hook):
+    table = hook.on_page_markdown(PAGE)
     for module in ("diagnosis.gates", "diagnosis.search"):
         source = Path(importlib.import_module(f"torchrl_athletic.{module}").__file__).read_text(encoding="utf-8")
         set_by_hand = re.findall(r"^([A-Z_]+) = [\d.]+$", source, re.M)
-        assert {f"{module}.{name}" for name in set_by_hand} - stated <= {"diagnosis.search.FOLDS"}
+        missing = {name for name in set_by_hand if f"`{module}.{name}`" not in table}
+        assert missing <= {"FOLDS", "BEAM", "MOST_PER_JOINT"}
+
+
+def test_thresholds_of_experiments_have_a_table(hook):
+    page = hook.on_page_markdown((DOCS / "experiments.md").read_text(encoding="utf-8"))
+    assert "| `diagnosis.experiment.APART` | 3 |" in page
+    assert "<!--" not in page
 
 
 def test_trims_of_naming_and_of_the_fit():

@@ -10,7 +10,8 @@ from torchrl_athletic.robots import Bucket, b2z1
 from torchrl_athletic.robots.arm import BRACES
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE = (DOCS / "robots.md").read_text(encoding="utf-8")
+JOINTS = (DOCS / "generated/robots_joints.md").read_text(encoding="utf-8")
+PAGE = (DOCS / "robots.md").read_text(encoding="utf-8").replace('--8<-- "docs/generated/robots_joints.md"\n', JOINTS)
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,8 @@ def writer():
 
 
 def test_the_table_of_joints_is_the_robots(writer):
-    assert writer.page(PAGE, joints=writer.joint_table(b2z1())) == PAGE
+    assert JOINTS in PAGE
+    assert writer.joint_table(b2z1()) == JOINTS, "run python docs/robots.py"
     assert PAGE.count("`joint") == len(b2z1().joint_groups["arm"]) + 2  # and twice in the text
 
 

@@ -4,6 +4,7 @@ import importlib.util
 import sys
 from dataclasses import replace
 from pathlib import Path
+from runpy import run_path
 
 import numpy as np
 import pytest
@@ -18,12 +19,13 @@ sys.modules[spec.name] = recipe  # where dataclasses look for annotations
 spec.loader.exec_module(recipe)
 
 ROBOT = z1()
+make_arm = run_path(str(recipe.Config().arm))["make_arm"]
 
 
 @pytest.fixture(autouse=True)
 def hasty(monkeypatch):
     """Nothing here depends on the arm's coming to rest before each take."""
-    monkeypatch.setattr(sys.modules[type(recipe.concealed_arm(0)).__module__], "SETTLE", 0.01)
+    monkeypatch.setattr(sys.modules[type(make_arm(0)).__module__], "SETTLE", 0.01)
 
 
 @pytest.fixture(scope="module")
@@ -86,8 +88,14 @@ def test_takes_of_other_settings_are_not_mixed_in(tmp_path):
         recipe.main(recipe.Config(output=tmp_path, seconds_per_take=0.03))
 
 
+def test_an_arm_of_ones_own_comes_from_a_file(tmp_path):
+    (tmp_path / "mine.py").write_text("def make_arm(seed):\n    raise ConnectionError(f'no arm on port {seed}')\n")
+    with pytest.raises(ConnectionError, match="port 7"):
+        recipe.main(recipe.Config(output=tmp_path / "takes", arm=tmp_path / "mine.py", seed=7))
+
+
 def test_a_stopped_take_leaves_no_file_and_the_ones_before_stay(tmp_path):
-    class Slipping(type(recipe.concealed_arm(0))):
+    class Slipping(type(make_arm(0))):
         count = 0
 
         def step(self, target):

@@ -47,6 +47,7 @@ from torchrl_athletic.transforms import (
     TaskPhase,
     TorqueSpeedClip,
     UANCorrection,
+    UANKeys,
 )
 
 Key = Callable[[str], object]
@@ -113,10 +114,9 @@ class TestUANCorrection(TransformContract):
 
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         common = _keys(key, "torque", "position", "velocity", "target")
-        noted = {"correction_key": key("torque_correction"), "history_key": key("error_history")}
-        noted["wound_key"] = key("wound_up")
+        noted = ("torque", "position_target", "joint_position", "joint_velocity", "torque_correction", "error_history")
         return Compose(
-            UANCorrection(SmallNet(), self.joints, **self.looks, **common, **noted),
+            UANCorrection(SmallNet(), self.joints, **self.looks, keys=UANKeys(*map(key, (*noted, "wound_up")))),
             PDControl(20.0, 0.5, **common, **_keys(key, "action")),
         )
 

@@ -11,7 +11,7 @@ from torchrl.envs import Transform
 
 from torchrl_athletic.functional import rewards
 from torchrl_athletic.testing import TransformContract
-from torchrl_athletic.transforms import ActionHistory, CorrectedActuation, EncoderOffset, RewardTerms
+from torchrl_athletic.transforms import ActionHistory, CorrectedActuation, CorrectedKeys, EncoderOffset, RewardTerms
 
 Key = Callable[[str], NestedKey]
 
@@ -83,8 +83,5 @@ class TestCorrectedActuation(TransformContract):
 
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         entries = ("torque", "action", "joint_position", "joint_velocity", "position_target")
-        names = ("torque_key", "action_key", "position_key", "velocity_key", "target_key")
-        keys = {name: key(entry) for name, entry in zip(names, entries, strict=True)}
-        return CorrectedActuation(
-            CORRECTION, timestep=0.005, kp=2.0, kd=0.1, torque_limit=5.0, state_key=key("corrected"), **keys
-        )
+        keys = CorrectedKeys(*map(key, entries), state=key("corrected"))
+        return CorrectedActuation(CORRECTION, timestep=0.005, kp=2.0, kd=0.1, torque_limit=5.0, keys=keys)

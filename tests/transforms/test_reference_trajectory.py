@@ -4,7 +4,7 @@ from torchrl.envs import Compose, TransformedEnv
 
 from torchrl_athletic.functional.phase import Phase, PhaseSchedule
 from torchrl_athletic.testing import ToyEnv, TransformContract
-from torchrl_athletic.transforms import ReferenceTrajectory, TaskPhase
+from torchrl_athletic.transforms import ReferenceKeys, ReferenceTrajectory, TaskPhase
 
 DT = 0.02
 LENGTHS = (30, 18, 9)
@@ -16,15 +16,15 @@ RESET = {"reset_qpos": "qpos", "reset_qvel": "qvel"}
 
 class TestContract(TransformContract):
     def make_transform(self, key=str, first_row=0):
-        keys = {"reference_key": key("reference"), "id_key": key("reference_id"), "step_key": key("reference_step")}
+        keys = ReferenceKeys(key("reference"), key("reference_id"), key("reference_step"))
         return ReferenceTrajectory(
-            TABLES, 0.015, DT, lookahead=(0, 1, 3), at_end="loop", random_start=True, first_row=first_row, **keys
+            TABLES, 0.015, DT, lookahead=(0, 1, 3), at_end="loop", random_start=True, first_row=first_row, keys=keys
         )
 
 
 class TestContractOfResetState(TransformContract):
     def make_transform(self, key=str, first_row=0):
-        keys = {"reference_key": key("reference"), "id_key": key("reference_id"), "step_key": key("reference_step")}
+        keys = ReferenceKeys(key("reference"), key("reference_id"), key("reference_step"))
         return ReferenceTrajectory(
             TABLES,
             DT,
@@ -33,7 +33,7 @@ class TestContractOfResetState(TransformContract):
             random_start=True,
             reset_state=RESET,
             first_row=first_row,
-            **keys,
+            keys=keys,
         )
 
     @pytest.mark.xfail(reason="a ParallelEnv hands on what its workers' specs name, and drops the state to start from")
@@ -54,7 +54,9 @@ class TestContractByPhase(TransformContract):
         names = {"phase_key": "task_phase", "index_key": "index", "step_key": "age", "last_key": "last"}
         phase = TaskPhase(PHASES, DT, first_row=first_row, **{name: key(entry) for name, entry in names.items()})
         keys = (key("index"), key("age"))
-        return Compose(phase, ReferenceTrajectory({"qpos": QPOS}, DT, DT, phase_keys=keys, reference_key=key("hint")))
+        return Compose(
+            phase, ReferenceTrajectory({"qpos": QPOS}, DT, DT, phase_keys=keys, keys=ReferenceKeys(key("hint")))
+        )
 
 
 def environment(num_envs=3, shortest=2, **settings):

@@ -30,7 +30,7 @@ Base = Literal["recorded", "fixed"]
 HEAVY = 1e8
 """Inertia that carries a base in simulation, per its own: its joints disturb its acceleration by a 1e-8 of theirs."""
 TOLERANCE = 1e-16
-"""Of the solver: at its default of 1e-8 it stops before the friction of a leg is found, which weighs little beside."""
+"""Tolerance of the solver: at its default of 1e-8 it stops before the small friction of a leg is found."""
 APART = -1e6
 """Margin of a pair of geoms that never meets [m]."""
 
@@ -85,7 +85,7 @@ def held_base(recording: Recording, model: mujoco.MjModel) -> Recording:
 
 
 def base_columns(model: mujoco.MjModel) -> tuple[slice, slice]:
-    """Of a floating base in ``qpos`` and in ``qvel``; empty ones if the base is bolted to the world."""
+    """Columns of a floating base in ``qpos`` and in ``qvel``; empty ones if the base is bolted to the world."""
     joint = free_joint(model)
     if joint is None:
         return slice(0, 0), slice(0, 0)
@@ -141,7 +141,7 @@ def base_motion(recording: Recording, model: mujoco.MjModel, time: Array, width:
 
 
 def base_velocity(pose: Array, rate: Array) -> Array:
-    """Of a free joint, from the seven numbers of its pose and their rates; the quaternion may be of any length.
+    """Velocity of a free joint, from the seven numbers of its pose and their rates. The quaternion has any length.
 
     Args:
         pose: Shape (N, 7).
@@ -201,7 +201,7 @@ def _refuse_ties(model: mujoco.MjModel) -> None:
 
 
 def _vector_part(turn: Array, other: Array) -> Array:
-    """Of the product of a conjugated quaternion with another, w, x, y, z. Shapes (N, 4) to (N, 3)."""
+    """Vector part of the product of a conjugated quaternion with another, w, x, y, z. Shapes (N, 4) to (N, 3)."""
     w, v = turn[:, :1], turn[:, 1:]
     return np.asarray(w * other[:, 1:] - other[:, :1] * v - np.cross(v, other[:, 1:]), dtype=np.float64)
 

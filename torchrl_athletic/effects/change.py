@@ -38,7 +38,7 @@ _QUICKEST = 3.0
 _LEAST = 1.01
 """A drift is slower than that by more than this factor: at its bound it stands in for another law."""
 _DURATIONS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
-"""Of a disturbance, to start the search from [s]."""
+"""Durations of a disturbance, to start the search from [s]."""
 _DROP_OUT = 2.0
 """What is recorded before and after so long a gap is looked at apart [s]."""
 _PER_TAKE, _IN_ALL = 3, 8
@@ -90,7 +90,7 @@ class ThermalDrift(Effect):
         return bool(values[3] > _LEAST * parameters[3].lower)
 
     def parameters_of(self, takes: Sequence[Signals], joint: int) -> tuple[Parameter, ...]:
-        """Of a drift much slower than the longest take only the beginning shows, a straight line without an end."""
+        """A drift much slower than the longest take shows only its beginning, a straight line without an end."""
         *others, slow = super().parameters_of(takes, joint)
         longest = max(s.recording.time[-1] - s.recording.began for s in takes)
         return (*others, replace(slow, upper=max(_OF_TAKE[-1] * longest, 2 * _QUICKEST)))

@@ -86,7 +86,7 @@ class Effect(ABC):
         """Parameters with units, bounds and the given model's values."""
 
     def parameters_of(self, takes: Sequence[Signals], joint: int) -> tuple[Parameter, ...]:
-        """The same, with the bounds of what the takes could show."""
+        """Parameters, with the bounds of what the takes could show."""
         return self.parameters(takes[0].nominal, takes[0].address, joint)
 
     @abstractmethod
@@ -97,7 +97,7 @@ class Effect(ABC):
         """
 
     def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
-        """The same for several takes: of the one in which the joint travels farthest, unless an effect knows better."""
+        """Grid for several takes: that of the take with the longest travel, unless an effect knows better."""
         return self.grid(max(takes, key=lambda s: float(np.ptp(s.fine_position[:, joint]))), joint)
 
     @abstractmethod

@@ -64,11 +64,11 @@ class LinkMotion:
     velocity: Array
     """Shape (S, J)."""
     derivatives: dict[int, Array] = field(default_factory=dict)
-    """Of :meth:`slopes`, by joint."""
+    """Results of :meth:`slopes`, by joint."""
     starts: dict[tuple[int, bool, bytes], Array] = field(default_factory=dict)
-    """Of :meth:`Gear.begin`, by joint, play, and what else decides them."""
+    """Results of :meth:`Gear.begin`, by joint, play, and what else decides them."""
     base: BaseMotion | None = None
-    """Of a floating robot. S samples."""
+    """Motion of the base of a floating robot. S samples."""
 
     @cached_property
     def acceleration(self) -> Array:
@@ -154,7 +154,7 @@ class JoinedMotion(LinkMotion):
 
     @classmethod
     def of(cls, pieces: tuple[LinkMotion, ...]) -> JoinedMotion:
-        """Of motions with the same period."""
+        """Join motions with the same period."""
         first = pieces[0]
         position, velocity = (np.concatenate([getattr(p, name) for p in pieces]) for name in ("position", "velocity"))
         return cls(first.model, first.address, first.period, position, velocity, pieces=pieces)
@@ -345,9 +345,9 @@ class Gear:
     spring: Spring
     """Fields of shape (rows,)."""
     deflection: Array = field(init=False)
-    """Of the motor ahead of the link [rad, m]. Shape (rows,)."""
+    """Deflection of the motor ahead of the link [rad, m]. Shape (rows,)."""
     velocity: Array = field(init=False)
-    """Of the motor. Shape (rows,)."""
+    """Velocity of the motor. Shape (rows,)."""
 
     def begin(self, start: Start, plant: Plant, velocity: Array) -> tuple[Array, Array]:
         """Take over the rotor, and find where the links are behind the measured motors.

@@ -13,13 +13,13 @@ from torchrl_athletic.effects.plant import Plant
 from torchrl_athletic.effects.signals import JointAddress, Signals, inertia_matrix
 
 _WORTH = 0.05
-"""Of the joint's inertia: a change worth mentioning."""
+"""Share of the joint's inertia: a change worth mentioning."""
 _STEP = 1.05
 """Between distances of a centre of mass at which a fingerprint is taken."""
 
 
 LEAST_ROTOR = 1e-4
-"""Of the joint's inertia: with less there is no rotor any more, which something else only looks like."""
+"""Share of the joint's inertia: with less there is no rotor any more, which something else only looks like."""
 
 
 class ReflectedInertia(Effect):

@@ -47,7 +47,7 @@ class Start:
     began: Array | None = None
     """Stamp at which the take of each piece began [s], if not with the piece. Shape (pieces,)."""
     mean_reading: Array | None = None
-    """Of the take of each piece (see :attr:`Recording.mean_reading`). Shape (pieces,)."""
+    """Mean reading of the take of each piece (see :attr:`Recording.mean_reading`). Shape (pieces,)."""
 
     @cached_property
     def piece(self) -> NDArray[np.intp]:
@@ -99,7 +99,7 @@ class Now:
     """One physics step of all rows."""
 
     position: Array
-    """Of the joints: of the motor for ``motor`` laws, of the link for ``laws`` [rad, m]. Shape (rows, J)."""
+    """Position of the joints: of the motor for ``motor`` laws, of the link for ``laws`` [rad, m]. Shape (rows, J)."""
     velocity: Array
     """Shape (rows, J)."""
     torque: Array
@@ -143,7 +143,7 @@ class Plant:
     gears: list[Gear] = field(default_factory=list)
     """Motors that do not sit rigidly on their joint."""
     delay: Array = field(init=False)
-    """Of the command [s]."""
+    """Delay of the command [s]."""
     lag: Array = field(init=False)
     """Time constant of the torque loop [s]."""
     torque_scale: Array = field(init=False)

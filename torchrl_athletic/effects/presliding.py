@@ -25,7 +25,10 @@ from torchrl_athletic.effects.signals import JointAddress, Signals, presliding_w
 NARROWEST = 6e-3
 """Width below which what builds up after a reversal is dry friction's presliding [rad]; a tenth of it in metres."""
 WIDTHS = (0.012, 0.02, 0.033, 0.055, 0.09, 0.15, 0.24, 0.4)
-"""Of a hysteresis, on a joint that travels a radian or more [rad]. Below them lies the presliding of dry friction."""
+"""Widths of a hysteresis, on a joint that travels a radian or more [rad].
+
+The presliding of dry friction lies below them.
+"""
 
 
 def sliding(position: Array, widths: Array, relaxed: bool = False) -> Array:

@@ -133,7 +133,7 @@ def inertia_matrix(model: mujoco.MjModel, address: JointAddress, q: Array) -> Ar
 
 
 def _full_inertia(model: mujoco.MjModel, address: JointAddress, q: Array) -> Array:
-    """Of all degrees of freedom, a floating base's among them. Shape (N, nv, nv)."""
+    """Inertia matrix of all degrees of freedom, a floating base's among them. Shape (N, nv, nv)."""
     data, out = mujoco.MjData(model), np.empty((len(q), model.nv, model.nv))
     full_q = np.tile(model.qpos0, (len(q), 1))
     full_q[:, address.qpos] = q
@@ -208,9 +208,9 @@ class Signals:
     fine_velocity: Array
     """Shape (M, J)."""
     base: BaseMotion | None = None
-    """Of a floating robot, projected like the joints. N instants."""
+    """Motion of the base of a floating robot, projected like the joints. N instants."""
     fine_base: BaseMotion | None = None
-    """The same, lightly smoothed. M instants."""
+    """Motion of the base, lightly smoothed. M instants."""
 
     @property
     def time(self) -> Array:
@@ -469,7 +469,7 @@ def _gaussian(x: Array, width: float, order: int = 0) -> Array:
 
 
 def _projection(length: int, keep: NDArray[np.intp], width: float) -> csr_array:
-    """The same at some instants only, as a matrix. Shape (N, M)."""
+    """Projection at some instants only, as a matrix. Shape (N, M)."""
     taps = np.arange(-int(TRUNCATE * width + 0.5), int(TRUNCATE * width + 0.5) + 1)
     weight = np.exp(-0.5 * (taps / max(width, 1e-12)) ** 2)
     columns = np.clip(keep[:, None] + taps, 0, length - 1)

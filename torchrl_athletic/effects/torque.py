@@ -26,12 +26,15 @@ _SHARES = (
     *(0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.74, 0.78, 0.82, 0.85, 0.88, 0.9),
     *(0.92, 0.94, 0.955, 0.97, 0.98, 0.99),
 )
-"""Of the greatest command: limits to try. Under a lower one nobody would have commanded so much, and a motor that gives
-next to nothing, on a link that weighs next to nothing, explains any motion."""
+"""Shares of the greatest command: limits to try.
+
+Under a lower one nobody would have commanded so much, and a motor that gives next to nothing, on a link that weighs
+next to nothing, explains any motion.
+"""
 _STALL = (0.5, 0.7, 1.0, 1.4, 2.0, 3.0)
-"""Of the greatest command: limits at standstill to try."""
+"""Shares of the greatest command: limits at standstill to try."""
 _NO_LOAD = (0.8, 1.0, 1.15, 1.35, 1.7, 2.4, 4.0)
-"""Of the greatest speed: no-load speeds to try."""
+"""Shares of the greatest speed: no-load speeds to try."""
 _NO_LIMIT = 1e3
 """No-load speed beyond reach [rad/s, m/s]."""
 _PERIODS = (*range(2, 31), 36, 40, 48, 60)
@@ -418,7 +421,7 @@ def _spectral_peaks(takes: Sequence[Signals], joint: int, travel: float, count: 
 
 
 def wave_number(periods: Array, model: mujoco.MjModel, address: JointAddress, joint: int) -> Array:
-    """Of so many periods a revolution, or a metre [rad/rad, rad/m]."""
+    """Wave number of so many periods a revolution, or a metre [rad/rad, rad/m]."""
     return 2 * np.pi * periods if is_slide(model, address, joint) else periods
 
 

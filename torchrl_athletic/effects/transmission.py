@@ -41,7 +41,7 @@ class _Transmission(Effect):
 
     @abstractmethod
     def spring(self, values: Mapping[str, Array], inertia: float) -> Spring:
-        """Of the parameters' values, and the inertia of the link."""
+        """Spring that the parameters' values make, on the inertia of the link."""
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         return self.fingerprints(s, joint, [fixed])[0]

@@ -22,7 +22,7 @@ from torchrl_athletic.robots import Dumbbell, Robot, Terrain, b2z1
 from torchrl_athletic.transforms import AddedMass, InPhase, RewardTerm, Term
 
 MASS = (0.0, 10.0)
-"""Of the dumbbell [kg]. Fey et al. 2025, section III, dumbbell snatch."""
+"""Mass of the dumbbell [kg]. Fey et al. 2025, section III, dumbbell snatch."""
 KNOWN = {"added_mass": 5.0, "load_mass": 5.0, "hand_force": 100.0}
 """What the critic sees besides, and the usual sizes [kg, N]."""
 
@@ -106,5 +106,5 @@ def dumbbell_snatch_rewards(
 
 
 def hand_height(hand: Tensor, base: Tensor, base_height: Tensor) -> Tensor:
-    """Of the hand over the ground below the base [m]. Positions (*B, 3), height (*B, 1) to (*B, 1)."""
+    """Height of the hand over the ground below the base [m]. Positions (*B, 3), height (*B, 1) to (*B, 1)."""
     return hand[..., 2:] - (base[..., 2:] - base_height)

@@ -18,7 +18,7 @@ from torchrl_athletic.robots import Robot
 from torchrl_athletic.transforms import RandomTransform
 
 KEYPOINT_LENGTH = 0.3
-"""Of the axes on which the frame's points stand [m]: 1° of attitude counts as 5 mm."""
+"""Length of the axes on which the frame's points stand [m]: 1° of attitude counts as 5 mm."""
 
 
 def reachable_poses(

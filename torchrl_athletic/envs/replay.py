@@ -125,12 +125,12 @@ class AddedTorque(Transform):
 
 @dataclass(frozen=True, eq=False)
 class _Past:
-    """Of every sample of takes, S of them."""
+    """The past of every sample of takes, S of them."""
 
     error: Tensor
-    """Of position [rad] and velocity [rad/s], as the chain notes them on the recorded states. Shape (S, J, 2)."""
+    """Errors of position [rad] and velocity [rad/s] that the chain notes on the recorded states. Shape (S, J, 2)."""
     torque: Tensor
-    """That the motors gave [N·m]. Shape (S, J)."""
+    """Torque that the motors gave [N·m]. Shape (S, J)."""
     wound: Tensor
     """How far joints have wound up since they turned [1]. Shape (S, J, M)."""
     memory: Mapping[NestedKey, Tensor]
@@ -258,7 +258,7 @@ class ReplayTakes(RandomTransform):
 
     @torch.no_grad()
     def _past(self) -> _Past:
-        """Of every sample, by playing the recorded steps before it through the chain.
+        """Find the past of every sample, by playing the recorded steps before it through the chain.
 
         What came before a take's first sample is not known: commands, torques and velocities count as those of that
         sample, as in rollouts that are scored. So a joint that moves as the take begins has wound up that way.

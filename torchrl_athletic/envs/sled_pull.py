@@ -25,8 +25,8 @@ from torchrl_athletic.robots import Handle, Robot, Terrain, b2z1
 from torchrl_athletic.transforms import CommandSampler, InPhase, RewardTerm, SledRope, StartLine, Term
 
 MASS, FRICTION = (20.0, 150.0), (0.1, 0.2)
-"""Of the sled [kg] and of its runners [1]. The paper names 150 kg as what was pulled at most, and friction of 113 N and
-230 N of its real carts; it gives no ranges."""
+"""Mass of the sled [kg] and friction of its runners [1]. The paper names 150 kg as what was pulled at most, and
+friction of 113 N and 230 N of its real carts; it gives no ranges."""
 KNOWN = {"rope_tension": 100.0, "sled_mass": 100.0, "sled_friction": 0.2}
 """What the critic sees besides, and the usual sizes [N, kg, 1]."""
 

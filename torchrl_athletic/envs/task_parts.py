@@ -15,10 +15,10 @@ from torchrl_athletic.envs.whole_body_rewards import GAIT, TRACKING, hand_tracki
 from torchrl_athletic.functional import rewards
 from torchrl_athletic.functional.phase import PhaseSchedule
 from torchrl_athletic.robots import Motion, Robot, motion_tables, read_motion
-from torchrl_athletic.transforms import InPhase, ReferenceTrajectory, RewardTerm, Term
+from torchrl_athletic.transforms import InPhase, ReferenceKeys, ReferenceTrajectory, RewardTerm, Term
 
 POLICY_DT, PHYSICS_DT = 0.02, 0.005
-"""Of a policy's step and of a step of the physics [s]."""
+"""Duration of a policy's step and of a step of the physics [s]."""
 PHASE_KEYS: tuple[NestedKey, NestedKey] = ("task_phase_index", "task_phase_step")
 FAILURE = -500.0
 """Scale of a failure, which lasts one step of 0.02 s: as much as the sled's other penalties of some 200 steps."""
@@ -61,7 +61,7 @@ def references(
         }
     tables = motion_tables(motion, robot, POLICY_DT)
     by_phase = partial(ReferenceTrajectory, table_dt=POLICY_DT, dt=POLICY_DT, phase_keys=PHASE_KEYS)
-    return [by_phase({name: tables[name]}, reference_key=key) for key, name in shown.items()]
+    return [by_phase({name: tables[name]}, keys=ReferenceKeys(key)) for key, name in shown.items()]
 
 
 def auxiliary_rewards(

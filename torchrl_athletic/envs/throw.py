@@ -33,11 +33,11 @@ from torchrl_athletic.transforms.stateful import StatefulTransform, unbounded_li
 BUCKET = Bucket(opening=(0.0, 0.0, -1.0))
 """Opens upwards where the arm is stretched backwards, whence an overhead swing throws forward."""
 DT = 0.02
-"""Of a policy's step [s]."""
+"""Duration of a policy's step [s]."""
 STEPS = 200
 """Policy's steps per episode: 4 s."""
 ARM_POWER = 300.0
-"""Of the arm's supply [W]. The paper gives no figure."""
+"""Power of the arm's supply [W]. The paper gives no figure."""
 PLACED_AT = 1.5
 """When the ball is put into the bucket [s]. Fey et al. 2025, appendix B-A."""
 FRAME = ("arm_position", "arm_velocity", "last_action", "reference", "task_phase")
@@ -334,7 +334,7 @@ def throw_distance(step: TensorDictBase) -> Tensor:
 
 
 def throw_summary(step: TensorDictBase) -> dict[str, float]:
-    """Of many throws, those that failed counting as 0 m.
+    """Summarise many throws, those that failed counting as 0 m.
 
     Args:
         step: As of :func:`throw_distance`. Shape (N,).

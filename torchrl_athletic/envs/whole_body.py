@@ -90,7 +90,7 @@ class Disturbances:
     """
 
     randomization: RandomizationRanges | None = RandomizationRanges()  # noqa: RUF009  frozen
-    """Of links, ground and the legs' drives."""
+    """Ranges for links, ground and the legs' drives."""
     pushes: tuple[Push, ...] = B2Z1_PUSHES
     """At base, hips, feet and end effector."""
     starts: StartRanges | None = StartRanges(base_position=(12.0, 12.0, 0.0))  # noqa: RUF009  frozen
@@ -102,7 +102,7 @@ class Disturbances:
 
 
 NO_DISTURBANCES = Disturbances(None, (), None, (0.0, 0.0), (0, 0))
-"""The same robot on the same ground, from the same pose, undisturbed."""
+"""Nothing is disturbed: one robot on one ground, from one pose."""
 
 
 def whole_body_env(

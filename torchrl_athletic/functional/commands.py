@@ -38,13 +38,13 @@ class CommandRanges:
     standstill_probability: float = 0.1
     """That a goal's velocity is 0 instead."""
     distance: Range = (0.5, 0.9)
-    """Of the hand from the shoulder [m]."""
+    """Distance of the hand from the shoulder [m]."""
     elevation: Range = (math.radians(-48), math.radians(135))
-    """Of the hand over the shoulder's horizon [rad]; more than a right angle is behind it."""
+    """Elevation of the hand over the shoulder's horizon [rad]; more than a right angle is behind it."""
     azimuth: Range = (-math.pi / 6, math.pi / 6)
-    """Of the plane in which the hand is elevated, counter-clockwise [rad]."""
+    """Azimuth of the plane in which the hand is elevated, counter-clockwise [rad]."""
     roll: Range = (-math.pi / 4, math.pi / 4)
-    """Of the end effector about its own x axis [rad]; last of the three turns in its own axes."""
+    """Roll of the end effector about its own x axis [rad]; last of the three turns in its own axes."""
     pitch: Range = (-math.pi / 9, math.pi / 4)
     """Nose down, from the line of sight [rad]."""
     yaw: Range = (-math.pi / 6, math.pi / 6)
@@ -52,11 +52,11 @@ class CommandRanges:
     shoulder: Place = (0.15, 0.0, 0.25)
     """Where it is in the commands' frame [m]: that of the Z1 on a B2."""
     frame_height: float = 0.5
-    """Of the commands' frame above the ground [m]. It follows the base's place and heading, and stays upright."""
+    """Height of the commands' frame above the ground [m]; it follows the base's place and heading and stays upright."""
     interval: float = 7.0
-    """Between goals [s]."""
+    """Time between goals [s]."""
     duration: Range = (2.0, 5.0)
-    """Of the way from the command before to a goal [s], drawn for velocity and pose apart."""
+    """Duration of the way from the command before to a goal [s], drawn for velocity and pose apart."""
     straighten: float = 0.0
     """While the robot is told to walk, command it back to the line on which its episode began, at this rate [1/s]."""
 

@@ -67,7 +67,7 @@ class PhaseSchedule:
 
     @property
     def width(self) -> int:
-        """Of the embedding: a place for each phase, and one for the timer if any phase has one."""
+        """Width of the embedding: a place for each phase, and one for the timer if any phase has one."""
         return len(self.phases) + any(phase.timer is not None for phase in self.phases)
 
     def index(self, name: str) -> int:

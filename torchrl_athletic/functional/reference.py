@@ -11,7 +11,7 @@ from torch import Tensor
 AtEnd: TypeAlias = Literal["hold", "loop"]
 """What follows the last sample: the same again for ever, or the first one."""
 PEAK_SPEED = 15 / 8
-"""Of the way between two key poses in :func:`interpolate_poses`, by its mean speed [1]."""
+"""Peak speed of the way between two key poses in :func:`interpolate_poses`, by its mean speed [1]."""
 
 
 def interpolate_poses(times: Tensor, poses: Tensor, t: Tensor) -> Tensor:

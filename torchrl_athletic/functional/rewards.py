@@ -34,7 +34,7 @@ WBC_SCALES: Mapping[str, float] = MappingProxyType(
         "contact_force": -0.000004,
     }
 )
-"""Of the table of WBC rewards; those from ``mechanical_power`` on, below its dashed line, serve every task."""
+"""Scales of the table of WBC rewards; those from ``mechanical_power`` on, below its dashed line, serve every task."""
 
 UAN_SCALES: Mapping[str, float] = MappingProxyType(
     {
@@ -45,7 +45,7 @@ UAN_SCALES: Mapping[str, float] = MappingProxyType(
         "action_smoothness": 0.5,
     }
 )
-"""Of the table of UAN rewards. The three kernels are :func:`gaussian` with sharpness 100, 300 and 1000."""
+"""Scales of the table of UAN rewards. The three kernels are :func:`gaussian` with sharpness 100, 300 and 1000."""
 
 
 def keypoint_tracking(keypoints: Tensor, command: Tensor, sharpness: float = 2.0) -> Tensor:

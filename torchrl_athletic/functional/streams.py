@@ -54,7 +54,7 @@ def branch(key: Tensor, counter: Tensor) -> Tensor:
 
 
 def advance(key: Tensor) -> Tensor:
-    """The same stream at its next step: draws from it are independent of those before. Shape of ``key``."""
+    """The stream at its next step: draws from it are independent of those before. Shape of ``key``."""
     return _mix(key + _GOLDEN)
 
 

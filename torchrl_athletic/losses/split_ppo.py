@@ -323,7 +323,7 @@ class SplitClipPPOLoss(ClipPPOLoss):
         return () if key is None else AUTO_LOSS_MASK_KEYS if key == "auto" else (key,)
 
     def _collecting_distribution(self, batch: TensorDictBase) -> Distribution | None:
-        """Of the policy that acted, if the batch remembers its parameters."""
+        """Distribution of the policy that acted, if the batch remembers its parameters."""
         keys = self.actor_network.dist_params_keys
         if any(batch.get(key, None) is None for key in keys):
             return None

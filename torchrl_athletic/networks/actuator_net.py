@@ -107,7 +107,7 @@ class Sizes:
 
 
 def sizes_of(net: nn.Module) -> Sizes:
-    """Of a net that :func:`uan` made.
+    """Sizes of a net that :func:`uan` made.
 
     Example:
         >>> sizes_of(uan(history=5, hidden=(8,), joints=6))

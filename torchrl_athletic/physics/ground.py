@@ -20,7 +20,7 @@ class HeightField:
     """Uneven ground, upright in the world."""
 
     heights: Tensor
-    """Of the surface in the world [m]. Shape (R, C), rows along y."""
+    """Heights of the surface in the world [m]. Shape (R, C), rows along y."""
     centre: Tensor
     """x and y [m]. Shape (2,)."""
     half_size: tuple[float, float]
@@ -51,7 +51,7 @@ class Ground:
     fields: tuple[HeightField, ...]
 
     def height(self, place: Tensor) -> Tensor:
-        """Of the highest surface under each point, x and y in the world [m]. Shape (*B, 2) to (*B, 1)."""
+        """Height of the highest surface under each point, x and y in the world [m]. Shape (*B, 2) to (*B, 1)."""
         x, y = place.unbind(-1)
         surface = torch.full_like(x, -torch.inf)
         for level, along, across in self.planes:
@@ -64,7 +64,7 @@ class Ground:
         return surface.unsqueeze(-1)
 
     def averaged(self, width: float) -> Ground:
-        """The same ground with its bumps rounded off over squares of a width [m]."""
+        """The ground with its bumps rounded off over squares of a width [m]."""
         return replace(self, fields=tuple(field.around(terrain.averaged, width) for field in self.fields))
 
     def highest(self, width: float) -> Ground:
@@ -136,7 +136,7 @@ class Clearance:
     def of(
         cls, model: mujoco.MjModel, ground: Sequence[str], device: torch.device | str = "cpu", margin: float = 0.05
     ) -> Clearance:
-        """Of a model.
+        """Clearance of the bodies of a model.
 
         Args:
             model: The whole scene.
@@ -164,7 +164,7 @@ class Clearance:
         )
 
     def __call__(self, position: Tensor, rotation: Tensor) -> Tensor:
-        """Of each env; negative if something is in the ground.
+        """Clearance of each env; negative if something is in the ground.
 
         Args:
             position: Of all bodies, ``xpos`` [m]. Shape (N, B, 3).

@@ -39,9 +39,9 @@ class InertialConstants:
     turns: Tensor
     """Squared Jacobian of its rotation, about each axis of its inertia. Shape (B, 3, V * V)."""
     rest: Tensor
-    """Of the mass matrix: armature of actuators and whatever else does not change. Shape (V, V)."""
+    """Constant part of the mass matrix: armature of actuators and whatever else does not change. Shape (V, V)."""
     inverse: Tensor
-    """Of the model's own mass matrix, to start from. Shape (V, V)."""
+    """Inverse of the model's own mass matrix, to start from. Shape (V, V)."""
     subtree: Tensor
     """Whether a body, by column, hangs on another, by row, or is it. Shape (B, B)."""
     moving: Tensor
@@ -49,7 +49,7 @@ class InertialConstants:
     joints: Tensor
     """Averages the degrees of freedom that a joint has weights for in common. Shape (V, V)."""
     moment: Tensor
-    """Of the actuators. Shape (U, V)."""
+    """Moment arms of the actuators. Shape (U, V)."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel, device: torch.device | str = "cpu") -> InertialConstants:
@@ -106,11 +106,11 @@ class InertialConstants:
         return found
 
     def subtree_mass(self, mass: Tensor) -> Tensor:
-        """Of each body with all that hangs on it [kg]. Shape (N, B)."""
+        """Mass of each body with all that hangs on it [kg]. Shape (N, B)."""
         return mass @ self.subtree.T
 
     def _inverse(self, mass: Tensor, powers: Tensor, inertia: Tensor, armature: Tensor) -> Tensor:
-        """Of each env's mass matrix, by iterations that a CUDA graph may hold. Shape (N, V, V).
+        """Inverse of each env's mass matrix, by iterations that a CUDA graph may hold. Shape (N, V, V).
 
         Source:
             Schulz 1933; Ben-Israel, Cohen 1966: it converges from any start within a factor of two.
@@ -139,7 +139,7 @@ def _powers(centre: Tensor) -> Tensor:
 def _squares_of(
     model: mujoco.MjModel, data: mujoco.MjData, body: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Of one body: shapes (10, V, V) and (3, V, V)."""
+    """Squares of one body: shapes (10, V, V) and (3, V, V)."""
     along, about = np.zeros((3, model.nv)), np.zeros((3, model.nv))
     mujoco.mj_jac(model, data, along, about, data.xpos[body], body)
     turn, inertia_turn = data.xmat[body].reshape(3, 3), np.zeros(9)

@@ -43,7 +43,7 @@ class Physics(Protocol):
 
     @property
     def timestep(self) -> float:
-        """Of one physics step [s]."""
+        """Duration of one physics step [s]."""
 
     @property
     def time(self) -> Tensor:
@@ -71,11 +71,11 @@ class Physics(Protocol):
 
     @property
     def joint_position(self) -> Tensor:
-        """Of ``joint_names``, to be read [rad, m for slides]. Shape (N, J)."""
+        """Positions of ``joint_names``, to be read [rad, m for slides]. Shape (N, J)."""
 
     @property
     def joint_velocity(self) -> Tensor:
-        """Of ``joint_names``, to be read [rad/s, m/s for slides]. Shape (N, J)."""
+        """Velocities of ``joint_names``, to be read [rad/s, m/s for slides]. Shape (N, J)."""
 
     @property
     def diverged(self) -> Tensor:

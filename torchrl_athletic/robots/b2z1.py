@@ -102,7 +102,7 @@ LEG_JOINTS = tuple(joint for leg in LEGS for joint in _leg_joints(leg))
 SOLVER_ITERATIONS = (10, 20)
 """Most of Newton's, and of its line search. On a GPU the slowest of thousands of robots rules the time of a step."""
 STAND_HEIGHT = FOOT_RADIUS + THIGH_LENGTH * float(np.cos(0.67)) + CALF_LENGTH * float(np.cos(0.67 - 1.3))
-"""Of the base's origin with the feet just touching the floor in the default pose, 0.589 [m]."""
+"""Height of the base's origin with the feet just touching the floor in the default pose, 0.589 [m]."""
 
 SENSORS: dict[str, tuple[str, ...]] = {
     "base_position": ("base_position",),

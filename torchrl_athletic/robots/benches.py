@@ -230,7 +230,7 @@ def xl330_pendulum(
 
 
 DISK_INERTIA = 2.4421e-4
-"""Of the unbalanced disk about its axis [kg·m²]."""
+"""Inertia of the unbalanced disk about its axis [kg·m²]."""
 DISK_TORQUE_PER_VOLT = 28.136158 * DISK_INERTIA
 """Torque of the unbalanced disk's motor at rest [N·m/V]."""
 

@@ -13,7 +13,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Inertial:
-    """Of one rigid body, in its own frame."""
+    """Mass, centre and inertia of one rigid body, in its own frame."""
 
     mass: float
     """[kg]."""

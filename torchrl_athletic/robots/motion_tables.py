@@ -26,7 +26,7 @@ JUMP = 0.01
 CLEARANCE = 0.02
 """Least height over the ground of the end effector and of what it holds [m]."""
 DT = 0.02
-"""Of a policy's step, and so of a table's rows [s]."""
+"""Duration of a policy's step, and so of a table's rows [s]."""
 
 
 def motion_tables(motion: Motion, robot: Robot, dt: float = DT, frame_height: float = 0.5) -> dict[str, list[Tensor]]:
@@ -204,7 +204,7 @@ _HAND_SENSORS = ("end_effector_position", "end_effector_quaternion")
 
 
 def joint_position(pose: KeyPose, robot: Robot, joint: int) -> float:
-    """Of one joint in a key pose [rad]."""
+    """Position of one joint in a key pose [rad]."""
     return pose.joints.get(robot.joint_names[joint], robot.default_pose[joint])
 
 

@@ -9,7 +9,7 @@ import mujoco
 
 Cone = Literal["elliptic", "pyramidal"]
 TIMESTEP = 0.005
-"""Of the physics; a policy acts every four of them [s]. Paper, table of domain randomisation."""
+"""Time step of the physics; a policy acts every four of them [s]. Paper, table of domain randomisation."""
 GROUND_SOLREF = (0.01, 1.0)
 """Time constant [s] and damping ratio of contacts with the ground: as stiff as the time step allows. At MuJoCo's 0.02 s
 a foot of 3.2 cm that lands at 1 m/s sinks in whole, and a height field then squeezes it with 20 kN."""

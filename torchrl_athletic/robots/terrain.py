@@ -24,7 +24,7 @@ class Terrain:
     tile_size: float = 4.0
     """[m]."""
     spacing: float = 0.1
-    """Of neighbouring heights [m]."""
+    """Distance of neighbouring heights [m]."""
     slope: float = 0.0
     """By which the whole field rises along x [rad]; it is at height 0 in its middle."""
     seed: int = 0
@@ -54,7 +54,7 @@ class Terrain:
         return np.stack(np.meshgrid(line, line), axis=-1)
 
     def heights(self) -> NDArray[np.float64]:
-        """Of the ground above the floor [m]. Shape (tiles * n, tiles * n), n heights on a tile's edge.
+        """Heights of the ground above the floor [m]. Shape (tiles * n, tiles * n), n heights on a tile's edge.
 
         Example:
             >>> heights = Terrain(roughness=(0.0, 0.02)).heights()

@@ -25,7 +25,7 @@ class Bucket:
     """Where it opens to, in ``link06``, of any length [1]. Up (0, 0, 1) holds the ball in the default pose; down
     (0, 0, -1) holds it with the arm stretched backwards, whence an overhead swing throws forward."""
     mass: float = 0.2
-    """Of the empty bucket [kg]."""
+    """Mass of the empty bucket [kg]."""
     ball_mass: float = 0.1
     """[kg]. Paper, section Ball throwing."""
     ball_radius: float = 0.035

@@ -62,7 +62,7 @@ class Processes:
         return self.rank * self.share(num_envs)
 
     def seed(self, seed: int) -> int:
-        """Of this process's generators: the first one's is ``seed``, the others explore otherwise."""
+        """Seed of this process's generators: the first one's is ``seed``, the others explore otherwise."""
         return zlib.crc32(f"{seed}/{self.rank}".encode()) if self.rank else seed
 
     @torch.no_grad()

@@ -30,17 +30,17 @@ class FineTune:
     """What a recipe that tunes a controller to a task asks on its command line."""
 
     device: Literal["cpu", "cuda"] = "cpu"
-    """Of simulation and nets."""
+    """Device of simulation and nets."""
     minutes: float | None = None
     """When to stop [min]; None takes 10 on CPUs and 15 on a GPU."""
     iterations: int | None = None
     """When to stop in any case."""
     seed: int = 0
-    """Of robots, disturbances and exploration."""
+    """Seed of robots, disturbances and exploration."""
     start: str | None = "wbc"
     """A shipped controller, or a file of ``pretrain_wbc.py``, to go on from; ``None`` begins anew."""
     actuation: str = "uan"
-    """Of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
+    """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     num_envs: int | None = None
     """Robots; None takes 256 on CPUs and those of ``ppo`` on a GPU."""
     ppo: PPO = field(default_factory=lambda: FINE_TUNE)

@@ -45,9 +45,9 @@ class PPO:
     """
 
     discount: float = 0.99
-    """Of the reward one step later, γ [1]."""
+    """Discount of the reward one step later, γ [1]."""
     gae_lambda: float = 0.95
-    """Of the generalised advantage estimate [1]."""
+    """Decay λ of the generalised advantage estimate [1]."""
     entropy_coeff: float = 0.01
     """Weight of the policy's entropy [reward/nat]."""
     actor_lr: float = 1e-3
@@ -67,7 +67,7 @@ class PPO:
     critic_minibatches: int = 1
     """Steps of the critic per epoch: 1 is the paper's whole batch, ``actor_minibatches`` is common PPO."""
     weight_decay: float = 0.01
-    """Of AdamW [1]."""
+    """Weight decay of AdamW [1]."""
     clip_epsilon: float = 0.2
     """How much likelier an action may become before it stops earning [1]."""
     max_grad_norm: float = 1.0

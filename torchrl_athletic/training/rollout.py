@@ -206,7 +206,7 @@ def kept_keys(env: EnvBase, policy: Policy, keys: Sequence[NestedKey]) -> list[N
 
 
 def under_next(keys: Sequence[NestedKey]) -> list[NestedKey]:
-    """The same entries of what a step led to."""
+    """Entries of what a step led to."""
     return [("next", *_path(key)) for key in keys]
 
 

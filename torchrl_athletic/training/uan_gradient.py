@@ -28,7 +28,7 @@ from torchrl_athletic.training.uan import MeanPolicy
 WINDOWS = (32, 48)
 """Steps that the gradient goes back, in the first and the second half of the time. Over more it can explode."""
 NUDGE = 1e-3
-"""Of a position [rad] and a velocity [rad/s]; a torque is nudged as many N·m as its limit times this."""
+"""Nudge of a position [rad] and a velocity [rad/s]; a torque is nudged as many N·m as its limit times this."""
 
 EXPLODED = 20.0
 """How many times as long as usual a gradient may be before the net is taken back."""
@@ -169,7 +169,7 @@ class DifferentiableTorqueEnv(TorqueEnv):
         self.copies.step()
 
     def _jacobian(self) -> Tensor:
-        """Of positions and velocities by positions, velocities and torques before. Shape (N, 3D, 2D)."""
+        """Jacobian of positions and velocities by positions, velocities and torques before. Shape (N, 3D, 2D)."""
         after = torch.cat((self.copies.joint_position, self.copies.joint_velocity), -1)
         plain = torch.cat((self.physics.joint_position, self.physics.joint_velocity), -1)
         moved = (after.unflatten(0, (-1, len(self.nudges))) - plain.unsqueeze(1)) / self.steps[:, None]
@@ -240,7 +240,7 @@ class GradientLearner:
 
     @property
     def share(self) -> float:
-        """Of the training that has gone."""
+        """Share of the training that has gone."""
         gone = self.seconds / (60 * self.minutes) if self.iterations is None else self.iteration / self.iterations
         return min(1.0, gone)
 

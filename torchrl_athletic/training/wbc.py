@@ -36,7 +36,7 @@ CURVES = {
 """Columns of ``progress.csv`` that tell how a training goes."""
 
 MakeRollout = Callable[[TensorDictModuleBase, Sequence[NestedKey]], Rollout]
-"""Of a policy and the entries to store."""
+"""Makes a rollout of a policy and the entries to store."""
 
 
 def wbc_learner(

@@ -12,12 +12,13 @@ from torchrl_athletic.transforms.actuation import (
     PowerClip,
     TorqueSpeedClip,
     UANCorrection,
+    UANKeys,
 )
 from torchrl_athletic.transforms.actuator_net import ActuatorNet
 from torchrl_athletic.transforms.added_mass import AddedMass
 from torchrl_athletic.transforms.ball_flight import BallFlight
 from torchrl_athletic.transforms.command_sampler import CommandSampler
-from torchrl_athletic.transforms.corrected_actuation import CorrectedActuation
+from torchrl_athletic.transforms.corrected_actuation import CorrectedActuation, CorrectedKeys
 from torchrl_athletic.transforms.decimation import Decimation
 from torchrl_athletic.transforms.domain_randomization import DomainRandomization, RandomizationRanges
 from torchrl_athletic.transforms.early_termination import EarlyTermination
@@ -29,7 +30,7 @@ from torchrl_athletic.transforms.limited_target import LimitedTarget
 from torchrl_athletic.transforms.observation_history import ObservationHistory
 from torchrl_athletic.transforms.peak_power import PeakPower
 from torchrl_athletic.transforms.pose_error import PoseError
-from torchrl_athletic.transforms.reference_trajectory import ReferenceTrajectory
+from torchrl_athletic.transforms.reference_trajectory import ReferenceKeys, ReferenceTrajectory
 from torchrl_athletic.transforms.reward_terms import InPhase, RewardTerm, RewardTerms, Term
 from torchrl_athletic.transforms.sled_rope import SledRope
 from torchrl_athletic.transforms.staggered_episodes import StaggeredEpisodes
@@ -46,6 +47,7 @@ __all__ = [
     "BallFlight",
     "CommandSampler",
     "CorrectedActuation",
+    "CorrectedKeys",
     "Decimation",
     "DomainRandomization",
     "EarlyTermination",
@@ -64,6 +66,7 @@ __all__ = [
     "Push",
     "RandomTransform",
     "RandomizationRanges",
+    "ReferenceKeys",
     "ReferenceTrajectory",
     "RewardTerm",
     "RewardTerms",
@@ -76,4 +79,5 @@ __all__ = [
     "Term",
     "TorqueSpeedClip",
     "UANCorrection",
+    "UANKeys",
 ]

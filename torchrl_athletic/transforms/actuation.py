@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
@@ -271,6 +272,26 @@ class PowerClip(_Torque):
         return tensordict.set(self.torque_key, torque)
 
 
+@dataclass(frozen=True)
+class UANKeys:
+    """Entries that a :class:`UANCorrection` reads and writes."""
+
+    torque: NestedKey = "torque"
+    """Torque that is corrected [N·m]. Shape (*B, J)."""
+    target: NestedKey = "position_target"
+    """Target that :class:`PDControl` notes [rad]. Shape (*B, J)."""
+    position: NestedKey = "joint_position"
+    """[rad]. Shape (*B, J)."""
+    velocity: NestedKey = "joint_velocity"
+    """[rad/s]. Shape (*B, J)."""
+    correction: NestedKey = "torque_correction"
+    """Correction, noted [N·m]. Shape (*B, J of the group)."""
+    history: NestedKey = "error_history"
+    """Errors, remembered. Shape (*B, J of the group, 2, length)."""
+    wound: NestedKey = "wound_up"
+    """How far joints have wound up, remembered. Shape (*B, J of the group, M)."""
+
+
 class UANCorrection(StatefulTransform):
     r"""Add the torque that an Unsupervised Actuator Net thinks the simulation lacks.
 
@@ -289,13 +310,7 @@ class UANCorrection(StatefulTransform):
             (:func:`~.functional.actuator_dynamics.wind_up`), a number more for each.
         timestep: Of a step at this place in the chain [s], by which a memory knows how far a joint has moved.
         differentiable: Whether gradients shall flow through the net.
-        torque_key: What is corrected [N·m]. Shape (*B, J).
-        target_key: [rad]. Shape (*B, J).
-        position_key: [rad].
-        velocity_key: [rad/s].
-        correction_key: Where to note the correction [N·m]. Shape (*B, J of the group).
-        history_key: Where the errors are remembered. Shape (*B, J of the group, 2, length).
-        wound_key: Where it is remembered how far joints have wound up. Shape (*B, J of the group, M).
+        keys: Entries that it reads and writes.
         reset_key: As of :class:`StatefulTransform`.
 
     Source:
@@ -325,28 +340,22 @@ class UANCorrection(StatefulTransform):
         memory: Sequence[float] = (),
         timestep: float = 0.005,
         differentiable: bool = False,
-        torque_key: NestedKey = "torque",
-        target_key: NestedKey = "position_target",
-        position_key: NestedKey = "joint_position",
-        velocity_key: NestedKey = "joint_velocity",
-        correction_key: NestedKey = "torque_correction",
-        history_key: NestedKey = "error_history",
-        wound_key: NestedKey = "wound_up",
+        keys: UANKeys = UANKeys(),
         reset_key: NestedKey | None = None,
     ) -> None:
         super().__init__(
             in_keys=[],
-            out_keys=[correction_key, history_key, *([wound_key] if memory else [])],
-            in_keys_inv=[torque_key],
-            out_keys_inv=[torque_key],
+            out_keys=[keys.correction, keys.history, *([keys.wound] if memory else [])],
+            in_keys_inv=[keys.torque],
+            out_keys_inv=[keys.torque],
             reset_key=reset_key,
         )
         self.net, self.joints, self.length = net, joints, length
-        self.memory, self.timestep, self.wound_key = tuple(memory), timestep, wound_key
+        self.memory, self.timestep, self.wound_key = tuple(memory), timestep, keys.wound
         self.register_buffer("ways", torch.tensor(self.memory), persistent=False)
         self.scale, self.state, self.differentiable = scale, state, differentiable
-        self.torque_key, self.target_key, self.position_key = torque_key, target_key, position_key
-        self.velocity_key, self.correction_key, self.history_key = velocity_key, correction_key, history_key
+        self.torque_key, self.target_key, self.position_key = keys.torque, keys.target, keys.position
+        self.velocity_key, self.correction_key, self.history_key = keys.velocity, keys.correction, keys.history
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         columns = joint_index(self, self.joints)
@@ -396,7 +405,7 @@ class UANCorrection(StatefulTransform):
         return {key: unbounded_like(position, size) for key, size in self._shapes(shape).items()}
 
     def _shapes(self, joints: Sequence[int]) -> dict[NestedKey, tuple[int, ...]]:
-        """Of what it notes, for joints of a shape."""
+        """Shapes of what it notes, for joints of a shape."""
         shapes = {self.correction_key: tuple(joints), self.history_key: (*joints, 2, self.length)}
         return shapes | ({self.wound_key: (*joints, len(self.memory))} if self.memory else {})
 

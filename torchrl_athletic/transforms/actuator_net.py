@@ -5,7 +5,7 @@ from __future__ import annotations
 from tensordict import NestedKey, TensorDictBase
 from torch import nn
 
-from torchrl_athletic.transforms.actuation import UANCorrection
+from torchrl_athletic.transforms.actuation import UANCorrection, UANKeys
 from torchrl_athletic.transforms.stateful import Joints, joint_index
 
 
@@ -57,18 +57,8 @@ class ActuatorNet(UANCorrection):
         history_key: NestedKey = "error_history",
         reset_key: NestedKey | None = None,
     ) -> None:
-        super().__init__(
-            net,
-            joints,
-            length=length,
-            torque_key=torque_key,
-            target_key=target_key,
-            position_key=position_key,
-            velocity_key=velocity_key,
-            correction_key=actuator_key,
-            history_key=history_key,
-            reset_key=reset_key,
-        )
+        keys = UANKeys(torque_key, target_key, position_key, velocity_key, actuator_key, history_key)
+        super().__init__(net, joints, length=length, keys=keys, reset_key=reset_key)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         torque = tensordict.get(self.torque_key).clone()

@@ -23,7 +23,7 @@ class _Body:
 
     number: int
     inertia: Tensor
-    """Of each kilogram, on the physics' device [m²]. Shape (3,)."""
+    """Inertia of each kilogram, on the physics' device [m²]. Shape (3,)."""
 
 
 class AddedMass(RandomTransform):
@@ -72,7 +72,7 @@ class AddedMass(RandomTransform):
     """
 
     fields = ("body_mass", "body_inertia")
-    """Of the model, that differ between rows."""
+    """Fields of the model, that differ between rows."""
 
     def __init__(
         self,

@@ -6,6 +6,7 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -78,6 +79,36 @@ Correction: TypeAlias = str | os.PathLike[str] | Mapping[str, Any]
 """Path of a ``corrected.json``, or what stands in it."""
 
 
+@dataclass(frozen=True)
+class CorrectedKeys:
+    """Entries that a :class:`CorrectedActuation` reads and writes."""
+
+    torque: NestedKey = "torque"
+    """Torque that the environment takes [N·m]. Shape (*B, J)."""
+    action: NestedKey = "action"
+    """Target that the policy gives instead, where there are gains [rad]. Shape (*B, J)."""
+    position: NestedKey = "joint_position"
+    """[rad]. Shape (*B, J)."""
+    velocity: NestedKey = "joint_velocity"
+    """[rad/s]. Shape (*B, J)."""
+    target: NestedKey = "position_target"
+    """Target that acts, noted [rad]. Shape (*B, J)."""
+    scales: tuple[NestedKey, NestedKey] = ("kp_scale", "kd_scale")
+    """Scales of the gains, as of :class:`PDControl`."""
+    limit_scale: NestedKey = "torque_limit_scale"
+    """What multiplies the motors' torques at standstill, the diagnosed ones too, where the tensordict has it.
+
+    Shape (*B, J) or (*B, 1).
+    """
+    state: NestedKey = "corrected_actuation"
+    """Begins the keys of what is remembered, as far as needed.
+
+    ``_queue``, commands on their way, shape (*B, L, J); ``_lag``, the state of the lag, (*B, J); ``_wound`` and
+    ``_last``, how far hysteresis has built up, 0 at the start, and where, (*B, J); ``_fresh``, whether an episode has
+    yet to get its first command, (*B, 1). What came before is taken to be that one.
+    """
+
+
 class CorrectedActuation(StatefulTransform):
     r"""Drive the joints as a diagnosis found that the real ones are driven.
 
@@ -106,18 +137,7 @@ class CorrectedActuation(StatefulTransform):
         kp: Gains as the drive is told [N·m/rad]; None for torques. Shape (J,) or ().
         kd: [N·m·s/rad]. Shape (J,) or ().
         torque_limit: Of the motors [N·m]. Shape (J,) or ().
-        torque_key: What the environment takes [N·m]. Shape (*B, J).
-        action_key: What the policy gives instead, where there are gains [rad]. Shape (*B, J).
-        position_key: [rad]. Shape (*B, J).
-        velocity_key: [rad/s]. Shape (*B, J).
-        target_key: Where to note the target that acts.
-        scale_keys: As of :class:`PDControl`.
-        limit_scale_key: Entry that multiplies the motors' torques at standstill, the diagnosed ones too, where the
-            tensordict has it. Shape (*B, J) or (*B, 1).
-        state_key: Begins the keys of what is remembered, as far as needed: ``_queue``, commands on their way, shape
-            (*B, L, J); ``_lag``, the state of the lag, (*B, J); ``_wound`` and ``_last``, how far hysteresis has built
-            up, 0 at the start, and where, (*B, J); ``_fresh``, whether an episode has yet to get its first command,
-            (*B, 1). What came before is taken to be that one.
+        keys: Entries that it reads and writes.
         reset_key: As of :class:`StatefulTransform`.
 
     Raises:
@@ -174,14 +194,7 @@ class CorrectedActuation(StatefulTransform):
         kp: PerJoint | None = None,
         kd: PerJoint | None = None,
         torque_limit: PerJoint = torch.inf,
-        torque_key: NestedKey = "torque",
-        action_key: NestedKey = "action",
-        position_key: NestedKey = "joint_position",
-        velocity_key: NestedKey = "joint_velocity",
-        target_key: NestedKey = "position_target",
-        scale_keys: tuple[NestedKey, NestedKey] = ("kp_scale", "kd_scale"),
-        limit_scale_key: NestedKey = "torque_limit_scale",
-        state_key: NestedKey = "corrected_actuation",
+        keys: CorrectedKeys = CorrectedKeys(),
         reset_key: NestedKey | None = None,
     ) -> None:
         content = _read(correction)
@@ -196,7 +209,7 @@ class CorrectedActuation(StatefulTransform):
                 "correct. Give CorrectedActuation the gains that the drive is told."
             )
         queue, lag, wound, last, fresh = (
-            beside(state_key, name) for name in ("queue", "lag", "wound", "last", "fresh")
+            beside(keys.state, name) for name in ("queue", "lag", "wound", "last", "fresh")
         )
         late = zip(self._column("actuation_delay"), self._column("clock_offset"), strict=True)
         delays, lags = [delay + max(offset, 0.0) for delay, offset in late], self._column("actuation_lag")
@@ -206,14 +219,14 @@ class CorrectedActuation(StatefulTransform):
         winds = "hysteresis" in self.present
         self.wound_key, self.last_key = wound if winds else None, last if winds else None
         self.fresh_key = fresh if self.queue_key or self.lag_key or self.wound_key else None
-        keys = (self.queue_key, self.lag_key, self.wound_key, self.last_key, self.fresh_key)
-        memory = [key for key in keys if key is not None]
-        policy_key = action_key if self.closed_loop else torque_key
-        reads = [position_key, velocity_key] if "encoder_scale" in self.present else [position_key]
-        super().__init__(reads, [*reads, *memory], [torque_key], [policy_key], reset_key)
-        self.memory, self.timestep, self.policy_key, self.torque_key = memory, timestep, policy_key, torque_key
-        self.position_key, self.velocity_key = position_key, velocity_key
-        self.target_key, self.scale_keys, self.limit_scale_key = target_key, scale_keys, limit_scale_key
+        needed = (self.queue_key, self.lag_key, self.wound_key, self.last_key, self.fresh_key)
+        memory = [key for key in needed if key is not None]
+        policy_key = keys.action if self.closed_loop else keys.torque
+        reads = [keys.position, keys.velocity] if "encoder_scale" in self.present else [keys.position]
+        super().__init__(reads, [*reads, *memory], [keys.torque], [policy_key], reset_key)
+        self.memory, self.timestep, self.policy_key, self.torque_key = memory, timestep, policy_key, keys.torque
+        self.position_key, self.velocity_key = keys.position, keys.velocity
+        self.target_key, self.scale_keys, self.limit_scale_key = keys.target, keys.scales, keys.limit_scale
         self._make_buffers(delays, lags, kp, kd, torque_limit)
 
     def _column(self, effect: str, parameter: int = 0, absent: float = 0.0) -> list[float]:

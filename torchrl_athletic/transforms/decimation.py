@@ -126,7 +126,7 @@ def _all_stop(done: torch.Tensor) -> bool:
 
 
 def _supports_partial_step(env: EnvBase) -> bool:
-    """Of this environment itself: those that hold others pass the question on to them."""
+    """Whether this environment itself supports it: those that hold others pass the question on to them."""
     return getattr(env, "supports_partial_step", False) is True
 
 

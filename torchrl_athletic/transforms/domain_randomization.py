@@ -40,25 +40,27 @@ class RandomizationRanges:
     friction: Range = (0.5, 4.0)
     """Sliding friction of the ground [1]."""
     restitution: Range = (0.0, 0.5)
-    """Of the ground, :func:`~torchrl_athletic.functional.randomization.restitution_solref` [1]. Undamped by anything
-    else, MuJoCo's own default ground returns 0.14."""
+    """Restitution of the ground, :func:`~torchrl_athletic.functional.randomization.restitution_solref` [1].
+
+    Undamped by anything else, MuJoCo's own default ground returns 0.14.
+    """
     stiffness_scale: Range = (0.9, 1.1)
-    """Of ``kp``, joint by joint [1]."""
+    """Scale of ``kp``, joint by joint [1]."""
     damping_scale: Range = (0.5, 1.5)
-    """Of ``kd``, joint by joint [1]."""
+    """Scale of ``kd``, joint by joint [1]."""
     torque_limit_scale: Range = (0.9, 1.1)
-    """Of the torque at standstill, joint by joint [1]."""
+    """Scale of the torque at standstill, joint by joint [1]."""
     mass_scale: Range = (0.5, 1.5)
-    """Of each link's mass and inertia [1]."""
+    """Scale of each link's mass and inertia [1]."""
     com_offset: Range = (-0.02, 0.02)
-    """Of each link's centre of mass, along each of its axes [m]."""
+    """Offset of each link's centre of mass, along each of its axes [m]."""
     joint_friction_scale: Range = None
-    """Of the Coulomb friction in the model, joint by joint [1]. Not in the paper's table, nor are the next two: its
-    baseline for the arm randomises them, by how much is not said."""
+    """Scale of the Coulomb friction in the model, joint by joint [1]. This and the next two are not in the paper's
+    table: its baseline for the arm randomises them and does not say by how much."""
     joint_damping_scale: Range = None
-    """Of the viscous friction in the model, joint by joint [1]."""
+    """Scale of the viscous friction in the model, joint by joint [1]."""
     armature_scale: Range = None
-    """Of the rotors' inertia, joint by joint [1]."""
+    """Scale of the rotors' inertia, joint by joint [1]."""
 
     def __post_init__(self) -> None:
         for name, between in vars(self).items():
@@ -94,7 +96,7 @@ class _OfModel:
     friction: Tensor
     solref: Tensor
     dofs: Tensor
-    """Of the joints whose drives differ."""
+    """Degrees of freedom of the joints whose drives differ."""
     joints: dict[str, Tensor]
     """Values of these joints by field."""
 
@@ -169,7 +171,7 @@ class DomainRandomization(RandomTransform):
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Of the model, that differ between rows."""
+        """Fields of the model, that differ between rows."""
         return tuple(
             field for name, fields in _FIELDS.items() if getattr(self.ranges, name) is not None for field in fields
         )

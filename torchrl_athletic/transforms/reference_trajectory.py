@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
@@ -15,6 +16,21 @@ from torchrl_athletic.transforms.stateful import RandomTransform
 
 References = Mapping[str, Tensor | Sequence[Tensor]]
 """By name, such as ``joint_position``: (T, D) for one reference, (R, T, D) or R of shape (T_r, D) for several."""
+
+
+@dataclass(frozen=True)
+class ReferenceKeys:
+    """Entries that a :class:`ReferenceTrajectory` writes."""
+
+    reference: NestedKey = "reference"
+    """Reference, shown. Shape (*B, K * D) if flat.
+
+    Otherwise an entry (reference, name) for each table, of shape (*B, D), or (*B, K, D) with K > 1 times.
+    """
+    id: NestedKey = "reference_id"
+    """Number of the reference. int64, shape (*B, 1)."""
+    step: NestedKey = "reference_step"
+    """Time in the reference [steps]. int64, shape (*B, 1)."""
 
 
 class ReferenceTrajectory(RandomTransform):
@@ -49,10 +65,7 @@ class ReferenceTrajectory(RandomTransform):
         reset_state: From what the environment reads at its reset to the table that holds it, such as
             ``{"reset_qpos": "qpos", "reset_qvel": "qvel"}``. Around a ParallelEnv, which drops what its workers' specs
             do not name, this does nothing: there the transform belongs within the workers.
-        reference_key: Where to show. Shape (*B, K * D) if flat; otherwise an entry (reference_key, name) for each
-            table, of shape (*B, D), or (*B, K, D) with K > 1 times.
-        id_key: Number of the reference. int64, shape (*B, 1).
-        step_key: Time in the reference [steps]. int64, shape (*B, 1).
+        keys: Entries that it writes.
         seed: Of the draws.
         first_row: As of :class:`RandomTransform`.
         reset_key: As of :class:`StatefulTransform`.
@@ -89,9 +102,7 @@ class ReferenceTrajectory(RandomTransform):
         probability: Sequence[float] | None = None,
         phase_keys: tuple[NestedKey, NestedKey] | None = None,
         reset_state: Mapping[str, str] | None = None,
-        reference_key: NestedKey = "reference",
-        id_key: NestedKey = "reference_id",
-        step_key: NestedKey = "reference_step",
+        keys: ReferenceKeys = ReferenceKeys(),
         seed: int = 0,
         first_row: int = 0,
         reset_key: NestedKey | None = None,
@@ -111,16 +122,16 @@ class ReferenceTrajectory(RandomTransform):
                 "with phase_keys the task's phase chooses the reference and its time, which leaves nothing to say for "
                 "random_start, probability and reset_state. Leave them out, or the keys."
             )
-        prefix = reference_key if isinstance(reference_key, tuple) else (reference_key,)
-        keys: list[NestedKey] = [reference_key] if flatten else [(*prefix, name) for name in names]
-        memory = [id_key, step_key] if phase_keys is None else []
+        prefix = keys.reference if isinstance(keys.reference, tuple) else (keys.reference,)
+        shows: list[NestedKey] = [keys.reference] if flatten else [(*prefix, name) for name in names]
+        memory = [keys.id, keys.step] if phase_keys is None else []
         seen = [] if phase_keys is None else list(phase_keys)
-        super().__init__(seen, [*keys, *memory], seed=seed, first_row=first_row, reset_key=reset_key)
+        super().__init__(seen, [*shows, *memory], seed=seed, first_row=first_row, reset_key=reset_key)
         self.phase_keys = phase_keys
-        self.names, self.keys, self.flatten, self.reset_state = names, keys, flatten, resets
+        self.names, self.keys, self.flatten, self.reset_state = names, shows, flatten, resets
         self.samples_per_step, self.lookahead = dt / table_dt, tuple(lookahead)
         self.at_end, self.interpolate, self.random_start = at_end, interpolate, random_start
-        self.id_key, self.step_key = id_key, step_key
+        self.id_key, self.step_key = keys.id, keys.step
         lengths = self._add_tables(references)
         self._add_shares(probability, len(lengths))
         steps = ((lengths - 1) / self.samples_per_step + 1e-6).floor().long() + 1  # that begin within the reference

@@ -13,7 +13,7 @@ from torchrl.data import Composite, TensorSpec
 from torchrl_athletic.transforms.stateful import StatefulTransform, full_reward_spec, unbounded_like
 
 RewardTerm: TypeAlias = Callable[[TensorDictBase, TensorDictBase], Tensor]
-"""Of what a step started from and what it led to, one value per row: shape (*B, 1) or (*B,)."""
+"""A function of what a step started from and what it led to, one value per row: shape (*B, 1) or (*B,)."""
 
 
 class Term(nn.Module):
