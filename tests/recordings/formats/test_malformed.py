@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from recordings.formats.foreign_files import WRITERS, make_recording, numbers_of, table_of
 
 from torchrl_athletic.recordings import ColumnMap, RecordingError, read_recordings, write_recording
+from torchrl_athletic.recordings.formats.readers import read_source
 
 TAKE = make_recording("torque_command")
 COLUMNS = ColumnMap(joint_names=("hip", "knee"), torque_semantics="link_side")
@@ -252,7 +253,7 @@ def test_nothing_is_unpickled(suffix, tmp_path):
 def test_an_array_of_objects_is_named(tmp_path):
     np.savez(tmp_path / "take.npz", **(numbers_of(TAKE) | {"velocity": np.array([None, 1])}), allow_pickle=True)
     with pytest.raises(RecordingError, match=r"take.npz: velocity: cannot be read .*allow_pickle=False"):
-        read_recordings(tmp_path / "take.npz")
+        read_recordings(tmp_path / "take.npz", COLUMNS)
 
 
 def test_an_npz_with_a_bare_array_is_refused(tmp_path):
@@ -371,7 +372,7 @@ def test_a_missing_library_says_how_to_install_it(tmp_path, monkeypatch):
     (tmp_path / "take.h5").write_bytes(b"")
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(ImportError, match=r"'h5py'.*pip install torchrl-athletic\[formats\]"):
-        read_recordings(tmp_path / "take.h5")
+        read_source(tmp_path / "take.h5", COLUMNS)
 
 
 def test_no_columns_are_dropped_unseen(tmp_path):

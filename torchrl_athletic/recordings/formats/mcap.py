@@ -55,7 +55,8 @@ def read_mcap(path: Path, columns: ColumnMap) -> list[Take]:
                 for c in summary.channels.values()
             }
             notes = {record.name: record.metadata for record in reader.iter_metadata()}.get(_NOTES, {})
-            attachments = {attachment.name: attachment.data for attachment in reader.iter_attachments()}
+            kept = any(attachment.name == _NOTES for attachment in summary.attachment_indexes)  # others may be large
+            attachments = {found.name: found.data for found in reader.iter_attachments()} if kept else {}
 
         def read(wanted: set[str]) -> Iterator[Message]:
             counts = dict.fromkeys(wanted, 0)

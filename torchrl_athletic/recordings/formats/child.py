@@ -1,0 +1,231 @@
+"""Files are read in a child process with a limit of time and of memory: a damaged one can crash a library, or hang it.
+
+Reading takes less time than to start Python, and a process with threads must not fork. So a helper without threads is
+started once, and forks for every file. It ends with the process that started it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import importlib
+import json
+import math
+import os
+import pickle
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from dataclasses import fields, replace
+from functools import cache
+from io import BufferedReader
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+
+from torchrl_athletic.recordings.formats.column_map import ColumnMap
+from torchrl_athletic.recordings.formats.foreign_library import DAMAGED
+from torchrl_athletic.recordings.formats.readers import LIBRARIES, kind_of, read_source
+from torchrl_athletic.recordings.recording import Recording, RecordingError
+
+SECONDS, SECONDS_PER_MB = 15.0, 2.0
+"""Time that a file may take [s], and what each megabyte of it adds: ten times what the slowest format needs."""
+MEMORY, MEMORY_PER_BYTE = 2 << 30, 64
+"""Address space [B], of which the libraries take 0.3 GB, and what each byte of the file adds: CSV in gzip needs 50."""
+_OUT_OF_MEMORY = 3
+"""Exit code."""
+
+
+def read_in_child(source: Path, columns: ColumnMap) -> list[Recording]:
+    """What :func:`~torchrl_athletic.recordings.formats.readers.read_source` reads, whatever happens to the reader.
+
+    Raises:
+        RecordingError: If the file cannot be used, or reading it crashed, took too long or asked for too much memory.
+        ImportError: If the library of the format is not installed.
+    """
+    columns = replace(columns, metadata=dict(columns.metadata))
+    helper = _helper(os.getpid())
+    with helper.lock, open(os.memfd_create("recordings"), "w+b", buffering=0) as sheet:
+        sheet.write(pickle.dumps((source, columns)))  # our own words; what comes back is never unpickled
+        sheet.seek(0)
+        status = _asked(helper, kind_of(source), sheet.fileno())
+        if status is None or os.waitstatus_to_exitcode(status) != 0:
+            raise RecordingError(f"{source}: {_what_happened(source, status)}")
+        sheet.seek(0)
+        return _decode(BufferedReader(sheet))
+
+
+class _Helper(NamedTuple):
+    process: subprocess.Popen[bytes]
+    control: socket.socket
+    lock: threading.Lock
+
+
+@cache
+def _helper(pid: int) -> _Helper:
+    """The helper of this process, which a fork of it must not share."""
+    ours, theirs = socket.socketpair()
+    start = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve({theirs.fileno()})"
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-W", "ignore", "-c", start],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        pass_fds=[theirs.fileno()],
+        env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        start_new_session=True,  # Ctrl-C is for the process that asks
+    )
+    theirs.close()
+    helper = _Helper(process, ours, threading.Lock())
+    atexit.register(_end, helper, pid)
+    return helper
+
+
+def _end(helper: _Helper, pid: int) -> None:
+    """Stop the helper with whatever it is doing, from the process that started it."""
+    if os.getpid() == pid:
+        helper.control.close()
+        with suppress(ProcessLookupError):
+            os.killpg(helper.process.pid, signal.SIGKILL)
+        helper.process.wait()
+
+
+def _asked(helper: _Helper, kind: str, sheet: int) -> int | None:
+    """Exit status of the child that was to read, None if the helper is gone."""
+    folder = os.open(".", os.O_RDONLY)
+    try:
+        socket.send_fds(helper.control, [kind.encode()], [sheet, folder])
+        if status := helper.control.recv(4):
+            return int.from_bytes(status, "little")
+    except ConnectionError:
+        pass
+    except BaseException:  # an answer would come to the next question
+        _forget(helper)
+        raise
+    finally:
+        os.close(folder)
+    _forget(helper)
+    return None
+
+
+def _forget(helper: _Helper) -> None:
+    _end(helper, os.getpid())
+    atexit.unregister(_end)
+    _helper.cache_clear()
+
+
+def _what_happened(source: Path, status: int | None) -> str:
+    size = _size(source)
+    code = None if status is None else os.waitstatus_to_exitcode(status)
+    if code == -signal.SIGALRM:
+        return f"was not read within {_seconds(size):.0f} s, which is far more than its {size:,} bytes need. {DAMAGED}"
+    if code == _OUT_OF_MEMORY:
+        return (
+            f"needs more than {_memory(size) / 2**30:.0f} GB of memory to read, for {size:,} bytes. If it is not "
+            "damaged, export the signals of the joints alone, or cut it into shorter files."
+        )
+    reason = "it was killed" if code is None else signal.strsignal(-code) if code < 0 else f"exit code {code}"
+    return f"the process that read it crashed ({reason}). {DAMAGED}"
+
+
+def _size(source: Path) -> int:
+    return sum(path.stat().st_size for path in ([source] if source.is_file() else source.rglob("*")) if path.is_file())
+
+
+def _seconds(size: int) -> float:
+    return SECONDS + SECONDS_PER_MB * size / 1e6
+
+
+def _memory(size: int) -> int:
+    return MEMORY + MEMORY_PER_BYTE * size
+
+
+def serve(control: int) -> None:
+    """Fork for every file that is asked for through a socket, until its other end is closed.
+
+    Args:
+        control: Descriptor of the socket. With the kind of file come descriptors of a sheet, which holds the question
+            and takes the answer, and of the folder that relative paths start from. What goes back is the exit status.
+    """
+    channel = socket.socket(fileno=control)
+    while True:
+        kind, descriptors, _, _ = socket.recv_fds(channel, 64, 2)
+        if not kind:
+            return
+        for library in LIBRARIES.get(kind.decode(), ()):  # before the fork, so that the next one has it, too
+            with suppress(ImportError):
+                importlib.import_module(library)
+        if (child := os.fork()) == 0:
+            _answer(*descriptors)
+        for descriptor in descriptors:
+            os.close(descriptor)
+        channel.send(os.waitpid(child, 0)[1].to_bytes(4, "little"))
+
+
+def _answer(sheet: int, folder: int) -> None:
+    """Read what the sheet asks for, write it there, and end."""
+    code = 1
+    try:
+        os.fchdir(folder)
+        with open(sheet, "r+b") as file:
+            source, columns = pickle.load(file)
+            file.seek(0)
+            file.truncate()
+            _limit(_size(source))
+            _encode(source, columns, file)
+        code = 0
+    except MemoryError:
+        code = _OUT_OF_MEMORY
+    finally:
+        os._exit(code)
+
+
+def _limit(size: int) -> None:
+    """Bound this process, for good, by the size of what it reads."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # last words of C libraries
+    hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+    memory = _memory(size) if hard == resource.RLIM_INFINITY else min(_memory(size), hard)
+    resource.setrlimit(resource.RLIMIT_AS, (memory, hard))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, _seconds(size))
+
+
+def _encode(source: Path, columns: ColumnMap, file: IO[bytes]) -> None:
+    """A line of JSON, and then the numbers of all arrays that it names."""
+    try:
+        recordings = read_source(source, columns)
+    except (RecordingError, ImportError) as error:
+        file.write(json.dumps({"error": str(error), "import": getattr(error, "name", None)}).encode())
+        return
+    told = [{f.name: getattr(recording, f.name) for f in fields(recording)} for recording in recordings]
+    arrays = [value for one in told for value in one.values() if isinstance(value, np.ndarray)]
+    file.write(json.dumps(told, default=_shape).encode() + b"\n")
+    for array in arrays:
+        file.write(np.ascontiguousarray(array).data)
+
+
+def _shape(value: Any) -> Any:
+    return {"shape": value.shape} if isinstance(value, np.ndarray) else dict(value)
+
+
+def _decode(file: BufferedReader) -> list[Recording]:
+    """The recordings that :func:`_encode` wrote.
+
+    Raises:
+        RecordingError: If it wrote why there are none.
+        ImportError: The same, for want of a library.
+    """
+    told = json.loads(file.readline())
+    if isinstance(told, dict):
+        if told["import"] is not None:
+            raise ImportError(told["error"], name=told["import"])
+        raise RecordingError(told["error"])
+    for one in told:
+        for name, value in one.items():
+            if name != "metadata" and isinstance(value, dict):
+                one[name] = np.fromfile(file, np.float64, math.prod(value["shape"])).reshape(value["shape"])
+    return [Recording(**one) for one in told]
