@@ -46,17 +46,42 @@ def read_in_child(source: Path, columns: ColumnMap) -> list[Recording]:
     Raises:
         RecordingError: If the file cannot be used, or reading it crashed, took too long or asked for too much memory.
         ImportError: If the library of the format is not installed.
+
+    Example:
+        >>> np.savez("take.npz", time=[0.0, 0.01], joint_names=["hip"], position=[0.0, 0.1], torque_command=[1.0, 1.0])
+        >>> [recording] = read_in_child(Path("take.npz"), ColumnMap())
+        >>> recording.position.tolist()
+        [[0.0], [0.1]]
     """
-    columns = replace(columns, metadata=dict(columns.metadata))
-    helper = _helper(os.getpid())
-    with helper.lock, open(os.memfd_create("recordings"), "w+b", buffering=0) as sheet:
-        sheet.write(pickle.dumps((source, columns)))  # our own words; what comes back is never unpickled
-        sheet.seek(0)
-        status = _asked(helper, kind_of(source), sheet.fileno())
-        if status is None or os.waitstatus_to_exitcode(status) != 0:
-            raise RecordingError(f"{source}: {_what_happened(source, status)}")
+    size = sum(p.stat().st_size for p in ([source] if source.is_file() else source.rglob("*")) if p.is_file())
+    limits = SECONDS + SECONDS_PER_MB * size / 1e6, MEMORY + MEMORY_PER_BYTE * size
+    with open(os.memfd_create("recordings"), "w+b", buffering=0) as sheet:
+        question = replace(columns, metadata=dict(columns.metadata))
+        sheet.write(pickle.dumps((source, question)))  # our own words; what comes back is never unpickled
+        for _ in range(2):  # somebody may have killed the helper since the last file
+            sheet.seek(0)
+            if (code := _exit_code([kind_of(source), *limits], sheet.fileno())) is not None:
+                break
+        if code != 0:
+            raise RecordingError(f"{source}: {_what_happened(code, size, *limits)}")
         sheet.seek(0)
         return _decode(BufferedReader(sheet))
+
+
+def _what_happened(code: int | None, size: int, seconds: float, memory: int) -> str:
+    if code is None:
+        return (
+            "the helper process that reads files cannot be started, or is killed. Look for what does so, and try again."
+        )
+    if code == -signal.SIGALRM:
+        return f"was not read within {seconds:.0f} s, which is far more than its {size:,} bytes need. {DAMAGED}"
+    if code == _OUT_OF_MEMORY:
+        return (
+            f"needs more than {memory / 2**30:.1f} GB of memory to read, for {size:,} bytes. If it is not damaged, "
+            "export the signals of the joints alone, or cut it into shorter files."
+        )
+    reason = signal.strsignal(-code) if code < 0 else f"exit code {code}"
+    return f"the process that read it crashed ({reason}). {DAMAGED}"
 
 
 class _Helper(NamedTuple):
@@ -84,97 +109,75 @@ def _helper(pid: int) -> _Helper:
     return helper
 
 
+def end_helper() -> None:
+    """End the helper of this process; the next file starts another."""
+    _end(_helper(os.getpid()), os.getpid())
+    _helper.cache_clear()
+
+
 def _end(helper: _Helper, pid: int) -> None:
     """Stop the helper with whatever it is doing, from the process that started it."""
     if os.getpid() == pid:
         helper.control.close()
-        with suppress(ProcessLookupError):
+        if helper.process.poll() is None:
             os.killpg(helper.process.pid, signal.SIGKILL)
-        helper.process.wait()
+            helper.process.wait()
 
 
-def _asked(helper: _Helper, kind: str, sheet: int) -> int | None:
-    """Exit status of the child that was to read, None if the helper is gone."""
-    folder = os.open(".", os.O_RDONLY)
+def _exit_code(question: list[Any], sheet: int) -> int | None:
+    """How the child that was to read ended: negative for a signal, None if the helper is gone."""
+    helper, folder = _helper(os.getpid()), os.open(".", os.O_RDONLY)
     try:
-        socket.send_fds(helper.control, [kind.encode()], [sheet, folder])
-        if status := helper.control.recv(4):
-            return int.from_bytes(status, "little")
-    except ConnectionError:
-        pass
-    except BaseException:  # an answer would come to the next question
-        _forget(helper)
-        raise
+        with helper.lock:
+            socket.send_fds(helper.control, [json.dumps(question).encode()], [sheet, folder])
+            if status := helper.control.recv(4):
+                return os.waitstatus_to_exitcode(int.from_bytes(status, "little"))
+        raise ConnectionError
+    except BaseException as error:  # Ctrl-C, too: its answer would be taken for that to the next question
+        end_helper()
+        if not isinstance(error, OSError):
+            raise
     finally:
         os.close(folder)
-    _forget(helper)
     return None
-
-
-def _forget(helper: _Helper) -> None:
-    _end(helper, os.getpid())
-    atexit.unregister(_end)
-    _helper.cache_clear()
-
-
-def _what_happened(source: Path, status: int | None) -> str:
-    size = _size(source)
-    code = None if status is None else os.waitstatus_to_exitcode(status)
-    if code == -signal.SIGALRM:
-        return f"was not read within {_seconds(size):.0f} s, which is far more than its {size:,} bytes need. {DAMAGED}"
-    if code == _OUT_OF_MEMORY:
-        return (
-            f"needs more than {_memory(size) / 2**30:.0f} GB of memory to read, for {size:,} bytes. If it is not "
-            "damaged, export the signals of the joints alone, or cut it into shorter files."
-        )
-    reason = "it was killed" if code is None else signal.strsignal(-code) if code < 0 else f"exit code {code}"
-    return f"the process that read it crashed ({reason}). {DAMAGED}"
-
-
-def _size(source: Path) -> int:
-    return sum(path.stat().st_size for path in ([source] if source.is_file() else source.rglob("*")) if path.is_file())
-
-
-def _seconds(size: int) -> float:
-    return SECONDS + SECONDS_PER_MB * size / 1e6
-
-
-def _memory(size: int) -> int:
-    return MEMORY + MEMORY_PER_BYTE * size
 
 
 def serve(control: int) -> None:
     """Fork for every file that is asked for through a socket, until its other end is closed.
 
     Args:
-        control: Descriptor of the socket. With the kind of file come descriptors of a sheet, which holds the question
-            and takes the answer, and of the folder that relative paths start from. What goes back is the exit status.
+        control: Descriptor of the socket. With the kind of file and the limits come descriptors of a sheet, which holds
+            the question and takes the answer, and of the folder that relative paths start from. What goes back is the
+            exit status.
     """
     channel = socket.socket(fileno=control)
     while True:
-        kind, descriptors, _, _ = socket.recv_fds(channel, 64, 2)
-        if not kind:
+        question, descriptors, _, _ = socket.recv_fds(channel, 4096, 2)
+        if not question:
             return
-        for library in LIBRARIES.get(kind.decode(), ()):  # before the fork, so that the next one has it, too
+        kind, seconds, memory = json.loads(question)
+        for library in LIBRARIES.get(kind, ()):  # before the fork, so that the next one has it, too
             with suppress(ImportError):
                 importlib.import_module(library)
         if (child := os.fork()) == 0:
-            _answer(*descriptors)
+            _answer(*descriptors, seconds, memory)
         for descriptor in descriptors:
             os.close(descriptor)
-        channel.send(os.waitpid(child, 0)[1].to_bytes(4, "little"))
+        status = os.waitpid(child, 0)[1]
+        with suppress(BrokenPipeError):
+            channel.send(status.to_bytes(4, "little"))
 
 
-def _answer(sheet: int, folder: int) -> None:
+def _answer(sheet: int, folder: int, seconds: float, memory: int) -> None:
     """Read what the sheet asks for, write it there, and end."""
     code = 1
     try:
+        _limit(seconds, memory)
         os.fchdir(folder)
         with open(sheet, "r+b") as file:
             source, columns = pickle.load(file)
             file.seek(0)
             file.truncate()
-            _limit(_size(source))
             _encode(source, columns, file)
         code = 0
     except MemoryError:
@@ -183,15 +186,14 @@ def _answer(sheet: int, folder: int) -> None:
         os._exit(code)
 
 
-def _limit(size: int) -> None:
-    """Bound this process, for good, by the size of what it reads."""
+def _limit(seconds: float, memory: int) -> None:
+    """Bound this process, for good."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # last words of C libraries
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
-    memory = _memory(size) if hard == resource.RLIM_INFINITY else min(_memory(size), hard)
-    resource.setrlimit(resource.RLIMIT_AS, (memory, hard))
+    resource.setrlimit(resource.RLIMIT_AS, (memory if hard == resource.RLIM_INFINITY else min(memory, hard), hard))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.setitimer(signal.ITIMER_REAL, _seconds(size))
+    signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
 def _encode(source: Path, columns: ColumnMap, file: IO[bytes]) -> None:
