@@ -21,7 +21,7 @@ import tempfile
 import time
 import zipfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -252,7 +252,7 @@ def outcome(kind: str, path: Path, columns: ColumnMap | None = COLUMNS) -> Outco
     return Outcome(kind, said, time.monotonic() - begin)
 
 
-def fuzz(numbers: range, seed: int, keep: Path) -> tuple[list[Outcome], int]:
+def fuzz(numbers: Iterable[int], seed: int, keep: Path) -> tuple[list[Outcome], int]:
     """Make and read the inputs of these numbers, and keep those that fail.
 
     Returns:
