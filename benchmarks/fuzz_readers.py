@@ -71,15 +71,16 @@ class Config:
 def samples(folder: Path) -> dict[str, Path]:
     """A good file of each kind."""
     rng = np.random.default_rng(0)
-    time_, (position, velocity, torque) = np.arange(40) * 0.01, rng.normal(size=(3, 40, 2))
-    take = Recording(time_, JOINTS, position, velocity=velocity, torque_command=torque)
-    numbers = {"time": time_, "position": position, "velocity": velocity, "torque_command": torque}
+    times = np.arange(40, dtype=np.float64) * 0.01
+    position, velocity, torque = rng.normal(size=(3, 40, 2))
+    take = Recording(times, JOINTS, position, velocity=velocity, torque_command=torque)
+    numbers = {"time": times, "position": position, "velocity": velocity, "torque_command": torque}
     notes = {"joint_names": list(JOINTS), "metadata": '{"robot": "two joints"}'}
-    table_ = {"time": time_} | {
+    columns = {"time": times} | {
         f"{name}/{joint}": values[:, k] for name, values in list(numbers.items())[1:] for k, joint in enumerate(JOINTS)
     }
-    rows = [",".join(str(float(x)) for x in row) for row in zip(*table_.values(), strict=True)]
-    text = "\n".join([",".join(table_), *rows, ""])
+    rows = [",".join(str(float(x)) for x in row) for row in zip(*columns.values(), strict=True)]
+    text = "\n".join([",".join(columns), *rows, ""])
     made = {
         name: folder / f"{name.replace(' ', '_')}{suffix}"
         for suffix, names in {
@@ -116,7 +117,7 @@ def samples(folder: Path) -> dict[str, Path]:
         schema = writer.register_schema("sensor_msgs/JointState", "jsonschema", b"{}")
         for topic, values in (("/joint_states", {"position": position}), ("/joint_command", {"effort": torque})):
             channel = writer.register_channel(topic, "json", schema)
-            for row in range(len(time_)):
+            for row in range(len(times)):
                 stamp = {"sec": 0, "nanosec": 10_000_000 * row}
                 said = {name: array[row].tolist() for name, array in values.items()}
                 message = json.dumps({"header": {"stamp": stamp}, "name": JOINTS, **said}).encode()
@@ -194,9 +195,9 @@ def bombs(folder: Path) -> Iterator[tuple[str, Path]]:
         with zipfile.ZipFile(folder / f"claims_{name}.npz", "w") as archive:
             for key, value in good.items():
                 np.save(archive.open(f"{key}.npy", "w"), np.asarray(value))
-            header = io.BytesIO()
-            np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
-            archive.writestr(f"{name}.npy", header.getvalue())
+            claim = io.BytesIO()
+            np.lib.format.write_array_header_1_0(claim, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
+            archive.writestr(f"{name}.npy", claim.getvalue())
         scipy.io.savemat(folder / f"{name}.mat", good | {name: zeros[:150_000_000]}, do_compression=True)
         yield from ((f"{name} {kind}", folder / f"{name}.{kind}") for kind in ("npz", "h5", "mat"))
         yield f"{name} claimed by an npz", folder / f"claims_{name}.npz"
@@ -318,8 +319,8 @@ def table(config: Config, outcomes: list[Outcome], exploded: list[Outcome], larg
         lines.append(f"| {kind} | {len(group)} | {said['read']} | {said['refused']} | {longest:.1f} | {failures} |")
     lines += ["", "| bomb | size of the file [kB] | outcome |", "|---|---|---|"]
     lines += [f"| {one.kind} | {one.said} |" for one in exploded]
-    failures = Counter(f"{one.kind}: {one.said}" for one in [*outcomes, *exploded] if one.failed)
-    return "\n".join([*lines, *(f"\n{count} times {what}" for what, count in failures.most_common(20))]) + "\n"
+    reasons = Counter(f"{one.kind}: {one.said}" for one in [*outcomes, *exploded] if one.failed)
+    return "\n".join([*lines, *(f"\n{count} times {what}" for what, count in reasons.most_common(20))]) + "\n"
 
 
 def main(config: Config) -> int:

@@ -1,7 +1,7 @@
 """Files are read in a child process with a limit of time and of memory: a damaged one can crash a library, or hang it.
 
-Reading takes less time than to start Python, and a process with threads must not fork. So a helper without threads is
-started once, and forks for every file. It ends with the process that started it.
+To start Python takes longer than to read a file, and a process whose threads are at work must not fork. So an idle
+helper is started once, and forks for every file. It ends with the process that started it.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from torchrl_athletic.recordings.formats.foreign_library import DAMAGED
 from torchrl_athletic.recordings.formats.readers import LIBRARIES, kind_of, read_source
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
-SECONDS, SECONDS_PER_MB = 15.0, 2.0
-"""Time that a file may take [s], and what each megabyte of it adds: ten times what the slowest format needs."""
-MEMORY, MEMORY_PER_BYTE = 2 << 30, 64
-"""Address space [B], of which the libraries take 0.3 GB, and what each byte of the file adds: CSV in gzip needs 50."""
+SECONDS, SECONDS_PER_MB = 15.0, 8.0
+"""Time that a file may take [s], and what each megabyte of it adds: ten times what MCAP and CSV in gzip need."""
+MEMORY, MEMORY_PER_BYTE = 3 << 29, 128
+"""Address space [B], and what each byte of the file adds: CSV in gzip needs 100, bags 20, arrays less."""
 _OUT_OF_MEMORY = 3
 """Exit code."""
 
@@ -151,18 +151,22 @@ def serve(control: int) -> None:
             exit status.
     """
     channel = socket.socket(fileno=control)
+    signal.pthread_sigmask(signal.SIG_SETMASK, [])  # whatever the other process ignores or blocks
+    for number in (signal.SIGALRM, signal.SIGCHLD):
+        signal.signal(number, signal.SIG_DFL)
     while True:
         question, descriptors, _, _ = socket.recv_fds(channel, 4096, 2)
         if not question:
             return
+        sheet, folder = descriptors
         kind, seconds, memory = json.loads(question)
         for library in LIBRARIES.get(kind, ()):  # before the fork, so that the next one has it, too
             with suppress(ImportError):
                 importlib.import_module(library)
         if (child := os.fork()) == 0:
-            _answer(*descriptors, seconds, memory)
-        for descriptor in descriptors:
-            os.close(descriptor)
+            _answer(sheet, folder, seconds, memory)
+        os.close(sheet)
+        os.close(folder)
         status = os.waitpid(child, 0)[1]
         with suppress(BrokenPipeError):
             channel.send(status.to_bytes(4, "little"))
@@ -192,7 +196,6 @@ def _limit(seconds: float, memory: int) -> None:
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
     resource.setrlimit(resource.RLIMIT_AS, (memory if hard == resource.RLIM_INFINITY else min(memory, hard), hard))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, seconds)
 
 

@@ -30,7 +30,7 @@ def read_recordings(
     ``metadata["not_read"]``. Commands of bags are put on the stamps of the states by zero-order hold, never ahead:
     :func:`~torchrl_athletic.recordings.formats.joint_state.take_from_messages` says what that costs.
 
-    Every file is read in a process of its own, which may take 15 s and 2 GB of memory, and more with the size of the
+    Every file is read in a process of its own, which may take 15 s and 1.5 GB of memory, and more with the size of the
     file: one that crashes its library, or never ends, is refused like any other.
 
     Args:
