@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -205,6 +206,40 @@ def test_ctrl_c_before_anything_was_found_ends_without_a_traceback(folder, monke
     monkeypatch.setattr(command, "diagnose", stop)
     with pytest.raises(SystemExit, match="Stopped before there was anything to report"):
         main(parsed("--model", "robot.xml", "--recordings", "train"))
+
+
+def test_a_run_that_is_killed_leaves_the_inputs_of_the_diagnosis_that_lies_there(folder, asked, monkeypatch):
+    main(parsed(*"--model robot.xml --recordings train --output there --seed 1".split()))
+    before = Path("there/inputs.json").read_text()
+
+    def die(*_args, **_settings):
+        raise SystemError
+
+    monkeypatch.setattr(command, "diagnose", die)
+    with pytest.raises(SystemError):
+        main(parsed(*"--model robot.xml --recordings c.npz --output there --seed 2".split()))
+    assert Path("there/inputs.json").read_text() == before
+
+
+def test_a_second_run_in_the_folder_is_refused_while_the_first_one_runs(folder, monkeypatch):
+    flags = "--model robot.xml --recordings train --output there"
+    refused = []
+
+    def meanwhile(*_args, **_settings):
+        with ThreadPoolExecutor(1) as pool:
+            refused.append(pool.submit(main, parsed(*flags.split())).exception())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "diagnose", meanwhile)
+    with pytest.raises(SystemExit):
+        main(parsed(*flags.split()))
+    assert str(refused[0]).startswith("error: there: another diagnosis is writing there")
+
+
+def test_a_mistake_leaves_no_empty_folder(folder):
+    with pytest.raises(SystemExit, match="there is no such file or folder"):
+        main(parsed(*"--model robot.xml --recordings nowhere --output there".split()))
+    assert not Path("there").exists()
 
 
 def test_the_recipe_ends_with_one_line_on_stderr_and_code_1(folder):

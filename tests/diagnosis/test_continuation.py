@@ -54,6 +54,19 @@ def test_a_folder_without_a_diagnosis_cannot_be_continued(tmp_path):
         recall(Settings(continue_with=(Path("c"),)), tmp_path)
 
 
+def test_inputs_of_another_diagnosis_than_the_one_beside_them_are_refused(tmp_path):
+    """As when a run in the folder of an older one was killed between the two files."""
+    answer = tmp_path / "diagnosis.json"
+    answer.write_text('{"inputs": "those of the old one"}')
+    remember(Settings(dataset="emps"), tmp_path)
+    new = Settings(continue_with=(tmp_path / "new.npz",))
+    answer.write_text('{"inputs": "those of the old one", "findings": "with a net on top"}')
+    assert recall(new, tmp_path).dataset == "emps"
+    answer.write_text('{"inputs": "those of the new one"}')
+    with pytest.raises(ValueError, match=r"inputs\.json is of another diagnosis .* Give --model and --recordings"):
+        recall(new, tmp_path)
+
+
 def test_inputs_of_another_version_are_refused(tmp_path):
     (tmp_path / "inputs.json").write_text('{"schema": "other"}')
     with pytest.raises(ValueError, match="another version"):

@@ -185,6 +185,22 @@ def test_the_command_file_can_be_replayed_without_this_library(case, tmp_path):
     assert list((tmp_path / "new").iterdir()) == []
 
 
+def test_a_command_for_a_robot_is_there_as_a_whole_or_not_at_all(case, tmp_path, monkeypatch):
+    *_, e = case
+    write(e, tmp_path)
+    before = (tmp_path / "next_experiment.npz").read_bytes()
+
+    def stopped(file, **arrays):
+        file.write(b"PK")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez_compressed", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        write(e, tmp_path)
+    assert (tmp_path / "next_experiment.npz").read_bytes() == before
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 @pytest.fixture(scope="module")
 def tilted():
     """On one pendulum an encoder that reads off the zero and a base that leans are the same."""

@@ -13,6 +13,7 @@ import tyro
 
 from torchrl_athletic.diagnosis.continuation import recall, remember
 from torchrl_athletic.diagnosis.diagnose import Diagnosis, ModelError, diagnose
+from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.report import terminal_summary
@@ -77,7 +78,14 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
     try:
         if config.output.is_file():  # said now, not after the fit
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
-        asked = config
+        with locked(config.output):
+            return _main(config, hand_over)
+    except (RecordingError, FetchError, ModelError, OSError, ImportError) as error:
+        sys.exit(f"error: {' '.join(str(error).split())}")
+
+
+def _main(asked: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | None) -> Diagnosis:
+    try:
         config = fastened(asked, recall(asked, asked.output))
         if asked.highest_frequency is not None:  # said again because the last plan shook too much
             config = replace(config, highest_frequency=asked.highest_frequency)
@@ -86,7 +94,6 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
             raise RecordingError(f"--highest-frequency is {highest} Hz. Give more than 0, or leave it out.")
         model, recordings, heldout = inputs(config)
         new = joined(config)
-        remember(config, config.output)
         with Progress() as progress:
             diagnosis = diagnose(
                 model,
@@ -101,10 +108,9 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
                 output=config.output,
                 progress=progress,
             )
-    except (RecordingError, FetchError, ModelError, OSError, ImportError) as error:
-        sys.exit(f"error: {' '.join(str(error).split())}")
     except KeyboardInterrupt:
         sys.exit("Stopped before there was anything to report.")
+    remember(config, config.output)  # last, or it would speak of a diagnosis that is yet to come
     if config.uan and hand_over is not None and diagnosis.answer.complete:
         try:
             diagnosis = hand_over(diagnosis, config.output)

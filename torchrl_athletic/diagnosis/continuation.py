@@ -15,16 +15,26 @@ if TYPE_CHECKING:
 
     Settings = TypeVar("Settings", bound=DataclassInstance)
 
-SCHEMA = "torchrl_athletic/inputs/1"
+SCHEMA = "torchrl_athletic/inputs/2"
 FILE = "inputs.json"
+DIGEST = "digest"
 JOINED = "continue_with"
 """The field of the settings that names new recordings."""
 
 
 def remember(settings: DataclassInstance, output: Path) -> None:
-    """Write ``inputs.json``: all settings but the folder itself, with paths made absolute."""
+    """Write ``inputs.json``, once its diagnosis is written, whose digest it notes.
+
+    It holds all settings but the folder itself, with paths made absolute.
+    """
     content = {f.name: _plain(getattr(settings, f.name)) for f in fields(settings) if f.name != "output"}
-    write_json(output / FILE, {"schema": SCHEMA, **content})
+    write_json(output / FILE, {"schema": SCHEMA, DIGEST: _digest(output), **content})
+
+
+def _digest(output: Path) -> str | None:
+    """Of what the diagnosis in a folder was made of, as it says itself."""
+    path = output / "diagnosis.json"
+    return json.loads(path.read_text(encoding="utf-8")).get("inputs") if path.is_file() else None
 
 
 def recall(settings: Settings, output: Path) -> Settings:
@@ -34,7 +44,7 @@ def recall(settings: Settings, output: Path) -> Settings:
 
     Raises:
         FileNotFoundError: If the folder holds no earlier diagnosis.
-        RecordingError: If its inputs are of another schema.
+        RecordingError: If its inputs are of another schema, or of another diagnosis than the one that lies beside them.
     """
     new: tuple[Path, ...] = getattr(settings, JOINED)
     if not new:
@@ -49,6 +59,11 @@ def recall(settings: Settings, output: Path) -> Settings:
     if content.pop("schema", None) != SCHEMA:
         raise RecordingError(
             f"{path} is of another version. Give --model and --recordings, with the new ones among them."
+        )
+    if content.pop(DIGEST) != _digest(output):
+        raise RecordingError(
+            f"{path} is of another diagnosis than the diagnosis.json beside it: a later run was stopped before its "
+            "end. Give --model and --recordings, with the new ones among them."
         )
     known = {f.name: getattr(settings, f.name) for f in fields(settings)}
     earlier = {name: _like(known[name], value, name) for name, value in content.items() if name in known}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from torchrl_athletic.effects import CATALOGUE, Effect, JointAddress
 from torchrl_athletic.effects.base import Base, held_base
 from torchrl_athletic.recordings import Recording, sensor_noise
 from torchrl_athletic.recordings.quality import with_known_base
+from torchrl_athletic.recordings.whole_file import whole_file
 
 Array = NDArray[np.float64]
 
@@ -123,9 +123,8 @@ class Simulation:
 def write_atomically(path: Path, text: str) -> None:
     """Write a whole file or none of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    beside.write_text(text, encoding="utf-8")
-    os.replace(beside, path)
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

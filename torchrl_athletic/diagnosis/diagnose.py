@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Collection, Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +21,7 @@ from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, w
 from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml
 from torchrl_athletic.diagnosis.experiment import Experiment, next_experiment, write
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, idle_terms, without
+from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.gates import Evidence, judge_findings, summarise, verdict_of
 from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.locate import locate, regime_maps
@@ -128,15 +130,22 @@ class Diagnosis:
     def save(self, output: str | Path) -> None:
         """Write ``diagnosis.json``, ``corrected.json``, ``corrected.xml`` and ``report.html``.
 
-        Each whole or not at all.
+        Each whole or not at all; ``diagnosis.json``, which says that all are there, comes last.
+
+        Raises:
+            BlockingIOError: If another diagnosis is writing there.
+            OSError: If the disk is full, or the folder cannot be written to; names the file.
         """
-        output = Path(output)
-        write_json(output / "diagnosis.json", self.answer.to_json())
+        with locked(Path(output)):
+            self._save(Path(output))
+
+    def _save(self, output: Path) -> None:
         write_json(output / "corrected.json", {**self.corrected.to_json(), "model_xml": self.xml})
         write_atomically(output / "corrected.xml", corrected_xml(self.xml, self.corrected, self._commands))
         write(self.experiment, output)
         plan, payload = (self.experiment.sentence, self.experiment.payload) if self.experiment else ("", 0.0)
         write_report(self.answer, self.maps, self.overlays, output / "report.html", self.nominal.model, plan, payload)
+        write_json(output / "diagnosis.json", self.answer.to_json())
 
     @classmethod
     def load(cls, output: str | Path, catalogue: Sequence[Effect] = CATALOGUE) -> Diagnosis:
@@ -197,6 +206,8 @@ def diagnose(
         RecordingError: If the recordings cannot be used, or do not fit the model.
         ModelError: If MuJoCo cannot compile the model.
         ValueError: If ``highest_frequency`` is not above zero.
+        BlockingIOError: If another diagnosis is writing to the same folder.
+        OSError: If the disk is full, or the folder cannot be written to; names the file.
         KeyboardInterrupt: If it came before anything was found.
 
     Example:
@@ -216,6 +227,12 @@ def diagnose(
         compiled, xml, name, fitted, aside, tuple(catalogue), drive, seed, time_budget,
         None if output is None else Path(output), progress or Progress(), len(joined), base, highest_frequency,
     )  # fmt: skip
+    with locked(work.output) if work.output is not None else nullcontext():
+        return _finished(work)
+
+
+def _finished(work: _Work) -> Diagnosis:
+    """All stages, or those until Ctrl-C, and their report."""
     try:
         work.run()
         result = work.conclude()
@@ -304,6 +321,8 @@ class _Work:
     highest_frequency: float | None = None
     started: float = field(default_factory=time.monotonic)
     interrupted: bool = False
+    inputs: str = ""
+    """Their digest."""
     stage: str = "quality"
     train: Prepared | None = None
     held: Prepared | None = None
@@ -332,8 +351,8 @@ class _Work:
             "fitted": len(self.recordings),
             "joined": self.joined,
         }
-        digest = inputs_digest(self.xml, (*self.recordings, *self.heldout), settings)
-        self.checkpoint = Checkpoint(None if self.output is None else self.output / CHECKPOINT, digest)
+        self.inputs = inputs_digest(self.xml, (*self.recordings, *self.heldout), settings)
+        self.checkpoint = Checkpoint(None if self.output is None else self.output / CHECKPOINT, self.inputs)
         self._begin("quality")
         self.train = prepare(self.recordings, self.model, self.drive, joined=self.joined, xml=self.xml)
         self.progress.update(0.6)
@@ -518,6 +537,7 @@ class _Work:
             complete=complete,
             stage=self.stage,
             seed=self.seed,
+            inputs=self.inputs,
             remarks=self._remarks(evidence, corrected) if complete else (),
         )
         maps = tuple(self._maps(evidence))

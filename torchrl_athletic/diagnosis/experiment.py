@@ -43,6 +43,7 @@ from torchrl_athletic.effects.signals import (
     smooth_dynamics,
 )
 from torchrl_athletic.recordings import Recording, noise_correlation, sensor_noise
+from torchrl_athletic.recordings.whole_file import whole_file
 
 Array = NDArray[np.float64]
 SECONDS = 8.0
@@ -314,7 +315,7 @@ def write(experiment: Experiment | None, folder: str | Path) -> None:
         return
     folder.mkdir(parents=True, exist_ok=True)
     report = experiment.report()
-    with (folder / "next_experiment.npz").open("wb") as file:
+    with whole_file(folder / "next_experiment.npz") as part, part.open("wb") as file:
         np.savez_compressed(
             file,
             allow_pickle=False,

@@ -156,6 +156,8 @@ class Answer:
     stage: str = "report"
     """The last finished stage."""
     seed: int = 0
+    inputs: str = ""
+    """Digest of the model, the recordings and the settings that it was made of."""
     remarks: tuple[str, ...] = ()
     """What the gates observed and the findings do not say, such as a flexibility that the held-out takes excite."""
 

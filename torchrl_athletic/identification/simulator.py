@@ -17,6 +17,7 @@ from torch import nn
 from torchrl.envs import Transform
 
 from torchrl_athletic.networks import Sizes, load_checkpoint, save_checkpoint, sizes_of
+from torchrl_athletic.recordings.whole_file import whole_file
 from torchrl_athletic.robots import Robot, with_correction
 from torchrl_athletic.transforms import (
     ActionDelay,
@@ -349,6 +350,5 @@ def _finite(velocity_limit: tuple[float, ...]) -> tuple[float, ...]:
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:
     """Whole or not at all."""
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(part, path)
+    with whole_file(path) as part:
+        part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")

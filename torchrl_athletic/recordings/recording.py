@@ -20,8 +20,16 @@ _UNIT = 0.01
 """By which the length of a quaternion may differ from one: more than rounding to three decimals makes of it."""
 
 
+_LONGEST = 3000
+"""Characters of a message; a damaged file can have names of a gigabyte."""
+
+
 class RecordingError(ValueError):
     """A recording that cannot be used as it is; the message names the file, the field, the row and the mend."""
+
+    def __init__(self, message: str) -> None:
+        half = _LONGEST // 2
+        super().__init__(message if len(message) <= _LONGEST else f"{message[:half]} [...] {message[-half:]}")
 
 
 BEGAN = "piece_of_take_begun_at"

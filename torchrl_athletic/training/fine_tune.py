@@ -16,6 +16,7 @@ from torchrl.envs import EnvBase, TransformedEnv
 
 from torchrl_athletic.envs.whole_body import FRAME
 from torchrl_athletic.networks import open_inputs
+from torchrl_athletic.recordings.whole_file import whole_file
 from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.curves import draw_curves
 from torchrl_athletic.training.evaluation import whole_rollout
@@ -217,7 +218,6 @@ def _examine(
     episodes = whole_rollout(exam, copied, look_at, steps, progress=f"{cfg.episodes} episodes")
     figures = judge(episodes)
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}")
-    part.write_text(json.dumps(figures, indent=1, allow_nan=False), encoding="utf-8")
-    part.replace(path)
+    with whole_file(path) as part:
+        part.write_text(json.dumps(figures, indent=1, allow_nan=False), encoding="utf-8")
     return figures

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from torchrl.envs import TransformedEnv
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, whole_body_env
 from torchrl_athletic.identification import with_actuation
 from torchrl_athletic.networks import digest_of
+from torchrl_athletic.recordings.whole_file import whole_file
 from torchrl_athletic.robots import Robot, Terrain, b2z1, with_options
 from torchrl_athletic.training.evaluation import Episodes, whole_episodes
 from torchrl_athletic.training.rollout import Policy
@@ -216,9 +216,8 @@ def _told_of(episodes: Episodes) -> dict[str, Any]:
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    part.write_text(json.dumps(content, indent=1), encoding="utf-8")
-    os.replace(part, path)
+    with whole_file(path) as part:
+        part.write_text(json.dumps(content, indent=1), encoding="utf-8")
 
 
 def table_of(results: Mapping[str, Mapping[str, Any]]) -> str:

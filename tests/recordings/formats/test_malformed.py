@@ -3,6 +3,7 @@
 import gzip
 import io
 import json
+import os
 import pickle
 import sys
 import zipfile
@@ -15,9 +16,11 @@ import pytest
 import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer as McapWriter
 from recordings.formats.foreign_files import WRITERS, make_recording, numbers_of, table_of
 
 from torchrl_athletic.recordings import ColumnMap, RecordingError, read_recordings, write_recording
+from torchrl_athletic.recordings.formats.readers import read_source
 
 TAKE = make_recording("torque_command")
 COLUMNS = ColumnMap(joint_names=("hip", "knee"), torque_semantics="link_side")
@@ -230,6 +233,64 @@ def test_csv_in_another_encoding_or_gzip_is_refused(tmp_path):
         read_recordings(tmp_path / "log.csv.gz")
 
 
+def test_a_long_cell_of_a_csv_costs_no_more_than_itself(tmp_path):
+    """Beside 20,000 empty ones, which would be made as long as it: 7.5 GB."""
+    rows = "".join(f"{row},0,0,\n" for row in range(20_000))
+    (tmp_path / "log.csv").write_text(f"time,position_a,torque_command_a,note\n{rows}20000,0,0,{'x' * 100_000}\n")
+    [recording] = read_recordings(tmp_path / "log.csv")
+    assert recording.num_samples == 20_001
+    with pytest.raises(RecordingError, match="note is the text '' at row 0"):
+        read_recordings(tmp_path / "log.csv", ColumnMap(position="note", joint_names=("a",)))
+
+
+def test_a_message_is_no_longer_than_somebody_reads(tmp_path):
+    np.savez(tmp_path / "take.npz", **{f"field_{k}": np.zeros(1) for k in range(1000)})
+    with pytest.raises(RecordingError, match=r"no position\..* \[\.\.\.\] .*in a column map, for example") as caught:
+        read_recordings(tmp_path / "take.npz")
+    assert len(str(caught.value)) < 3100
+
+
+def link_to_another_file(file, outside):
+    file["velocity"] = h5py.ExternalLink(outside.name, "velocity")
+
+
+def store_in_another_file(file, outside):
+    file.create_dataset("velocity", shape=(50, 2), dtype="f8", external=[(outside.name, 0, 800)])
+
+
+def map_another_file(file, outside):
+    layout = h5py.VirtualLayout(shape=(50, 2), dtype="f8")
+    layout[:] = h5py.VirtualSource(outside.name, "velocity", shape=(50, 2))
+    file.create_virtual_dataset("velocity", layout)
+
+
+@pytest.mark.parametrize("elsewhere", [link_to_another_file, store_in_another_file, map_another_file])
+def test_hdf5_reads_no_other_file(elsewhere, tmp_path):
+    outside = tmp_path / "secret.h5"
+    with h5py.File(outside, "w") as file:
+        file["velocity"] = TAKE.velocity
+    with h5py.File(tmp_path / "take.h5", "w") as file:
+        write_fields = {name: values for name, values in numbers_of(TAKE).items() if name != "velocity"}
+        for name, values in write_fields.items():
+            file[name] = values
+        elsewhere(file, outside)
+    with pytest.raises(RecordingError, match=r"take\.h5: /?velocity is kept in another file \(secret\.h5\)"):
+        read_recordings(tmp_path / "take.h5", COLUMNS)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
+@pytest.mark.parametrize("where", ["take.npz", "data/take.parquet"])
+def test_what_has_no_end_is_no_file(make, where, tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "meta").mkdir()
+    if where.startswith("data"):
+        (tmp_path / "meta/info.json").write_text("{}")
+    make(tmp_path / where)
+    for path in {tmp_path, tmp_path / where}:
+        with pytest.raises(RecordingError, match="is a pipe, a device, or a link to something that is not there"):
+            read_recordings(path, COLUMNS)
+
+
 class Bomb:
     """Leaves a mark when it is unpickled."""
 
@@ -252,7 +313,7 @@ def test_nothing_is_unpickled(suffix, tmp_path):
 def test_an_array_of_objects_is_named(tmp_path):
     np.savez(tmp_path / "take.npz", **(numbers_of(TAKE) | {"velocity": np.array([None, 1])}), allow_pickle=True)
     with pytest.raises(RecordingError, match=r"take.npz: velocity: cannot be read .*allow_pickle=False"):
-        read_recordings(tmp_path / "take.npz")
+        read_recordings(tmp_path / "take.npz", COLUMNS)
 
 
 def test_an_npz_with_a_bare_array_is_refused(tmp_path):
@@ -355,6 +416,19 @@ def test_a_damaged_lerobot_data_set_is_named(damage, advice, tmp_path):
         read_recordings(tmp_path, mapped)
 
 
+def test_a_json_message_that_is_none_is_told_with_its_file(tmp_path):
+    path = tmp_path / "take.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start()
+        for topic in ("/joint_states", "/joint_command"):
+            schema = writer.register_schema("sensor_msgs/JointState", "jsonschema", b"{}")
+            writer.add_message(writer.register_channel(topic, "json", schema), 0, b"{", 0)
+        writer.finish()
+    with pytest.raises(RecordingError, match=rf"{path}: a JSON message is not JSON"):
+        read_recordings(path)
+
+
 @pytest.mark.parametrize("fraction", [0.0, 0.3, 0.6, 0.99])
 def test_a_cut_off_ros2_bag(fraction, tmp_path):
     WRITERS["rosbag2"][0](TAKE, tmp_path / "bag")
@@ -371,7 +445,7 @@ def test_a_missing_library_says_how_to_install_it(tmp_path, monkeypatch):
     (tmp_path / "take.h5").write_bytes(b"")
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(ImportError, match=r"'h5py'.*pip install torchrl-athletic\[formats\]"):
-        read_recordings(tmp_path / "take.h5")
+        read_source(tmp_path / "take.h5", COLUMNS)
 
 
 def test_no_columns_are_dropped_unseen(tmp_path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import tempfile
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -61,6 +60,7 @@ from torchrl_athletic.diagnosis.report.words import (
 )
 from torchrl_athletic.diagnosis.result import Answer, Overlay, RegimeMap, Score
 from torchrl_athletic.effects import CATALOGUE
+from torchrl_athletic.recordings.whole_file import whole_file
 
 if TYPE_CHECKING:
     import mujoco
@@ -100,6 +100,7 @@ def write_report(
         ``path``.
 
     Example:
+        >>> import tempfile
         >>> folder = tempfile.mkdtemp()
         >>> write_report(Answer("nothing_missing", ("All is well.",)), (), (), Path(folder) / "report.html").name
         'report.html'
@@ -107,10 +108,8 @@ def write_report(
     path = Path(path)
     text = render(answer, maps, overlays, path.parent.name or ".", model, experiment, payload)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-        beside = Path(folder) / path.name
-        beside.write_text(text, encoding="utf-8")
-        os.replace(beside, path)
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8")
     return path
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 from torchrl_athletic.recordings.formats.foreign_library import decoding
 from torchrl_athletic.recordings.formats.take import Take, is_number
 from torchrl_athletic.recordings.recording import RecordingError
+
+_LONGEST = 1000
+"""Characters of a text that are kept; no number has more."""
 
 
 def read_csv(path: Path) -> list[Take]:
@@ -49,16 +53,14 @@ def read_csv(path: Path) -> list[Take]:
                 f"{path}: line {number} has {len(row)} cells, but the header names {len(names)} columns. Complete the "
                 "line, or leave it out."
             )
-    cells = np.array([row for _, row in rows], dtype=np.str_).reshape(len(rows), len(names))
-    return [Take(str(path), {name: _parsed(cells[:, i]) for i, name in enumerate(names)})]
+    columns = zip(*[row for _, row in rows], strict=True) if rows else [()] * len(names)
+    return [Take(str(path), {name: _parsed(column) for name, column in zip(names, columns, strict=True)})]
 
 
-def _parsed(cells: NDArray[np.str_]) -> NDArray[Any]:
+def _parsed(cells: tuple[str, ...]) -> NDArray[Any]:
     """Numbers where every cell is one; text stays text, which only hurts where numbers are needed."""
-    text = "".join(cells.tolist())
-    if "_" in text or not text.isascii():  # Python reads 1_0 and other alphabets' digits as numbers
-        return cells
-    try:
-        return cells.astype(np.float64)
-    except ValueError:
-        return cells
+    text = "".join(cells)
+    if "_" not in text and text.isascii():  # Python reads 1_0 and other alphabets' digits as numbers
+        with suppress(ValueError):
+            return np.array(cells, dtype=np.float64)
+    return np.array([cell[:_LONGEST] for cell in cells], dtype=np.str_)  # NumPy makes all as long as the longest

@@ -9,6 +9,11 @@ from typing import Any
 
 from torchrl_athletic.recordings.recording import RecordingError
 
+DAMAGED = (
+    "The file is damaged, cut off, or of another kind than its suffix says: copy or record it again, or export it to "
+    "another format."
+)
+
 
 def import_format_library(module: str) -> Any:
     """Import an optional library.
@@ -36,10 +41,9 @@ def decoding(source: str, content: str) -> Iterator[None]:
     """
     try:
         yield
-    except (RecordingError, ImportError):
+    except (RecordingError, ImportError, MemoryError):
         raise
     except Exception as error:  # damaged bytes make a decoder raise any exception there is
         raise RecordingError(
-            f"{source}: cannot be read as {content} ({type(error).__name__}: {error}). The file is damaged, cut off, "
-            "or of another kind than its suffix says: copy or record it again, or export it to another format."
+            f"{source}: cannot be read as {content} ({type(error).__name__}: {error}). {DAMAGED}"
         ) from error

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
-
-from numpy.typing import NDArray
 
 from torchrl_athletic.recordings.formats.column_map import SIGNALS, ColumnMap
-from torchrl_athletic.recordings.formats.take import Take
+from torchrl_athletic.recordings.formats.take import Fields, Load, Take
 from torchrl_athletic.recordings.recording import RecordingError
 
 
-def takes_by_group(source: str, arrays: Mapping[str, NDArray[Any]], columns: ColumnMap) -> list[Take]:
+def takes_by_group(source: str, arrays: Mapping[str, Load], columns: ColumnMap) -> list[Take]:
     """Split arrays named by their path (``run_1/time``) into one take for each group that holds the stamps.
 
     In a file without stamps (``columns.rate``) the position marks a take. Arrays at the root, such as ``joint_names``,
@@ -25,18 +22,16 @@ def takes_by_group(source: str, arrays: Mapping[str, NDArray[Any]], columns: Col
     name = mark.name if mark is not None else ("position" if columns.rate is not None else "time")
     groups = [path.removesuffix(f"/{name}") for path in arrays if path.endswith(f"/{name}")]
     if name in arrays or not groups:
-        return [Take(source, arrays)]
-    shared = {path: array for path, array in arrays.items() if "/" not in path}
+        return [Take(source, Fields(arrays))]
+    shared = {path: load for path, load in arrays.items() if "/" not in path}
     inside = {path for path in arrays if any(path.startswith(f"{group}/") for group in groups)}
     for path in arrays:
         if path not in inside and any(part in SIGNALS for part in path.split("/")[1:]):
             raise RecordingError(
                 f"{source}: {path} is there, but its group has no {name}. Add the stamps, or remove the group."
             )
-    return [
-        Take(
-            f"{source}: {group}",
-            shared | {path.removeprefix(f"{group}/"): arrays[path] for path in arrays if path.startswith(f"{group}/")},
-        )
-        for group in groups
-    ]
+    return [Take(f"{source}: {group}", Fields(shared | _within(group, arrays))) for group in groups]
+
+
+def _within(group: str, arrays: Mapping[str, Load]) -> dict[str, Load]:
+    return {path.removeprefix(f"{group}/"): load for path, load in arrays.items() if path.startswith(f"{group}/")}

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from torchrl_athletic.recordings.formats.hdf5 import read_hdf5
 from torchrl_athletic.recordings.formats.take import Take
 
 
-def read_mat(path: Path, columns: ColumnMap) -> list[Take]:
+def read_mat(path: Path, columns: ColumnMap) -> Iterable[Take]:
     """The takes of a MAT file. A field ``q`` of a struct ``log`` is named ``log/q``; of the second of several,
     ``log/2/q``.
 
@@ -36,7 +37,7 @@ def read_mat(path: Path, columns: ColumnMap) -> list[Take]:
             if kind == "logical":  # which loadmat gives as whole numbers
                 content[name] = np.asarray(content[name], dtype=bool)
         arrays = {
-            name: array
+            name: partial(np.asarray, array)
             for key, value in content.items()
             if not key.startswith("__")
             for name, array in _flat(key, value)

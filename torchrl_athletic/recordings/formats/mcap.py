@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,7 @@ def read_mcap(path: Path, columns: ColumnMap) -> list[Take]:
     with path.open("rb") as file:
         with decoding(str(path), "an MCAP file"):
             reader = mcap.make_reader(
-                file, validate_crcs=True, decoder_factories=[ros2.DecoderFactory(), _JsonDecoderFactory()]
+                file, validate_crcs=True, decoder_factories=[ros2.DecoderFactory(), _JsonDecoderFactory(str(path))]
             )
             summary = reader.get_summary()
         if summary is None or summary.statistics is None:
@@ -55,7 +55,8 @@ def read_mcap(path: Path, columns: ColumnMap) -> list[Take]:
                 for c in summary.channels.values()
             }
             notes = {record.name: record.metadata for record in reader.iter_metadata()}.get(_NOTES, {})
-            attachments = {attachment.name: attachment.data for attachment in reader.iter_attachments()}
+            kept = any(attachment.name == _NOTES for attachment in summary.attachment_indexes)  # others may be large
+            attachments = {found.name: found.data for found in reader.iter_attachments()} if kept else {}
 
         def read(wanted: set[str]) -> Iterator[Message]:
             counts = dict.fromkeys(wanted, 0)
@@ -133,12 +134,14 @@ def _with_notes(take: Take, notes: dict[str, str], exact_time: bytes | None) -> 
     return replace(take, fields=fields)
 
 
+@dataclass(frozen=True)
 class _JsonDecoderFactory:
     """Decodes JSON messages, for mcap's reader."""
 
+    source: str
+
     def decoder_for(self, message_encoding: str, schema: Any) -> Callable[[bytes], dict[str, Any]] | None:
-        return _json_message if message_encoding == "json" else None
+        return self._decode if message_encoding == "json" else None
 
-
-def _json_message(data: bytes) -> dict[str, Any]:
-    return parse_json_object(data.decode(), "a JSON message")
+    def _decode(self, data: bytes) -> dict[str, Any]:
+        return parse_json_object(data.decode(), f"{self.source}: a JSON message")

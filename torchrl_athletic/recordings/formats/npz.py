@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +13,11 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.recordings.formats.foreign_library import decoding
 from torchrl_athletic.recordings.formats.metadata import metadata_text
-from torchrl_athletic.recordings.formats.take import Take
+from torchrl_athletic.recordings.formats.take import Fields, Take
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
 
-def read_npz(path: Path) -> list[Take]:
+def read_npz(path: Path) -> Iterator[Take]:
     """The one take of an npz archive."""
     with decoding(str(path), "an npz archive"):
         archive = np.load(path, allow_pickle=False)
@@ -24,12 +26,13 @@ def read_npz(path: Path) -> list[Take]:
             f"{path}: holds one bare array, not an npz archive. Write it with numpy.savez(path, time=..., "
             "position=...)."
         )
-    arrays: dict[str, NDArray[Any]] = {}
+
+    def load(name: str) -> NDArray[Any]:
+        with decoding(f"{path}: {name}", "an array of numbers or text"):
+            return np.asarray(archive[name])
+
     with archive:
-        for name in archive.files:
-            with decoding(f"{path}: {name}", "an array of numbers or text"):
-                arrays[name] = archive[name]
-    return [Take(str(path), arrays)]
+        yield Take(str(path), Fields({name: partial(load, name) for name in archive.files}))
 
 
 def write_npz(recording: Recording, path: Path) -> None:

@@ -1,35 +1,15 @@
-"""Recordings from files and folders: which reader takes what."""
+"""Recordings from files and folders."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from torchrl_athletic.recordings.formats.child import read_in_child
 from torchrl_athletic.recordings.formats.column_map import ColumnMap
-from torchrl_athletic.recordings.formats.csv import read_csv
-from torchrl_athletic.recordings.formats.hdf5 import read_hdf5
-from torchrl_athletic.recordings.formats.lerobot import is_lerobot, read_lerobot
-from torchrl_athletic.recordings.formats.mat import read_mat
-from torchrl_athletic.recordings.formats.mcap import read_mcap
-from torchrl_athletic.recordings.formats.npz import read_npz
-from torchrl_athletic.recordings.formats.parquet import read_parquet
-from torchrl_athletic.recordings.formats.rosbag import is_rosbag2, read_rosbag
-from torchrl_athletic.recordings.formats.take import Take, recording_from_take
+from torchrl_athletic.recordings.formats.readers import SUFFIXES, kind_of
 from torchrl_athletic.recordings.recording import Recording, RecordingError
-
-_READERS: dict[str, Callable[[Path, ColumnMap], list[Take]]] = {
-    ".npz": lambda path, _: read_npz(path),
-    ".csv": lambda path, _: read_csv(path),
-    ".csv.gz": lambda path, _: read_csv(path),
-    ".parquet": lambda path, _: read_parquet(path),
-    ".h5": read_hdf5,
-    ".hdf5": read_hdf5,
-    ".mat": read_mat,
-    ".bag": read_rosbag,
-    ".db3": read_rosbag,
-    ".mcap": read_mcap,
-}
 
 
 def read_recordings(
@@ -49,6 +29,9 @@ def read_recordings(
     A folder is read with all folders below it, by name. Columns that no field is read from are listed in
     ``metadata["not_read"]``. Commands of bags are put on the stamps of the states by zero-order hold, never ahead:
     :func:`~torchrl_athletic.recordings.formats.joint_state.take_from_messages` says what that costs.
+
+    Every file is read in a process of its own, which may take 15 s and 1.5 GB of memory, and more with the size of the
+    file: one that crashes its library, or never ends, is refused like any other.
 
     Args:
         path_or_paths: File, folder or several.
@@ -78,38 +61,32 @@ def read_recordings(
     if not paths:
         raise RecordingError("no path to read recordings from; give a file or a folder.")
     columns = columns or ColumnMap()
-    takes = (take for path in paths for source in _sources(Path(path)) for take in _read(source, columns))
-    return [recording_from_take(take, columns) for take in takes]
-
-
-def _read(source: Path, columns: ColumnMap) -> list[Take]:
-    if not source.is_dir():
-        return _READERS[_suffix(source)](source, columns)
-    return read_lerobot(source, columns) if is_lerobot(source) else read_rosbag(source, columns)
+    sources = (source for path in paths for source in _sources(Path(path)))
+    return [recording for source in sources for recording in read_in_child(source, columns)]
 
 
 def _sources(path: Path) -> list[Path]:
     """The files to read, and the folders that are one recording or data set as a whole."""
-    if path.is_file():
-        if _suffix(path) not in _READERS:
-            raise RecordingError(
-                f"{path}: {path.suffix or 'no suffix'} is not a known kind of file. Known are {', '.join(_READERS)}."
-            )
-        return [path]
-    if not path.is_dir():
+    if not path.exists():
         raise RecordingError(f"{path}: there is no such file or folder.")
-    found = list(_walk(path))
+    if not path.is_dir() and not kind_of(path):
+        raise RecordingError(
+            f"{path}: {path.suffix or 'no suffix'} is not a known kind of file. Known are {', '.join(SUFFIXES)}."
+        )
+    found = [path] if kind_of(path) else list(_walk(path))
     if not found:
         names = sorted(str(p.relative_to(path)) for p in path.rglob("*") if p.is_file())
         listed = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
         raise RecordingError(
-            f"{path}: no file of a known kind ({', '.join(_READERS)}). Found are: {listed or 'no files'}."
+            f"{path}: no file of a known kind ({', '.join(SUFFIXES)}). Found are: {listed or 'no files'}."
         )
+    for source in found:
+        _refuse_what_is_no_file(source)
     return found
 
 
 def _walk(folder: Path) -> Iterator[Path]:
-    if is_lerobot(folder) or is_rosbag2(folder):
+    if kind_of(folder):
         yield folder
         return
     for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
@@ -117,12 +94,14 @@ def _walk(folder: Path) -> Iterator[Path]:
             continue
         if entry.is_dir(follow_symlinks=False):
             yield from _walk(Path(entry.path))
-        elif _suffix(Path(entry.path)) in _READERS:
+        elif not entry.is_dir() and kind_of(Path(entry.path)):
             yield Path(entry.path)
 
 
-def _suffix(path: Path) -> str:
-    name = path.name.lower()
-    return next(
-        (suffix for suffix in sorted(_READERS, key=len, reverse=True) if name.endswith(suffix)), path.suffix.lower()
-    )
+def _refuse_what_is_no_file(source: Path) -> None:
+    """Pipes and devices, which have no end, also where a link leads to one."""
+    for path in source.rglob("*") if source.is_dir() else [source]:
+        if not path.is_file() and not path.is_dir():
+            raise RecordingError(
+                f"{path}: is a pipe, a device, or a link to something that is not there. Copy its content to a file."
+            )

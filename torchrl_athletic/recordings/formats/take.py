@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,28 @@ _OPTIONAL = ("velocity", "torque_command", "position_target", "torque_measured")
 NOTES = ("joint_names", "kp", "kd", "torque_semantics", "metadata")
 """Fields of a recording without a value a sample."""
 _TEXTS = ("joint_names", "torque_semantics", "metadata")
+
+
+Load = Callable[[], NDArray[Any]]
+
+
+class Fields(Mapping[str, NDArray[Any]]):
+    """Arrays that are read when they are first asked for: what no signal needs may be large, and stays in the file."""
+
+    def __init__(self, load: Mapping[str, Load]) -> None:
+        self._load = {name: cache(one) for name, one in load.items()}
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._load[name]()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._load
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._load)
+
+    def __len__(self) -> int:
+        return len(self._load)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,42 @@
+"""A few of the inputs that the fuzzer makes by the hundred thousand."""
+
+import pytest
+
+from benchmarks.fuzz_readers import RUN, Outcome, fuzz, outcome, samples
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    return samples(tmp_path_factory.mktemp("good"))
+
+
+def test_damaged_files_of_every_kind_are_read_or_refused(good, tmp_path):
+    inputs = [RUN * k + number for k in range(len(good)) for number in range(4)]
+    outcomes, memory = fuzz(inputs, seed=1, keep=tmp_path / "kept")
+    assert {one.kind for one in outcomes} == set(good)
+    assert [one for one in outcomes if one.failed] == []
+    assert {one.said for one in outcomes} == {"read", "refused"}
+    assert memory < 2 << 30
+    assert not (tmp_path / "kept").exists()
+
+
+def test_without_damage_every_sample_is_read(good):
+    assert {outcome(kind, path).said for kind, path in good.items()} == {"read"}
+
+
+def test_a_crash_a_hang_and_another_exception_are_failures(good, monkeypatch):
+    def surprise(path, columns):
+        raise KeyError("schema")
+
+    assert Outcome("npz", "read", 21.0).failed
+    monkeypatch.setattr("benchmarks.fuzz_readers.read_recordings", surprise)
+    assert outcome("npz", good["npz"]).failed
+
+
+def test_the_same_number_makes_the_same_input(good, monkeypatch, tmp_path):
+    made = []
+    monkeypatch.setattr("benchmarks.fuzz_readers.read_recordings", lambda path, columns: made.append(path.read_bytes()))
+    for numbers in (range(5), range(3, 5)):
+        fuzz(numbers, seed=2, keep=tmp_path)
+    assert made[3:5] == made[5:7]
+    assert len(set(made)) == 5

@@ -1,0 +1,48 @@
+"""One process at a time writes a diagnosis, and what a killed one left is cleared away."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from torchrl_athletic.diagnosis.folder import locked
+
+
+def enter(folder):
+    with locked(folder):
+        return "entered"
+
+
+def from_outside(folder):
+    """Of another thread, which the lock takes for a stranger as it does another process."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(enter, folder).result()
+
+
+def test_who_is_outside_stays_out_until_the_first_one_has_left(tmp_path):
+    with (
+        locked(tmp_path),
+        pytest.raises(BlockingIOError, match=f"^{tmp_path}: another diagnosis is writing there.*Wait"),
+    ):
+        from_outside(tmp_path)
+    assert from_outside(tmp_path) == "entered"
+
+
+def test_who_is_inside_enters_again_and_stays_inside(tmp_path):
+    with locked(tmp_path / "out"):
+        with locked(tmp_path / "." / "out"):
+            pass
+        with pytest.raises(BlockingIOError):
+            from_outside(tmp_path / "out")
+
+
+def test_what_a_killed_process_left_half_written_is_removed_and_nothing_else(tmp_path):
+    for name in (".diagnosis.json.123.unfinished", ".gitignore", "diagnosis.json"):
+        (tmp_path / name).write_text("{")
+    with locked(tmp_path):
+        assert sorted(path.name for path in tmp_path.iterdir()) == [".gitignore", "diagnosis.json"]
+
+
+def test_a_folder_that_stays_empty_does_not_stay(tmp_path):
+    with pytest.raises(ValueError, match="wrong"), locked(tmp_path / "a" / "b"):
+        raise ValueError("wrong")
+    assert not (tmp_path / "a" / "b").exists()
