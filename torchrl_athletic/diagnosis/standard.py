@@ -234,4 +234,3 @@ def torque_domain(h: Hypothesis, prepared: Prepared) -> Array:
         for (c, k), change in zip(place, found, strict=True):
             h.values_of(c, x)[k] = c.effect.value(c.parameters[k], float(change))
     return x
-
