@@ -171,7 +171,9 @@ def fit(
     parameters = _parameters(h, near, again, y, needed, seen)
     remarks = [_binds(p, bounds) for p, bounds in zip(parameters, _free_parameters(h), strict=True)]
     if held is not None:
-        gone = vetoed(h, y, held.takes, _rng(seed, "heldout"))
+        stated = score(held.takes, h, y, held.position_noise, _rng(seed, "heldout"))[0]
+        floor = np.array([joint["floor"] for joint in stated.per_joint.values()])
+        gone = vetoed(h, y, held.takes, _rng(seed, "heldout"), floor)
         moved = [c.where for c in h.terms if any(h.values_of(c, needed))]
         remarks.append(veto_sentence(gone, moved))
         parameters = tuple(_taken_back(p, gone) for p in parameters)

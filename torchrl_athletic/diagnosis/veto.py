@@ -15,7 +15,15 @@ from torchrl_athletic.diagnosis.screen import Candidate
 Array = NDArray[np.float64]
 
 
-def vetoed(h: Hypothesis, values: Array, takes: Sequence[Take], rng: np.random.Generator) -> tuple[Candidate, ...]:
+WORSE = 1.01
+"""Error per the given model's from which on a joint got worse; less is how the windows fall [1]."""
+NOISE = 1.2
+"""Error per the floor up to which it may be noise, which no correction is to blame for [1]."""
+
+
+def vetoed(
+    h: Hypothesis, values: Array, takes: Sequence[Take], rng: np.random.Generator, floor: Array
+) -> tuple[Candidate, ...]:
     """Terms and trims to take back so that no joint follows its recordings worse than the given model does.
 
     All of a joint that got worse go together, since halves of a correction may be worse than none. Joints are coupled,
@@ -26,16 +34,18 @@ def vetoed(h: Hypothesis, values: Array, takes: Sequence[Take], rng: np.random.G
         values: Its numbers. Shape (P,).
         takes: Recordings kept aside.
         rng: As of the score that is stated, so that both look at the same windows.
+        floor: Error that the sensors' noise alone makes [rad, m]. Shape (J,).
     """
     windows = [well_started(w) for w in draw_windows(takes, WINDOW, MOST_WINDOWS, rng)]
 
     def rmse(x: Array) -> Array:
         return window_rmse(windows, [simulate(w, h.build, x[None])[0] for w in windows])[0]
 
-    before, x, gone = rmse(h.nominal), values.copy(), []
+    before, x = rmse(h.nominal), values.copy()
+    gone: list[Candidate] = []
     parts = (*h.terms, *h.trims)
     while len(gone) < len(parts):
-        worse = rmse(x) > before
+        worse = rmse(x) > np.maximum(WORSE * before, NOISE * floor)
         if not worse.any():
             break
         left = [c for c in parts if c not in gone]
