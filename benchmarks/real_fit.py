@@ -16,6 +16,7 @@ import subprocess
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -269,7 +270,7 @@ def by_hand(replay: Replay, names: Sequence[str]) -> Array:
     begin = np.clip(guess[rows], low[rows] + 1e-6 * size[rows], high[rows] - 1e-6 * size[rows])
     found = least_squares(
         residual, (begin / size[rows]).ravel(), bounds=((low / size)[rows].ravel(), (high / size)[rows].ravel()),
-        diff_step=1e-3, x_scale="jac", max_nfev=40, xtol=1e-4, ftol=1e-4,
+        diff_step=np.full(begin.size, 1e-3), x_scale="jac", max_nfev=40, xtol=1e-4, ftol=1e-4,
     )  # fmt: skip
     x[rows] = found.x.reshape(len(rows), -1) * size[rows]
     return x
@@ -291,10 +292,7 @@ def by_sysid(replay: Replay) -> Array | None:
 
     Delays and limits by parameter, logs with several gains or rates are beyond its one model.
     """
-    try:
-        from mujoco import sysid
-    except ImportError:
-        return None
+    sysid = import_module("mujoco.sysid")
     alike = {(w["step"], len(w["edges"]), w["gains"] is None) for w in replay.windows}
     if not hasattr(sysid, "ParameterDict") or len(alike) > 1 or replay.targets:
         return None
@@ -335,7 +333,7 @@ def by_sysid(replay: Replay) -> Array | None:
             )
         )
     residual = _sysid_residual(sysid, params, build, trajectories)
-    found, _ = sysid.optimize(params, residual, optimizer="mujoco", verbose=False, max_iters=40, x_scale="jac")
+    found, _ = sysid.optimize(params, residual, optimizer="mujoco", verbose=False, max_iters=15, x_scale="jac")
     for k in rows:
         x[k] = np.ravel(found[NAMES[k]].value)
     return x
