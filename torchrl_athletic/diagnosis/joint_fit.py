@@ -62,6 +62,8 @@ class Problem:
     """Errors of the joints that count as one [rad, m]. Shape (J,)."""
     weight: Array
     """Of each window [1]. Shape (W,)."""
+    tuning: float = TUNING
+    """Typical errors at which a window weighs half [1]; infinite for plain least squares."""
 
     def predict(self, values: Array) -> Iterator[tuple[Windows, Array]]:
         """Errors of blocks of windows, thinned. Shapes (K, W, length, J) for values (K, P)."""
@@ -112,17 +114,44 @@ def problem_of(
 def weighed(problem: Problem, x: Array) -> Problem:
     """The same, in units of the joints' typical errors; what the model cannot follow, a fall or chaos, weighs less.
 
-    Cauchy weights (Holland, Welsch 1977) of whole windows.
+    Cauchy weights (Holland, Welsch 1977) of whole windows; none for plain least squares.
     """
     square = problem.mean_square(x[None])[0]
-    unit = np.sqrt(np.maximum(np.median(square, axis=0), 1e-18))
+    typical = square.mean(0) if np.isinf(problem.tuning) else np.median(square, axis=0)
+    unit = np.sqrt(np.maximum(typical, 1e-18))
     ratio = (square / unit**2).mean(1)
-    return replace(problem, unit=unit, weight=1.0 / (1.0 + ratio / TUNING**2))
+    return replace(problem, unit=unit, weight=1.0 / (1.0 + ratio / problem.tuning**2))
 
 
-def robust_cost(square: Array, unit: Array) -> Array:
-    """What the Cauchy weights minimise, of each window [1]. Shape (K, W) for mean squares (K, W, J)."""
-    return np.asarray(TUNING**2 * np.log1p((square / unit**2).mean(2) / TUNING**2), dtype=np.float64)
+def window_cost(problem: Problem, square: Array) -> Array:
+    """What a problem's weights minimise, of each window [1]. Shape (K, W) for mean squares (K, W, J)."""
+    ratio = (square / problem.unit**2).mean(2)
+    return np.asarray(
+        ratio if np.isinf(problem.tuning) else problem.tuning**2 * np.log1p(ratio / problem.tuning**2),
+        dtype=np.float64,
+    )
+
+
+def more_telling(problem: Problem, x: Array) -> tuple[Array, Problem]:
+    """The weighed solution or that of plain least squares, whichever follows folds better that did not fit it.
+
+    What is asked is the error that is stated. Plain least squares minimises it where a few wild windows do not lead it
+    astray; folds tell.
+
+    Args:
+        problem: The weighed one.
+        x: Its solution. Shape (P,).
+    """
+    free = problem.hypothesis.bounds[1] > problem.hypothesis.bounds[0]
+    plain = weighed(replace(problem, tuning=np.inf), x)
+    other = descend(plain, x, free, STEPS[-1])
+    fold = folds_of(problem)
+    nothing = np.zeros(int(free.sum()), dtype=bool)
+    error = [
+        (_folded(linearise(p, at, free), [nothing], fold)[0] / plain.unit**2).mean()
+        for p, at in ((problem, x), (plain, other))
+    ]
+    return (other, weighed(plain, other)) if error[1] < error[0] else (x, problem)
 
 
 def _overlapping(w: Windows, times: int) -> Windows:
@@ -205,7 +234,7 @@ def search(
     progress(0.9)
     x = _best(full, [*ends, *points], 1)[0]
     x = descend(weighed(full, x), x, free, STEPS[-1])
-    return x, weighed(full, x)
+    return more_telling(weighed(full, x), x)
 
 
 def _mixed(h: Hypothesis, square: Array, begin: Array, count: int) -> list[Array]:
@@ -220,7 +249,8 @@ def _best(problem: Problem, points: Sequence[Array], count: int) -> list[Array]:
     distinct = list({tuple(x): x for x in points}.values())
     square = problem.mean_square(np.stack(distinct))
     unit = np.sqrt(np.maximum(np.median(square, axis=1).min(0), 1e-18))
-    return [distinct[k] for k in np.argsort(robust_cost(square, unit).mean(1))[:count]]
+    cost = window_cost(replace(problem, unit=unit), square).mean(1)
+    return [distinct[k] for k in np.argsort(cost)[:count]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,7 +339,7 @@ def prune(near: Linearised, progress: Callable[[float], None] = lambda fraction:
     while not held.all():
         left = np.flatnonzero(~held)
         trials = [held, *(held | (np.arange(len(index)) == k) for k in left)]
-        error = robust_cost(_folded(near, trials, fold), near.problem.unit)
+        error = window_cost(near.problem, _folded(near, trials, fold))
         best = min((best, *error), key=lambda e: float(e.mean()))
         rise = error[1:] - best
         cost = rise.mean(1)

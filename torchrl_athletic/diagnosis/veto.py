@@ -26,8 +26,9 @@ def vetoed(
 ) -> tuple[Candidate, ...]:
     """Terms and trims to take back so that no joint follows its recordings worse than the given model does.
 
-    All of a joint that got worse go together, since halves of a correction may be worse than none. Joints are coupled,
-    so that this is asked again until no joint is worse; what belongs to the whole robot goes when nothing else is left.
+    All of a joint go together, since halves of a correction may be worse than none, and the joint that got worse most
+    goes first: joints are coupled, so that this is asked again until none is worse. What belongs to the whole robot
+    goes when nothing else is left.
 
     Args:
         h: The correction.
@@ -45,11 +46,14 @@ def vetoed(
     gone: list[Candidate] = []
     parts = (*h.terms, *h.trims)
     while len(gone) < len(parts):
-        worse = rmse(x) > np.maximum(WORSE * before, NOISE * floor)
+        after = rmse(x)
+        worse = after > np.maximum(WORSE * before, NOISE * floor)
         if not worse.any():
             break
         left = [c for c in parts if c not in gone]
-        take_back = [c for c in left if c.joint_name is not None and worse[c.joint]]
+        own = [c for c in left if c.joint_name is not None and worse[c.joint]]
+        worst = max(own, key=lambda c: after[c.joint] / before[c.joint], default=None)
+        take_back = [c for c in own if worst is not None and c.joint == worst.joint]
         take_back = take_back or [c for c in left if c.joint_name is None] or left
         for c in take_back:
             h.values_of(c, x)[:] = [p.nominal for p in c.parameters]
