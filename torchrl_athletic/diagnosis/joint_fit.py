@@ -326,24 +326,28 @@ def folds_of(problem: Problem, count: int = FOLDS) -> NDArray[np.intp]:
 def prune(near: Linearised, progress: Callable[[float], None] = lambda fraction: None) -> NDArray[np.bool_]:
     """Which parameters folds that are kept aside ask for; the others are held at the given model's. Shape (P,), of all.
 
-    Backwards: the parameter whose absence costs least goes first, one a joint at a time, as long as the error on folds
-    that were kept aside stays within :data:`DOUBT` of the best's own uncertainty. The fits without a fold and without a
-    parameter are one bounded Gauss-Newton step from the solution; their errors are simulated.
+    Backwards: the parameter whose absence costs least goes first, one a joint at a time, as long as folds that were
+    kept aside allow it: their stated error must not rise, and the weighed one by less than its own uncertainty. The
+    fits without a fold and without a parameter are one bounded Gauss-Newton step from the solution; their errors are
+    simulated.
     """
     h = near.problem.hypothesis
     fold = folds_of(near.problem)
     index = np.flatnonzero(near.free)
     joint = np.array([c.joint for c in h.terms for _ in c.parameters])[index]
     held = np.zeros(len(index), dtype=bool)
-    best = np.full(len(fold), np.inf)
+    best = [np.full(len(fold), np.inf)] * 2
     while not held.all():
         left = np.flatnonzero(~held)
         trials = [held, *(held | (np.arange(len(index)) == k) for k in left)]
-        error = window_cost(near.problem, _folded(near, trials, fold))
-        best = min((best, *error), key=lambda e: float(e.mean()))
-        rise = error[1:] - best
-        cost = rise.mean(1)
-        allowed = cost <= np.maximum(DOUBT * rise.std(1) / np.sqrt(len(fold)), WORTH * best.mean())
+        square = _folded(near, trials, fold)
+        allowed, cost = np.ones(len(left), dtype=bool), np.zeros(len(left))
+        for k, problem in enumerate((replace(near.problem, tuning=np.inf), near.problem)):
+            error = window_cost(problem, square)  # (trials, W)
+            best[k] = min((best[k], *error), key=lambda e: float(e.mean()))
+            rise = error[1:] - best[k]
+            cost, doubt = rise.mean(1), rise.std(1) / np.sqrt(len(fold))
+            allowed &= cost <= np.maximum(DOUBT * k * doubt, WORTH * best[k].mean())
         if not allowed.any():
             break
         for j in np.unique(joint[left]):
