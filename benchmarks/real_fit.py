@@ -2,7 +2,7 @@
 
     ATHLETIC_DATA=... python benchmarks/real_fit.py
 
-Half an hour on two cores. All are scored by one neutral replay: plain MuJoCo with its own actuators, in windows of half
+Ten minutes on two cores. All are scored by one neutral replay: plain MuJoCo with its own actuators, in windows of half
 a second from the measured state, over recordings that none of them fitted. The rivals minimise just that error.
 mujoco.sysid needs ``pip install "mujoco[sysid]"`` and is left out without, as it is where the list has what it lacks.
 """
