@@ -1,4 +1,4 @@
-"""The command line: ``torchrl-athletic diagnose --help``, or ``python -m torchrl_athletic diagnose --help``."""
+"""The command line: ``torchrl-athletic diagnose --help`` and ``fit --help``, or ``python -m torchrl_athletic``."""
 
 from collections.abc import Sequence
 
@@ -11,15 +11,18 @@ def main(args: Sequence[str] | None = None) -> None:
     """
     import tyro
 
-    from torchrl_athletic.diagnosis import command  # brings MuJoCo, which the import of this module must not
+    # these bring MuJoCo, which the import of this module must not
+    from torchrl_athletic.diagnosis import command, fit_command
 
     config = tyro.extras.subcommand_cli_from_dict(
-        {"diagnose": command.Config},
+        {"diagnose": command.Config, "fit": fit_command.FitConfig},
         prog="torchrl-athletic",
         description="Find out why a MuJoCo simulation and a real robot disagree.",
         args=args,
     )
-    if config.uan:
+    if isinstance(config, fit_command.FitConfig):
+        fit_command.main(config)
+    elif config.uan:
         from torchrl_athletic.training import learn_remainder  # brings TorchRL, which a diagnosis does without
 
         command.main(config, learn_remainder)

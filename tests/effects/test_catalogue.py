@@ -196,7 +196,7 @@ def test_every_row_gets_its_own_value_and_other_joints_none(effect):
 
     added = law_outputs(plant)
     chain = [plant.delay, plant.lag, plant.torque_scale, plant.torque_offset, plant.kp_scale, plant.kd_scale]
-    chain += [plant.encoder_offset, plant.encoder_scale, *added]
+    chain += [plant.torque_limit, plant.encoder_offset, plant.encoder_scale, *added]
     assert all((value[:, 0] == value[0, 0]).all() for value in chain)  # the shoulder's
     assert all(gear.joint == joint for gear in plant.gears)
     springs = [part for gear in plant.gears for part in (gear.spring.stiffness, gear.spring.damping)]

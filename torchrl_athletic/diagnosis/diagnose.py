@@ -43,6 +43,7 @@ from torchrl_athletic.diagnosis.screen import (
     trims_for,
 )
 from torchrl_athletic.diagnosis.search import RICHER, Judge, Scored, keys, noisy_joints, richer, rivals, search, singles
+from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
 from torchrl_athletic.effects import CATALOGUE, Effect
 from torchrl_athletic.effects.base import Base, free_joint, held_base
 from torchrl_athletic.effects.effect import is_slide
@@ -434,17 +435,7 @@ class _Work:
         """Score the fits that are not scored yet, and choose."""
         assert self.train is not None
         for k, fitted in list(enumerate(self.fits))[len(self.scores) :]:
-            scores: dict[str, Score] = {}
-            for split, prepared in (("train", self.train), ("heldout", self.held)):
-                if prepared is not None:
-                    scores[split], _, after, began = score(
-                        prepared.takes, fitted.hypothesis, fitted.values, prepared.position_noise, self._rng(split),
-                        prepared.repeatability,
-                    )  # fmt: skip
-                    if split == "train":  # what was kept aside scores the answer, it does not choose it
-                        self.errors.append(after)
-                        self.began = began
-            self.scores.append(scores)
+            self.scores.append(self._score(fitted, choose=True))
             self.progress.update((k + 1) / len(self.fits))
         if not self.errors:
             return
@@ -458,6 +449,20 @@ class _Work:
         self.options = tuple(
             replace(o, simulated=simulated, others=_others(self.options, needed, k)) for k, o in enumerate(self.options)
         )
+
+    def _score(self, fitted: Fitted, choose: bool = False) -> dict[str, Score]:
+        """Error of a fit; to choose by it, the windows of the fitted recordings are kept."""
+        scores: dict[str, Score] = {}
+        for split, prepared in (("train", self.train), ("heldout", self.held)):
+            if prepared is not None:
+                scores[split], _, after, began = score(
+                    prepared.takes, fitted.hypothesis, fitted.values, prepared.position_noise, self._rng(split),
+                    prepared.repeatability,
+                )  # fmt: skip
+                if choose and split == "train":  # what was kept aside scores the answer, it does not choose it
+                    self.errors.append(after)
+                    self.began = began
+        return scores
 
     def _start_over(self) -> None:
         """Where what fits the torques best leaves most of the motion open, ask about each effect alone.
@@ -513,10 +518,21 @@ class _Work:
         verdict, share = verdict_of(evidence, findings, scores.get("train"), scores.get("heldout"), is_open)
         if verdict == "nothing_missing" or harms(scores.get("train")):
             corrected = nominal
+        taken_back = ""
+        if self.held is not None and "heldout" in scores and fitted is not None and corrected is not nominal:
+            floor = np.array([joint["floor"] for joint in scores["heldout"].per_joint.values()])
+            gone = vetoed(fitted.hypothesis, fitted.values, self.held.takes, self._rng("heldout"), floor)
+            if gone:
+                taken_back = veto_sentence(gone, names)
+                fitted = without(fitted, gone)
+                corrected = replace(nominal, hypothesis=fitted.hypothesis, values=fitted.values)
+                scores = self._score(fitted)
         last = scores.get("heldout", scores.get("train"))
         summary = summarise(verdict, findings, self.locations, last, "heldout" in scores, share)
         if harms(scores.get("train")):
             summary += ("What fits best makes the simulation worse, so that the corrected model is the given one.",)
+        if taken_back:
+            summary += (taken_back,)
         if self.interrupted and not self.fits:
             summary = ("Stopped before anything was named; where the error is stands below.",)
         summary += tuple(

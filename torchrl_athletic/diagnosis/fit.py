@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from mujoco import minimize
@@ -69,8 +70,8 @@ class Hypothesis:
         for candidate, own in sorted(parts, key=lambda part: part[0].effect.adds_to_link):
             candidate.effect.apply(plant, candidate.joint, own)
 
-    def values_of(self, candidate: Candidate, values: Array) -> Array:
-        """The part of a value vector that belongs to one candidate. Shape (..., its P)."""
+    def values_of(self, candidate: Candidate, values: NDArray[Any]) -> NDArray[Any]:
+        """The part of a value vector, or of a mask of it, that belongs to one candidate. Shape (..., its P)."""
         at = 0
         for other in (*self.terms, *self.trims):
             count = len(other.parameters)
@@ -249,9 +250,11 @@ def _in_blocks(windows: Sequence[Windows]) -> Iterator[Windows]:
 
 
 def without(fitted: Fitted, dropped: Sequence[Candidate]) -> Fitted:
-    """The same fit with some terms left out."""
-    h = fitted.hypothesis
-    return _regrouped(fitted, Hypothesis(tuple(t for t in h.terms if t not in dropped), h.trims))
+    """The same fit with some terms or trims left out."""
+    terms, trims = (
+        tuple(c for c in part if c not in dropped) for part in (fitted.hypothesis.terms, fitted.hypothesis.trims)
+    )
+    return _regrouped(fitted, Hypothesis(terms, trims))
 
 
 def as_trims(fitted: Fitted, moved: Sequence[Candidate]) -> Fitted:

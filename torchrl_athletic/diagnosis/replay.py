@@ -376,6 +376,7 @@ def _closed_loop(
     servo = None if r.position_target is None else _servo(r, plant)
     state = _lag_state(windows, plant, sets) if servo is not None and keep.any() else None
     low, high = torque_range(take.model, take.address)
+    limited = bool(np.isfinite(plant.torque_limit).any())
     stamp = np.tile(take.time[windows.start], sets)
     lead, first_rate = _lead(take.model), _motor_side(plant, qpos[:, at], qvel[:, dof])[1].copy()
     out = np.empty((len(qpos), windows.length, len(dof)))
@@ -388,6 +389,8 @@ def _closed_loop(
             if state is not None:
                 state = torque + (state - torque) * keep
                 torque = state
+        if limited:
+            torque = np.minimum(np.maximum(torque, -plant.torque_limit), plant.torque_limit)
         now = Now(motor_q, motor_v, torque, stamp + i * step, step)
         for law in plant.motor:
             now.torque = law(now)
@@ -495,8 +498,10 @@ def _until_next(samples: Array) -> Array:
 
 
 def _drive(torque: Array, plant: Plant, take: Take) -> Array:
-    """Scale and offset of the torque, within the motor's range. Shape (rows, steps, J) in and out."""
+    """Limit, scale and offset of the torque, within the motor's range. Shape (rows, steps, J) in and out."""
     low, high = torque_range(take.model, take.address)
+    if np.isfinite(plant.torque_limit).any():
+        torque = np.clip(torque, -plant.torque_limit[:, None], plant.torque_limit[:, None])
     return np.clip(torque * plant.torque_scale[:, None] + plant.torque_offset[:, None], low, high)
 
 

@@ -1,8 +1,9 @@
 """What an effect may change in a batch of simulations: fields of the model, and the way from command to torque.
 
 The way of a torque, at every physics step and in every row: command (late by ``delay`` and ``clock_offset``), position
-controller (``kp_scale``, ``kd_scale``, on what the encoder reads), ``lag``, ``motor`` laws, ``torque_scale`` and
-``torque_offset``, the model's motor range, ``gears``, and beside the joint the torques of ``laws``.
+controller (``kp_scale``, ``kd_scale``, on what the encoder reads), ``lag``, ``torque_limit``, ``motor`` laws,
+``torque_scale`` and ``torque_offset``, the model's motor range, ``gears``, and beside the joint the torques of
+``laws``.
 """
 
 from __future__ import annotations
@@ -146,6 +147,8 @@ class Plant:
     """Delay of the command [s]."""
     lag: Array = field(init=False)
     """Time constant of the torque loop [s]."""
+    torque_limit: Array = field(init=False)
+    """Of the motor, either way, before its laws [N·m]."""
     torque_scale: Array = field(init=False)
     """Torque at the joint per commanded torque [1]."""
     torque_offset: Array = field(init=False)
@@ -169,6 +172,7 @@ class Plant:
             setattr(self, name, np.zeros(shape))
         for name in ("torque_scale", "kp_scale", "kd_scale", "encoder_scale"):
             setattr(self, name, np.ones(shape))
+        self.torque_limit = np.full(shape, np.inf)
         self.clock_offset, self.base_offset = np.zeros(self.rows), np.zeros(self.rows)
 
     def of(self, name: str) -> Array:

@@ -189,6 +189,9 @@ class TorqueSaturation(Effect):
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         limit = values[:, 0]
+        if not plant.motor:  # the first of the motor's laws needs no look at the state
+            plant.torque_limit[:, joint] = np.minimum(plant.torque_limit[:, joint], limit)
+            return
 
         def clipped(now: Now) -> Array:
             torque = now.torque.copy()

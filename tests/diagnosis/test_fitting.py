@@ -1,0 +1,176 @@
+"""A fit finds the numbers of joints whose motion is known in closed form or comes from another integrator."""
+
+import json
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis.plants import pendulum, smooth_torque
+
+from torchrl_athletic.diagnosis import Fit, fit
+from torchrl_athletic.diagnosis.fit_command import FitConfig, fit_table, main
+from torchrl_athletic.recordings import Recording, write_recording
+
+STEP = 0.005
+RATE = 100.0
+INERTIA, GRAVITY_TORQUE = 0.09, 0.5 * 9.81 * 0.4  # of the model
+NOISE = 1e-4
+
+
+def bench() -> str:
+    """The pendulum, and a turntable beside it that nothing moves."""
+    table = """<body name="table" pos="1 0 0"><joint name="table" axis="0 0 1"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body></worldbody>"""
+    return pendulum(STEP).replace("</worldbody>", table)
+
+
+def integrated(
+    command, seed=0, *, friction=0.0, damping=0.05, rotor=0.0, scale=1.0, late=0.0, fine=20, start=0.0
+) -> np.ndarray:
+    """Positions at the samples, by steps of half a millisecond that are not MuJoCo's. Shape (T, 1)."""
+    step = 1 / RATE / fine
+    held = np.repeat(command[:, 0], fine)
+    delayed = np.concatenate([np.zeros(round(late / step)), held])[: len(held)]
+    q, v, out = start, 0.0, []
+    for k, u in enumerate(delayed):
+        if k % fine == 0:
+            out.append(q)
+        torque = scale * u - GRAVITY_TORQUE * np.sin(q) - damping * v
+        free = v + step * torque / (INERTIA + rotor)
+        v = np.sign(free) * max(abs(free) - step * friction / (INERTIA + rotor), 0.0)
+        q += step * v
+    return np.array(out)[:, None] + NOISE * np.random.default_rng(seed).standard_normal((len(out), 1))
+
+
+def recording(command, position, names=("pendulum",)) -> Recording:
+    still = np.zeros((len(command), len(names) - 1))
+    return Recording(
+        np.arange(len(command)) / RATE, names, np.hstack([position, still]), torque_command=np.hstack([command, still])
+    )
+
+
+def parameter(fitted: Fit, effect: str, joint: str = "pendulum", name: str | None = None):
+    [found] = [p for p in fitted.parameters if (p.effect, p.joint) == (effect, joint) and name in (None, p.name)]
+    return found
+
+
+@pytest.fixture(scope="module")
+def concealed(tmp_path_factory) -> tuple[Fit, dict]:
+    """Dry friction, a rotor and a weak, late motor; and what was written."""
+    truth = {"friction": 0.08, "rotor": 0.02, "scale": 0.85, "late": 0.012}
+    train, held = (smooth_torque(6.0, amplitude, seed) for amplitude, seed in ((2.5, 1), (2.0, 2)))
+    takes = [recording(u, integrated(u, k, **truth), ("pendulum", "table")) for k, u in enumerate((train, held))]
+    output = tmp_path_factory.mktemp("fit")
+    return fit(bench(), takes[:1], takes[1:], output=output), output
+
+
+@pytest.mark.parametrize(
+    ("effect", "truth", "tolerance"),
+    [
+        ("coulomb_friction", 0.08, 0.008),
+        ("reflected_inertia", 0.02, 0.002),
+        ("torque_scale", 0.85, 0.02),
+        ("actuation_delay", 0.012, 0.002),
+    ],
+)
+def test_concealed_numbers_are_found_together(concealed, effect, truth, tolerance):
+    found = parameter(concealed[0], effect)
+    assert found.state == "identified"
+    assert found.value == pytest.approx(truth, abs=tolerance)
+    assert found.ci95[0] - tolerance < truth < found.ci95[1] + tolerance
+
+
+def test_the_concealed_simulation_follows_what_was_kept_aside(concealed):
+    score = concealed[0].scores["heldout"].per_joint["pendulum"]
+    assert score["after"] < 0.1 * score["before"]
+
+
+def test_what_is_not_there_is_not_needed(concealed):
+    for effect in ("torque_offset", "encoder_offset"):
+        assert abs(parameter(concealed[0], effect).value) < 0.01
+
+
+def test_a_joint_that_never_moves_has_no_numbers(concealed):
+    for effect in ("coulomb_friction", "viscous_friction", "reflected_inertia", "torque_scale"):
+        found = parameter(concealed[0], effect, "table")
+        assert found.state == "not identified"
+        assert "never moves" in found.remark
+    assert "not identified: table never moves" in fit_table(concealed[0])
+
+
+def test_a_limit_that_was_never_reached_is_at_least_what_was_asked_for(concealed):
+    limit = parameter(concealed[0], "torque_saturation")
+    asked = np.abs(concealed[0].recordings[0].torque_command[:, 0]).max()
+    assert limit.state == "not identified"
+    assert limit.ci95[0] == pytest.approx(asked, rel=0.05)
+    assert "at least" in limit.remark
+
+
+def test_the_files_say_the_same(concealed):
+    fitted, output = concealed
+    content = json.loads((output / "fit.json").read_text())
+    assert content["schema"] == "torchrl_athletic/fit/1"
+    [said] = [p for p in content["parameters"] if (p["joint"], p["effect"]) == ("pendulum", "coulomb_friction")]
+    assert said["value"] == parameter(fitted, "coulomb_friction").value
+    joint = mujoco.MjModel.from_xml_path(str(output / "corrected.xml")).joint("pendulum")
+    assert joint.armature[0] == pytest.approx(parameter(fitted, "reflected_inertia").value, rel=1e-4)
+    assert (output / "fit.png").stat().st_size > 10_000
+    assert (output / "corrected.json").exists()
+
+
+@pytest.fixture(scope="module")
+def swinging() -> Fit:
+    """Free small swings, which have a closed form: A exp(-γ t) cos(ω t), γ = b / 2J, ω² = m g l / J - γ²."""
+    inertia, damping = INERTIA + 0.03, 0.12
+    decay = damping / (2 * inertia)
+    speed = np.sqrt(GRAVITY_TORQUE / inertia - decay**2)
+    time = np.arange(300) / RATE
+    noise = 1e-6 * np.random.default_rng(0).standard_normal(len(time))
+    position = 0.05 * np.exp(-decay * time) * np.cos(speed * time) + noise
+    return fit(pendulum(STEP), [recording(np.zeros((300, 1)), position[:, None])])
+
+
+def test_free_swings_tell_damping_and_rotor(swinging):
+    assert parameter(swinging, "viscous_friction").value == pytest.approx(0.12, rel=0.05)
+    assert parameter(swinging, "reflected_inertia").value == pytest.approx(0.03, rel=0.1)
+
+
+def test_without_torque_nothing_is_known_of_the_drive(swinging):
+    for effect in ("torque_scale", "actuation_delay", "torque_saturation"):
+        found = parameter(swinging, effect)
+        assert found.state == "not identified"
+        assert found.value == found.given
+
+
+def test_a_bound_that_binds_is_said():
+    command = smooth_torque(3.0, 2.5, 3)
+    in_other_units = recording(command / 40, integrated(command))
+    fitted = fit(pendulum(STEP), [in_other_units])
+    assert parameter(fitted, "torque_scale").value == pytest.approx(20)
+    assert any("torque scale" in r and "bound of 20" in r for r in fitted.remarks)
+
+
+@pytest.mark.parametrize("seed", [0])
+def test_a_fit_never_ends_worse_than_it_began(seed):
+    """Not even of a motion that has nothing to do with the command."""
+    position = integrated(smooth_torque(2.0, 2.5, seed), friction=0.1)
+    fitted = fit(pendulum(STEP), [recording(smooth_torque(2.0, 1.5, seed + 10), position)], seed=seed)
+    score = fitted.scores["train"]
+    assert score.after <= score.before
+
+
+def test_the_command_prints_a_table_and_leaves_files(tmp_path, capsys):
+    command = smooth_torque(2.0, 2.5, 5)
+    (tmp_path / "model.xml").write_text(pendulum(STEP))
+    write_recording(recording(command, integrated(command, friction=0.1)), tmp_path / "take.npz")
+    main(FitConfig(tmp_path / "model.xml", (tmp_path / "take.npz",), output=tmp_path / "out"))
+    shown = capsys.readouterr().out
+    assert "coulomb friction [N·m]" in shown
+    assert "95 %" in shown
+    assert (tmp_path / "out" / "fit.json").exists()
+
+
+def test_a_missing_model_is_said_in_one_line(tmp_path):
+    write_recording(recording(np.ones((100, 1)), np.zeros((100, 1))), tmp_path / "take.npz")
+    with pytest.raises(SystemExit, match=r"error: .*no such model"):
+        main(FitConfig(tmp_path / "none.xml", (tmp_path / "take.npz",), output=tmp_path / "out"))

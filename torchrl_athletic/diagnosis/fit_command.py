@@ -1,0 +1,101 @@
+"""The command line of a fit: ``torchrl-athletic fit``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Literal
+
+from torchrl_athletic.diagnosis import command
+from torchrl_athletic.diagnosis.diagnose import ModelError
+from torchrl_athletic.diagnosis.fitting import STAGES, Fit, JointParameter, fit
+from torchrl_athletic.diagnosis.progress import Progress
+from torchrl_athletic.recordings import FetchError, RecordingError
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """Fit friction, rotor, torque scale and limit, delay, offsets and gains of every joint to recordings."""
+
+    model: Path | None = None
+    """MJCF of the robot."""
+    recordings: tuple[Path, ...] = ()
+    """Files or folders to fit."""
+    heldout: tuple[Path, ...] = ()
+    """Files or folders kept aside: they are scored, and take back what makes a joint worse."""
+    output: Path = Path("out/fit")
+    """Folder for fit.json, fit.png, corrected.xml and corrected.json."""
+    columns: Path | None = None
+    """JSON column map for foreign names and units."""
+    drive: Literal["command", "measured"] = "command"
+    """Torque that drives the simulation: what was commanded, or what was measured."""
+    dataset: Literal["emps", "two_link_arm", "pendulum", "xl330", "unbalanced_disk"] | None = None
+    """Fit a public recording of a real robot instead."""
+    seed: int = 0
+    """Of starts and of the choice of windows."""
+
+
+def main(config: FitConfig) -> Fit:
+    """Run a fit, print its table, and leave the files in ``config.output``."""
+    same = {f.name: getattr(config, f.name) for f in fields(config)}
+    try:
+        if config.output.is_file():  # said now, not after the fit
+            raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
+        model, recordings, heldout = command.inputs(command.Config(**same))
+        with Progress(STAGES) as progress:
+            fitted = fit(
+                model,
+                recordings,
+                heldout,
+                drive=config.drive,
+                seed=config.seed,
+                output=config.output,
+                progress=progress,
+            )
+    except (RecordingError, FetchError, ModelError, OSError, ImportError) as error:
+        sys.exit(f"error: {' '.join(str(error).split())}")
+    except KeyboardInterrupt:
+        sys.exit("Stopped before there was anything to report.")
+    print(fit_table(fitted))
+    print(f"\nFiles: {config.output}")
+    return fitted
+
+
+def fit_table(fitted: Fit) -> str:
+    """All parameters, the errors and the remarks, in lines for a terminal."""
+    return "\n".join(_lines(fitted))
+
+
+def _lines(fitted: Fit) -> Iterator[str]:
+    wide = max((len(p.joint) for p in fitted.parameters), default=5)
+    yield f"{'joint':<{wide}}  {'parameter':<28}{'given':>12}{'fitted':>12}  95 %"
+    for p in fitted.parameters:
+        yield f"{p.joint:<{wide}}  {_name(p):<28}{p.given:>12.4g}{_value(p):>12}  {_interval(p)}"
+    for split, words in (("heldout", "kept aside"), ("train", "fitted")):
+        if split in fitted.scores:
+            yield ""
+            yield f"{f'error over 0.5 s, {words}':<{wide + 30}}{'given':>12}{'fitted':>12}{'floor':>12}"
+            for joint, e in fitted.scores[split].per_joint.items():
+                yield f"  {joint:<{wide + 28}}{e['before']:>12.4g}{e['after']:>12.4g}{e['floor']:>12.4g}"
+    if fitted.remarks:
+        yield ""
+        yield from fitted.remarks
+
+
+def _name(p: JointParameter) -> str:
+    words, unit = p.effect.replace("_", " "), "" if p.unit == "1" else f" [{p.unit}]"
+    return (f"{words}, {p.name.removesuffix('_scale')}" if p.effect == "gain_mismatch" else words) + unit
+
+
+def _value(p: JointParameter) -> str:
+    return "" if p.state in ("not needed", "not identified") and p.value == p.given else f"{p.value:.4g}"
+
+
+def _interval(p: JointParameter) -> str:
+    low, high = p.ci95
+    said = f"{low:.3g} to {high:.3g}"
+    if p.state == "not identified":
+        return f"not identified: {p.remark}"
+    return said if p.state == "identified" else f"{said}, {p.state}"

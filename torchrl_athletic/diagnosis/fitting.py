@@ -1,0 +1,329 @@
+"""The standard joints of a robot fitted to its recordings: every number with its interval, or why it has none."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.diagnosis.compare import harms, score
+from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
+from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml
+from torchrl_athletic.diagnosis.diagnose import Model, load_model
+from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.joint_fit import Linearised, descend, linearise, prune, search, weighed
+from torchrl_athletic.diagnosis.prepare import Drive, Prepared, prepare
+from torchrl_athletic.diagnosis.progress import Progress
+from torchrl_athletic.diagnosis.result import Score
+from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.diagnosis.standard import Seen, seen_in, standard_joints, starts
+from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
+from torchrl_athletic.effects import Parameter
+from torchrl_athletic.recordings import Recording
+
+Array = NDArray[np.float64]
+State = Literal["identified", "not needed", "not identified", "taken back"]
+
+SCHEMA = "torchrl_athletic/fit/1"
+STAGES = {"quality": 2.0, "search": 60.0, "prune": 20.0, "score": 10.0}
+DRAWS = 24
+"""Starts by chance."""
+STEPS = 15
+"""Gauss-Newton iterations after what is not needed has gone."""
+INVISIBLE = 1e-3
+"""Change of a window's error, in typical errors, that five changes worth mentioning must make to be seen [1]."""
+ALIKE = 1e-4
+"""Least eigenvalue of the correlations between parameters' motions; below it two or more are one and the same [1]."""
+SHARE = 0.05
+"""Of a parameter in such a combination, from which on it has no number of its own [1]."""
+WIDE = 5.0
+"""Changes worth mentioning that the half of an interval may hold, unless the number itself is larger [1]."""
+
+
+@dataclass(frozen=True)
+class JointParameter:
+    """One number of one joint."""
+
+    joint: str
+    effect: str
+    """Name from the catalogue."""
+    name: str
+    unit: str
+    given: float
+    """The given model's."""
+    value: float
+    """The corrected simulation's; the given model's where it is not needed."""
+    ci95: tuple[float, float]
+    """Interval of the fit of all parameters where this one is not needed."""
+    state: State
+    remark: str = ""
+    """Why it is not identified."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The standard joints, fitted."""
+
+    parameters: tuple[JointParameter, ...]
+    """All, joint by joint."""
+    nominal: Simulation
+    """The given model."""
+    corrected: Simulation
+    """The given model with what is needed."""
+    scores: Mapping[str, Score]
+    """'train' and, when recordings were kept aside, 'heldout'."""
+    remarks: tuple[str, ...]
+    """Bounds that bind, corrections that were taken back."""
+    model: str
+    xml: str
+    seconds: float
+    recordings: tuple[Recording, ...] = field(default=(), repr=False)
+    heldout: tuple[Recording, ...] = field(default=(), repr=False)
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``fit.json``, schema 1."""
+        return {
+            "schema": SCHEMA,
+            "model": self.model,
+            "parameters": [{**asdict(p), "ci95": list(p.ci95)} for p in self.parameters],
+            "fit": {split: {**asdict(s), "per_joint": dict(s.per_joint)} for split, s in self.scores.items()},
+            "remarks": list(self.remarks),
+            "seconds": round(self.seconds, 1),
+        }
+
+    def save(self, output: str | Path) -> None:
+        """Write ``fit.json``, ``fit.png``, ``corrected.json`` and ``corrected.xml``."""
+        from torchrl_athletic.diagnosis.report.fit_picture import fit_picture
+
+        output = Path(output)
+        write_json(output / "fit.json", self.to_json())
+        write_json(output / "corrected.json", {**self.corrected.to_json(), "model_xml": self.xml})
+        kinds = {r.position_target is None for r in self.recordings}
+        commands: Commands | None = None if len(kinds) != 1 else "torques" if kinds.pop() else "targets"
+        write_atomically(output / "corrected.xml", corrected_xml(self.xml, self.corrected, commands))
+        fit_picture(self).savefig(output / "fit.png", dpi=150)
+
+
+def fit(
+    model: Model,
+    recordings: Sequence[Recording],
+    heldout: Sequence[Recording] = (),
+    *,
+    drive: Drive = "command",
+    seed: int = 0,
+    output: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Fit:
+    """Fit the standard joint model in simulation, and leave out what recordings kept aside do not ask for.
+
+    Dry and viscous friction, rotor, torque scale (or gains), torque limit, delay and offsets of every joint, together.
+    The error that is stated, over windows of half a second, never ends above the given model's.
+
+    Args:
+        model: MJCF as a path, as text or as an ``MjSpec``; every joint of it must be recorded.
+        recordings: Takes to fit; folds of them decide what is needed.
+        heldout: Takes kept aside: they are scored, and may take back what was corrected at a joint.
+        drive: Whether the commanded or the measured torque drives the simulation.
+        seed: Of starts and of the choice of windows.
+        output: Folder for ``fit.json``, ``fit.png``, ``corrected.json`` and ``corrected.xml``; nothing is written
+            without.
+        progress: Bar to move.
+
+    Raises:
+        RecordingError: If the recordings cannot be used, or do not fit the model.
+        ModelError: If MuJoCo cannot compile the model.
+
+    Example:
+        >>> from torchrl_athletic.recordings.datasets import load_dataset
+        >>> bench = load_dataset("pendulum")  # doctest: +SKIP
+        >>> fit(bench.model, bench.recordings, bench.heldout).parameters[0]  # doctest: +SKIP
+        JointParameter(joint='pendulum', effect='coulomb_friction', ...)
+    """
+    begun = time.monotonic()
+    progress = progress or Progress(STAGES)
+    compiled, xml, name = load_model(model)
+    progress.stage("quality")
+    order = recordings[0].joint_names if recordings else ()
+    train = prepare([r.ordered(order) for r in recordings], compiled, drive, xml=xml)
+    kernel = train.signals[0].kernel
+    held = prepare([r.ordered(order) for r in heldout], compiled, drive, kernel, xml=xml) if heldout else None
+    seen = seen_in(train)
+    h = standard_joints(train, seen)
+    free = h.bounds[1] > h.bounds[0]
+
+    progress.stage("search")
+    begin = starts(h, train, seen, _rng(seed, "starts"), DRAWS)
+    x, problem = search(h, train.takes, begin, _rng(seed, "search"), progress.update)
+    progress.stage("prune")
+    near = linearise(problem, x, free)
+    needed = prune(near, progress.update)
+    y = near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
+    y = descend(weighed(problem, y), y, needed, STEPS)
+    again = linearise(weighed(problem, y), y, needed)
+
+    progress.stage("score")
+    y, needed = _no_worse(h, (y, x), (needed, free), train, seed)
+    parameters = _parameters(h, near, again, y, needed, seen)
+    remarks = [_binds(p, bounds) for p, bounds in zip(parameters, _free_parameters(h), strict=True)]
+    if held is not None:
+        stated = score(held.takes, h, y, held.position_noise, _rng(seed, "heldout"))[0]
+        floor = np.array([joint["floor"] for joint in stated.per_joint.values()])
+        gone = vetoed(h, y, held.takes, _rng(seed, "heldout"), floor)
+        moved = [c.where for c in h.terms if any(h.values_of(c, needed))]
+        remarks.append(veto_sentence(gone, moved))
+        parameters = tuple(_taken_back(p, gone) for p in parameters)
+        for c in gone:
+            h.values_of(c, y)[:] = [p.nominal for p in c.parameters]
+            h.values_of(c, needed)[:] = False
+    nominal = Simulation(compiled, tuple(order), Hypothesis(()), np.zeros(0))
+    kept = tuple(c for c in h.terms if any(h.values_of(c, needed)))
+    values = np.concatenate([h.values_of(c, y) for c in kept]) if kept else np.zeros(0)
+    corrected = replace(nominal, hypothesis=Hypothesis(kept), values=values)
+    result = Fit(
+        parameters=parameters,
+        nominal=nominal,
+        corrected=corrected,
+        scores=_scores(corrected, train, held, seed),
+        remarks=tuple(r for r in remarks if r),
+        model=name,
+        xml=xml,
+        seconds=time.monotonic() - begun,
+        recordings=_driven(recordings, drive),
+        heldout=_driven(heldout, drive),
+    )
+    if output is not None:
+        result.save(output)
+    progress.update(1.0)
+    return result
+
+
+def _rng(seed: int, purpose: str) -> np.random.Generator:
+    return np.random.default_rng([seed, *purpose.encode()])
+
+
+def _driven(recordings: Sequence[Recording], drive: Drive) -> tuple[Recording, ...]:
+    return tuple(r.driven_by_measured_torque() if drive == "measured" else r for r in recordings)
+
+
+def _scores(corrected: Simulation, train: Prepared, held: Prepared | None, seed: int) -> dict[str, Score]:
+    sets = {"train": train} if held is None else {"train": train, "heldout": held}
+    return {
+        split: score(
+            p.takes, corrected.hypothesis, corrected.values, p.position_noise, _rng(seed, split), p.repeatability
+        )[0]
+        for split, p in sets.items()
+    }
+
+
+def _no_worse(
+    h: Hypothesis, points: Sequence[Array], free: Sequence[NDArray[np.bool_]], train: Prepared, seed: int
+) -> tuple[Array, NDArray[np.bool_]]:
+    """The first of some fits whose stated error is not above the given model's, with what it needs; else nothing."""
+    for x, needed in zip(points, free, strict=True):
+        stated = score(train.takes, h, x, train.position_noise, _rng(seed, "train"), train.repeatability)[0]
+        if not harms(stated):
+            return x, needed
+    return h.nominal, np.zeros(len(h.nominal), dtype=bool)
+
+
+def _free_parameters(h: Hypothesis) -> list[Parameter]:
+    return [p for p in h.parameters if p.upper > p.lower]
+
+
+def _parameters(
+    h: Hypothesis, near: Linearised, again: Linearised, y: Array, needed: NDArray[np.bool_], seen: Seen
+) -> tuple[JointParameter, ...]:
+    """All free parameters, with what the fit of all of them and that of the needed ones say."""
+    doubt, remark = spread_of(near), _doubts(near, seen)
+    own = dict(zip(np.flatnonzero(again.free), spread_of(again), strict=True))
+    out, at = [], np.flatnonzero(near.free)
+    place = [(c, p) for c in h.terms for p in c.parameters]
+    for k, i in enumerate(at):
+        c, p = place[i]
+        centre, sigma = (y[i], own.get(i, doubt[k])) if needed[i] else (near.values[i], doubt[k])
+        low, high = np.clip([centre - 1.96 * sigma, centre + 1.96 * sigma], p.lower, p.upper)
+        why = remark[k]
+        if not why and 1.96 * min(sigma, doubt[k]) > max(WIDE * p.scale, abs(centre)):
+            why = "its interval is wider than the number itself"
+        if why and c.effect.name == "torque_saturation":
+            low, high = float(seen.asked[c.joint]), p.upper
+        state: State = "not identified" if why else "identified" if needed[i] else "not needed"
+        out.append(
+            JointParameter(
+                c.where, c.effect.name, p.name, p.unit, p.nominal, float(y[i]), (float(low), float(high)), state, why
+            )
+        )
+    return tuple(out)
+
+
+def spread_of(near: Linearised) -> Array:
+    """Standard deviation of each free parameter; windows are independent of each other, samples are not. Shape (P,).
+
+    The sandwich estimate (White 1980), clustered by window.
+    """
+    scale = near.problem.hypothesis.scale[near.free]
+    normal = near.normal.sum(0)
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / size / size[:, None], rcond=1e-8, hermitian=True) / size / size[:, None]
+    middle = near.right.T @ near.right
+    return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ middle @ inverse), 0.0)) * scale, dtype=np.float64)
+
+
+def _doubts(near: Linearised, seen: Seen) -> list[str]:
+    """Why each free parameter has no number of its own; empty where it has one."""
+    place = [(c, p) for c in near.problem.hypothesis.terms for p in c.parameters]
+    own = [place[i] for i in np.flatnonzero(near.free)]
+    normal = near.normal.sum(0)
+    size = np.sqrt(np.diag(normal))
+    visible = size * WIDE > INVISIBLE * np.sqrt(len(near.normal))
+    out = ["" if seen_ else _unseen(c, p, seen) for (c, p), seen_ in zip(own, visible, strict=True)]
+    index = np.flatnonzero(visible)
+    if len(index) < 2:
+        return out
+    alike, mixed = np.linalg.eigh(normal[np.ix_(index, index)] / size[index] / size[index][:, None])
+    for value, vector in zip(alike, mixed.T, strict=True):
+        part = vector**2
+        for k in np.flatnonzero(part > SHARE) if value < ALIKE else ():
+            others = [own[index[n]] for n in np.argsort(-part) if n != k and part[n] > SHARE][:2]
+            names = " and ".join(_words(c, p) for c, p in others)
+            out[index[k]] = out[index[k]] or f"the same motion follows from {names}"
+    return out
+
+
+def _unseen(c: Candidate, p: Parameter, seen: Seen) -> str:
+    if seen.travel[c.joint] < 1e-3:
+        return f"{c.where} never moves"
+    if c.effect.name == "torque_saturation":
+        return f"never reached: it is at least {seen.asked[c.joint]:.3g} {p.unit}"
+    return "no recording shows it"
+
+
+def _words(c: Candidate, p: Parameter) -> str:
+    name = c.effect.name.replace("_", " ")
+    return f"{name} of {c.where}" if p.name in name else f"{name} ({p.name.replace('_', ' ')}) of {c.where}"
+
+
+def _binds(fitted: JointParameter, p: Parameter) -> str:
+    """A sentence where a bound stopped a parameter; a friction of zero is none, and a given limit is given."""
+    reach = 1e-6 * (p.upper - p.lower)
+    for bound, natural in ((p.lower, 0.0), (p.upper, p.nominal)):
+        if abs(fitted.value - bound) <= reach and bound not in (natural, p.nominal):
+            unit = "" if p.unit == "1" else f" {p.unit}"
+            return (
+                f"The {p.name.replace('_', ' ')} of {fitted.joint} ({fitted.effect.replace('_', ' ')}) ends at its "
+                f"bound of {bound:.4g}{unit}: the true one may lie beyond, or something else is missing."
+            )
+    return ""
+
+
+def _taken_back(p: JointParameter, gone: Sequence[Candidate]) -> JointParameter:
+    if p.value == p.given or (p.effect, p.joint) not in {c.key for c in gone}:
+        return p
+    if p.state == "not identified":
+        return replace(p, value=p.given)
+    return replace(p, value=p.given, state="taken back", remark="recordings kept aside got worse")

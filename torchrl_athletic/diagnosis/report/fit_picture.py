@@ -1,0 +1,42 @@
+"""A fit in one picture: each joint as it was recorded, as the given model and as the fitted one move it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from torchrl_athletic.diagnosis.report.figures import AFTER, BEFORE, INK
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from torchrl_athletic.diagnosis.fitting import Fit
+
+SECONDS = 5.0
+"""Of one recording that are drawn [s]."""
+MOST = 8
+"""Joints that are drawn, those of the largest error first."""
+
+
+def fit_picture(fit: Fit) -> Figure:
+    """Recorded and simulated positions of one recording, one joint a row, in windows of half a second."""
+    from matplotlib.figure import Figure
+
+    recording = (*fit.heldout, *fit.recordings)[0]
+    split = "heldout" if fit.heldout else "train"
+    score = fit.scores[split]
+    names = sorted(score.per_joint, key=lambda name: -score.per_joint[name]["before"])[:MOST]
+    paths = [simulation.rollout(recording) for simulation in (fit.nominal, fit.corrected)]
+    shown = recording.time - recording.time[0] <= SECONDS
+    figure = Figure(figsize=(9, 1.2 + 1.9 * len(names)), layout="constrained")
+    for axes, name in zip(np.ravel(figure.subplots(len(names), 1, sharex=True, squeeze=False)), names, strict=True):
+        j, error = recording.joint_names.index(name), score.per_joint[name]
+        time = recording.time[shown] - recording.time[0]
+        axes.plot(time, recording.position[shown, j], color=INK, linewidth=2.2, alpha=0.5, label="recorded")
+        for path, colour, label in zip(paths, (BEFORE, AFTER), ("given model", "fitted"), strict=True):
+            axes.plot(time, path[shown, j], color=colour, linewidth=1.1, label=label)
+        axes.set_title(f"{name}: error {error['before']:.3g} → {error['after']:.3g}", loc="left", fontsize=10)
+    axes.set_xlabel(f"time [s], {'kept aside' if fit.heldout else 'fitted'}: {recording.source}")
+    figure.axes[0].legend(frameon=False, ncols=3, loc="upper right", fontsize=9)
+    return figure

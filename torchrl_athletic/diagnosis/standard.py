@@ -1,0 +1,236 @@
+"""The standard joint: what every real joint has, with bounds that the motor and the recordings set.
+
+Dry and viscous friction, rotor inertia, delay, torque limit and offsets; the scale of the torque, or the controller's
+gains where positions were commanded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.prepare import Prepared
+from torchrl_athletic.diagnosis.screen import Candidate, bounded_least_squares
+from torchrl_athletic.effects import (
+    ActuationDelay,
+    CoulombFriction,
+    Effect,
+    EncoderOffset,
+    GainMismatch,
+    Parameter,
+    ReflectedInertia,
+    TorqueOffset,
+    TorqueSaturation,
+    TorqueScale,
+    ViscousFriction,
+)
+from torchrl_athletic.effects.signals import inertia_matrix
+from torchrl_athletic.recordings import Recording
+
+Array = NDArray[np.float64]
+Name = tuple[str, str]
+"""(effect, parameter)."""
+
+MECHANICS: tuple[Effect, ...] = (
+    CoulombFriction(),
+    ViscousFriction(),
+    ReflectedInertia(),
+    ActuationDelay(),
+    TorqueSaturation(),
+    TorqueOffset(),
+    EncoderOffset(),
+)
+ROOM = 10.0
+"""Times what a recording's own torques, speeds and accelerations allow, up to which a joint's numbers may go [1]."""
+SCALES = (0.05, 20.0)
+"""Of a torque: a drive whose unit was mistaken for another one's."""
+GAINS = (0.01, 100.0)
+"""Of a gain, which firmware may count in units of its own."""
+LATEST = 10.0
+"""Samples by which a command may be late, if they last longer than the effect's own bound."""
+DELAYS = (0.5, 1.0, 2.0, 4.0)
+"""Samples of delay to start from."""
+LIMITS = (0.4, 0.7, 0.9)
+"""Torque limits to start from, per the largest torque that was asked for."""
+RIDGE = 1e-3
+"""Pull of the regression towards the given model, per what the recordings say [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What the recordings say of the size of a joint's numbers. Shapes (J,)."""
+
+    asked: Array
+    """Largest torque that was asked for, by the logged gains where positions were commanded [N·m, N]."""
+    torque: Array
+    """Largest torque that was asked for, or that the given model needs for the measured motion [N·m, N]."""
+    speed: Array
+    """Root mean square [rad/s, m/s]."""
+    acceleration: Array
+    """Root mean square [rad/s², m/s²]."""
+    inertia: Array
+    """Of the given model at rest, what hangs on the joint included [kg·m², kg]."""
+    travel: Array
+    """From the least to the greatest position [rad, m]."""
+    period: float
+    """Longest sampling period [s]."""
+
+
+def seen_in(prepared: Prepared) -> Seen:
+    """Read the sizes off the recordings."""
+    takes, signals = prepared.takes, prepared.signals
+    asked = np.max([np.abs(t.torque).max(0) for t in takes], axis=0)
+    needed = np.max([np.quantile(np.abs(s.required), 0.99, axis=0) for s in signals], axis=0)
+    first = takes[0]
+    rest = inertia_matrix(first.model, first.address, np.zeros((1, len(first.address.dof))))[0]
+
+    def rms(parts: Sequence[Array]) -> Array:
+        return np.maximum(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)), 1e-6)
+
+    return Seen(
+        asked=np.maximum(asked, 1e-9),
+        torque=np.maximum(np.maximum(asked, needed), 1e-9),
+        speed=rms([t.velocity for t in takes]),
+        acceleration=rms([s.acceleration for s in signals]),
+        inertia=np.diag(rest).copy(),
+        travel=np.ptp(np.concatenate([t.measured for t in takes]), axis=0),
+        period=max(t.period for t in takes),
+    )
+
+
+def standard_joints(prepared: Prepared, seen: Seen) -> Hypothesis:
+    """All standard effects of all joints; a parameter that no recording can move has equal bounds."""
+    take = prepared.takes[0]
+    recordings = [part.recording for t in prepared.takes for part in t.parts]
+    targets = any(r.position_target is not None for r in recordings)
+    effects = (*MECHANICS, GainMismatch() if targets else TorqueScale())
+    terms = []
+    for j, name in enumerate(take.recording.joint_names):
+        fixed = _fixed(recordings, j)
+        for effect in effects:
+            own = effect.parameters(take.model, take.address, j)
+            bounded = tuple(_bounded(effect, p, j, seen, (effect.name, p.name) in fixed) for p in own)
+            terms.append(Candidate(effect, j, name, bounded))
+    return Hypothesis(tuple(terms))
+
+
+def _fixed(recordings: Sequence[Recording], joint: int) -> set[Name]:
+    """What stays the given model's: kd where one and the same damps every take, as viscous friction does."""
+    fixed = {("coulomb_friction", "turnover")}
+    if all(r.position_target is None or r.kp is None or not r.kp[joint] for r in recordings):
+        fixed.add(("gain_mismatch", "kp_scale"))
+    damping = {0.0 if r.kd is None else float(r.kd[joint]) for r in recordings}
+    if len(damping) == 1 or not any(damping):
+        fixed.add(("gain_mismatch", "kd_scale"))
+    return fixed
+
+
+def _bounded(effect: Effect, p: Parameter, j: int, seen: Seen, fixed: bool) -> Parameter:
+    if fixed:
+        return replace(p, lower=p.nominal, upper=p.nominal)
+    torque = float(seen.torque[j])
+    bounds: Mapping[Name, tuple[float, float]] = {
+        ("coulomb_friction", "torque"): (0.0, ROOM * torque),
+        ("viscous_friction", "damping"): (0.0, ROOM * torque / seen.speed[j]),
+        ("reflected_inertia", "armature"): (0.0, max(p.upper, ROOM * torque / seen.acceleration[j])),
+        ("actuation_delay", "delay"): (0.0, max(p.upper, LATEST * seen.period)),
+        ("torque_saturation", "limit"): (0.02 * float(seen.asked[j]), p.upper),
+        ("torque_offset", "torque"): (-torque, torque),
+        ("torque_scale", "scale"): SCALES,
+        ("gain_mismatch", "kp_scale"): GAINS,
+        ("gain_mismatch", "kd_scale"): GAINS,
+    }
+    units: Mapping[Name, float] = {
+        ("coulomb_friction", "torque"): 0.02 * torque,
+        ("viscous_friction", "damping"): 0.02 * torque / seen.speed[j],
+        ("torque_saturation", "limit"): 0.02 * float(seen.asked[j]),
+        ("torque_offset", "torque"): 0.02 * torque,
+    }
+    low, high = bounds.get((effect.name, p.name), (p.lower, p.upper))
+    unit = units.get((effect.name, p.name), p.scale)
+    return replace(p, lower=min(float(low), p.nominal), upper=max(float(high), p.nominal), scale=float(unit))
+
+
+def starts(h: Hypothesis, prepared: Prepared, seen: Seen, rng: np.random.Generator, draws: int) -> Array:
+    """Where a search may begin: the given model, the torque domain's regression, its neighbours, and chance.
+
+    Shape (K, P). The given model is the first.
+    """
+    names = [(c.effect.name, p.name) for c in h.terms for p in c.parameters]
+    joint = np.array([c.joint for c in h.terms for _ in c.parameters])
+    regressed = torque_domain(h, prepared)
+    out = [h.nominal, regressed]
+    late = np.array([n == ("actuation_delay", "delay") for n in names])
+    limit = np.array([n == ("torque_saturation", "limit") for n in names])
+    out += [np.where(late, x * seen.period, regressed) for x in DELAYS]
+    out += [np.where(limit, x * seen.asked[joint], regressed) for x in LIMITS]
+    out += [_drawn(h, names, joint, seen, rng) for _ in range(draws)]
+    return np.clip(np.stack(out), *h.bounds)
+
+
+def _drawn(
+    h: Hypothesis, names: Sequence[Name], joint: NDArray[np.intp], seen: Seen, rng: np.random.Generator
+) -> Array:
+    """Numbers of a plausible joint, over decades; each is the given model's every other time."""
+    torque, speed, inertia = seen.torque[joint], seen.speed[joint], seen.inertia[joint]
+    decades = {
+        "torque": (torque, -2.5, -0.3),
+        "damping": (torque / speed, -2.5, -0.3),
+        "armature": (inertia, -1.5, 1.5),
+        "delay": (np.full(len(joint), seen.period), -0.5, 0.7),
+        "limit": (seen.asked[joint], -0.5, 0.0),
+        "scale": (np.ones(len(joint)), -0.5, 0.5),
+        "kp_scale": (np.ones(len(joint)), -1.0, 1.0),
+        "kd_scale": (np.ones(len(joint)), -1.0, 1.0),
+    }
+    x = h.nominal
+    for i, (effect, name) in enumerate(names):
+        if name in decades and effect != "torque_offset" and rng.random() < 0.5:
+            size, low, high = decades[name]
+            x[i] = size[i] * 10 ** rng.uniform(low, high)
+    return x
+
+
+def torque_domain(h: Hypothesis, prepared: Prepared) -> Array:
+    """What the missing torque says of the parameters that enter it linearly; the others are the given model's.
+
+    Shape (P,).
+    """
+    x = h.nominal
+    for j in range(len(prepared.takes[0].address.dof)):
+        columns: list[Array] = []
+        place: list[tuple[Candidate, int]] = []
+        for c in h.terms:
+            if c.joint != j or c.effect.name in ("actuation_delay", "torque_saturation", "encoder_offset"):
+                continue
+            parts = []
+            for s in prepared.signals:
+                if not c.effect.applies(s):
+                    parts.append(np.zeros((len(s.keep), len(c.parameters))))
+                    continue
+                grid = c.effect.grid(s, j)
+                parts.append(c.effect.fingerprint(s, j, grid[0]).columns[:, j] if grid else np.zeros((len(s.keep), 1)))
+            width = min(part.shape[1] for part in parts)
+            for k in range(width):
+                if c.parameters[k].upper > c.parameters[k].lower:
+                    columns.append(np.concatenate([part[:, k] for part in parts]))
+                    place.append((c, k))
+        good = np.concatenate([s.valid[:, j] for s in prepared.signals])
+        if not columns or good.sum() < 2 * len(columns):
+            continue
+        a = np.stack(columns, -1)[good]
+        y = np.concatenate([s.missing[:, j] for s in prepared.signals])[good]
+        low, high = (
+            np.array([c.effect.change(c.parameters[k], getattr(c.parameters[k], side)) for c, k in place])
+            for side in ("lower", "upper")
+        )
+        normal = a.T @ a
+        normal += RIDGE * np.diag(np.diag(normal))  # a scale and all that it scales are one without gravity
+        found = bounded_least_squares(normal, a.T @ y, low, high)
+        for (c, k), change in zip(place, found, strict=True):
+            h.values_of(c, x)[k] = c.effect.value(c.parameters[k], float(change))
+    return x
