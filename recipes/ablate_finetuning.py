@@ -25,6 +25,8 @@ from torchrl_athletic.envs import FrozenController
 from torchrl_athletic.networks import pretrained
 
 FIGURES = {"distance_m": "distance [m]", "release_speed_m_s": "release [m/s]", "peak_leg_power_kw": "leg power [kW]"}
+START = "wbc_wide"
+"""The controller, which takes its hand behind its head as the throw does."""
 WAYS: dict[str, dict[str, Any]] = {
     "No-Fine-Tuning": {"iterations": 0},
     "No-Pre-Training": {"start": None, "ppo": training.PRE_TRAIN},
@@ -77,6 +79,7 @@ def thrown(way: str, seed: int, cfg: Config) -> dict[str, float]:
         iterations=cfg.iterations,
         num_envs=cfg.num_envs,
         seed=seed,
+        start=START,
         episodes=cfg.episodes,
         video=False,
         output=cfg.output / f"{way}_{seed}",
@@ -84,7 +87,7 @@ def thrown(way: str, seed: int, cfg: Config) -> dict[str, float]:
 
     def make(num_envs: int, **told: Any) -> TransformedEnv:
         env = make_env(tune.actuation, num_envs, **told)
-        return env.append_transform(FrozenController(pretrained("wbc").to(env.device))) if way == "No-E2E" else env
+        return env.append_transform(FrozenController(pretrained(START).to(env.device))) if way == "No-E2E" else env
 
     told = {"known": KNOWN, "curves": CURVES, "judge": judge, "steps": STEPS}
     look_at = ["ball_position", "ball_linear_velocity", "ball_away", "start_line", "peak_power"]
