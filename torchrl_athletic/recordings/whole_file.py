@@ -31,7 +31,8 @@ def whole_file(path: Path) -> Iterator[Path]:
         yield part
         os.replace(part, path)
     except OSError as error:
-        error.filename = str(path)
+        if error.errno is not None:  # else it holds but a sentence
+            error.filename = str(path)
         raise
     finally:
         part.unlink(missing_ok=True)
