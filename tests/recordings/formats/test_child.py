@@ -127,6 +127,7 @@ from torchrl_athletic.recordings import ColumnMap, read_recordings
 class Interrupt:
     def __reduce__(self):  # runs in the child, while the parent waits for it
         return exec, (f"import os, time; os.kill({{os.getpid()}}, {{int(signal.SIGINT)}}); time.sleep(60)",)
+signal.signal(signal.SIGINT, signal.default_int_handler)  # tests in the background ignore it
 read_recordings({str(path)!r})
 if not os.fork():
     print("fork", read_recordings({str(path)!r})[0].num_samples, flush=True)
