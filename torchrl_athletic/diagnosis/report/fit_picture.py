@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 
 from torchrl_athletic.diagnosis.report.figures import AFTER, BEFORE, INK
@@ -36,7 +37,10 @@ def fit_picture(fit: Fit) -> Figure:
         axes.plot(time, recording.position[shown, j], color=INK, linewidth=2.2, alpha=0.5, label="recorded")
         for path, colour, label in zip(paths, (BEFORE, AFTER), ("given model", "fitted"), strict=True):
             axes.plot(time, path[shown, j], color=colour, linewidth=1.1, label=label)
+        slides = fit.nominal.model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
+        axes.set_ylabel("[m]" if slides else "[rad]")
         axes.set_title(f"{name}: error {error['before']:.3g} → {error['after']:.3g}", loc="left", fontsize=10)
     axes.set_xlabel(f"time [s], {'kept aside' if fit.heldout else 'fitted'}: {recording.source}")
-    figure.axes[0].legend(frameon=False, ncols=3, loc="upper right", fontsize=9)
+    lines, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(lines, labels, frameon=False, ncols=3, loc="outside upper right", fontsize=9)
     return figure
