@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Protocol, get_args
 
+from torchrl_athletic.recordings.whole_file import whole_file
+
 LoggerName = Literal["wandb", "csv", "tensorboard", "none"]
 
 
@@ -71,12 +73,10 @@ class CSVTable:
             return [{name: value or "" for name, value in row.items()} for row in csv.DictReader(file)]
 
     def _write(self) -> None:
-        part = self.path.with_suffix(".part")
-        with part.open("w", newline="") as file:
+        with whole_file(self.path) as part, part.open("w", newline="") as file:
             writer = csv.DictWriter(file, self.columns, restval="")
             writer.writeheader()
             writer.writerows(self.rows)
-        part.replace(self.path)
 
 
 def make_logger(kind: LoggerName, folder: str | Path, name: str = "training") -> MetricLogger | None:
