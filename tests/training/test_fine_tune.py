@@ -10,7 +10,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl_athletic.envs import ball_throw_env, whole_body_env
 from torchrl_athletic.envs.ball_throw import KNOWN
 from torchrl_athletic.networks import pretrained, read_network
-from torchrl_athletic.training import FINE_TUNE, PPO, CSVTable, FineTune, fine_tune, iterate, task_learner
+from torchrl_athletic.training import FINE_TUNE, PPO, CSVTable, FineTune, fine_tune, iterate, save_wbc, task_learner
 
 SMALL = replace(FINE_TUNE, num_envs=4, horizon=4)
 
@@ -54,6 +54,27 @@ def test_the_critic_values_what_it_did_and_takes_in_the_task(env):
     old[:, 73:77] = 0.0
     value = pretrained("wbc_critic")(shown.clone().set("privileged", old))["state_value"]
     torch.testing.assert_close(learner.critic(shown.clone())["state_value"], value, rtol=1e-4, atol=1e-4)
+
+
+def test_a_tuned_policy_goes_on_as_it_was(env, tmp_path):
+    learner = task_learner(env, SMALL, known=KNOWN)
+    iterate(learner)  # from here on it listens to phases
+    path = save_wbc(learner, tmp_path, name="throw")
+    again = task_learner(env, SMALL, start=path, known=KNOWN)
+    shown = env.reset().select("observation", "privileged")
+    torch.testing.assert_close(actions(again.actor, shown), actions(learner.actor, shown), rtol=0, atol=0)
+    assert (again.critic(shown.clone())["state_value"] == learner.critic(shown.clone())["state_value"]).all()
+
+
+def test_a_critic_may_learn_before_its_policy_does(env):
+    learner = task_learner(env, replace(SMALL, critic_first=2), known=KNOWN)
+    moved = []
+    for _ in range(3):
+        before = [[p.clone() for p in net.parameters()] for net in (learner.actor, learner.critic)]
+        iterate(learner)
+        after = [list(net.parameters()) for net in (learner.actor, learner.critic)]
+        moved.append([any((a != b).any() for a, b in zip(*pair, strict=True)) for pair in zip(before, after)])
+    assert moved == [[False, True], [False, True], [True, True]]
 
 
 def test_without_a_start_it_begins_anew(env):

@@ -13,7 +13,7 @@ class AdaptiveKL:
     """Change a learning rate in place by how far the policy has moved.
 
     Farther than twice the target, the rate is divided by ``factor``; not even half as far, it is multiplied. A policy
-    that has not moved, and a divergence that is not a number, leave it alone. TorchRL's ``KLAdaptiveLR`` follows the
+    that has not moved, and a divergence that is not a number, leave it alone; so does a rate of 0, which stays. TorchRL's ``KLAdaptiveLR`` follows the
     same rule but reads the divergence on the host and puts a new object in the optimiser's place; this one stays on
     the rate's device, so that a captured CUDA graph goes on seeing it.
 
@@ -58,5 +58,5 @@ class AdaptiveKL:
         least, greatest = self.bounds
         slower = (rate / self.factor).clamp_min(least)
         faster = (rate * self.factor).clamp_max(greatest)
-        too_slow = (kl > 0) & (kl < self.target / 2)
-        rate.copy_(torch.where(kl > 2 * self.target, slower, torch.where(too_slow, faster, rate)))
+        too_slow, too_fast = (kl > 0) & (kl < self.target / 2), (kl > 2 * self.target) & (rate > 0)
+        rate.copy_(torch.where(too_fast, slower, torch.where(too_slow, faster, rate)))

@@ -15,7 +15,7 @@ from tensordict import TensorDict
 from torchrl.envs import EnvBase, TransformedEnv
 
 from torchrl_athletic.envs.whole_body import FRAME
-from torchrl_athletic.networks import open_inputs
+from torchrl_athletic.networks import open_inputs, trunk_of
 from torchrl_athletic.recordings.whole_file import whole_file
 from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.curves import draw_curves
@@ -68,13 +68,13 @@ def task_learner(
     """A controller and its critic, ready to learn a task.
 
     At first the policy acts as the controller does, whatever phase it is told of: it saw only zeros there
-    (:func:`~torchrl_athletic.networks.open_inputs`). Its standard deviation is that with which the pre-training ended.
-    What inputs are normalised by stays as it was: a policy that is tuned slowly shall not be moved by that.
+    (:func:`~torchrl_athletic.networks.open_inputs`). A policy whose critic knows the task's entries was tuned to it
+    before, and goes on as it is. Its standard deviation is that with which it was trained last. What inputs are normalised by stays as it was: a policy that is tuned slowly shall not be moved by that.
 
     Args:
         env: Of a task: ``ball_throw_env`` and the like.
         config: Numbers chosen by hand.
-        start: A shipped policy, ``"wbc"``, or a file of :func:`~.wbc.save_wbc`; None begins anew.
+        start: A shipped policy, ``"wbc"``, or a file of :func:`~.wbc.save_wbc` or :func:`fine_tune`; None begins anew.
         known: What the task adds to the end of ``privileged``, which the critic learns to listen to, and the usual
             size of each, in its unit.
         seed: Of the order of samples.
@@ -99,13 +99,18 @@ def task_learner(
     seen, told = (shown[key].shape[-1] for key in ("observation", "privileged"))
     new = [size for key, size in known.items() for _ in range(shown[key].shape[env.ndim :].numel())]
     policy, value = read_wbc(start, trainable=True)
+    tuned = bool(new) and trunk_of(value).mlp[0].in_features == told
     check_sizes(
         str(start),
-        {"observation": (policy, seen, env.action_spec.shape[-1]), "privileged": (value, told - len(new), 1)},
+        {
+            "observation": (policy, seen, env.action_spec.shape[-1]),
+            "privileged": (value, told if tuned else told - len(new), 1),
+        },
     )
-    phase, width = _phase_columns(env)
-    open_inputs(policy, [frame + column for frame in range(0, seen, width) for column in phase])
-    open_inputs(value, phase, new)
+    if not tuned:
+        phase, width = _phase_columns(env)
+        open_inputs(policy, [frame + column for frame in range(0, seen, width) for column in phase])
+        open_inputs(value, phase, new)
     return Learner(
         env,
         policy.to(env.device),

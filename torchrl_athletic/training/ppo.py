@@ -74,6 +74,8 @@ class PPO:
     """Longest gradient of each network."""
     micro_batch: int = 24_576
     """Most samples that go through the critic at once."""
+    critic_first: int = 0
+    """Iterations in which the critic alone learns, for a policy that goes on without the critic that it had."""
 
 
 PRE_TRAIN = PPO()
@@ -182,6 +184,8 @@ class Learner:
             in_place=[*actor.in_keys, *critic.in_keys],  # a rollout allocates its storage once
             average=processes.average_ if processes.count > 1 else None,
         )
+        if config.critic_first:
+            self.stepper.actor_lr.zero_()
         self.iteration = 0
         """Iterations done."""
         self.samples = 0
@@ -226,6 +230,8 @@ def iterate(learner: Learner) -> TensorDict:
     """
     if learner.iteration == 0 and learner.normalizers:
         _learn_scale(learner, collect(learner))
+    if learner.iteration and learner.iteration == learner.config.critic_first:
+        learner.stepper.actor_lr.fill_(learner.config.actor_lr)
     batch = collect(learner)
     estimate_advantage(learner, batch)
     report = learner.stepper.update(batch)
