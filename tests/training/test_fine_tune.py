@@ -73,7 +73,9 @@ def test_a_critic_may_learn_before_its_policy_does(env):
         before = [[p.clone() for p in net.parameters()] for net in (learner.actor, learner.critic)]
         iterate(learner)
         after = [list(net.parameters()) for net in (learner.actor, learner.critic)]
-        moved.append([any((a != b).any() for a, b in zip(*pair, strict=True)) for pair in zip(before, after)])
+        moved.append(
+            [any((a != b).any() for a, b in zip(*pair, strict=True)) for pair in zip(before, after, strict=True)]
+        )
     assert moved == [[False, True], [False, True], [True, True]]
 
 

@@ -13,9 +13,9 @@ class AdaptiveKL:
     """Change a learning rate in place by how far the policy has moved.
 
     Farther than twice the target, the rate is divided by ``factor``; not even half as far, it is multiplied. A policy
-    that has not moved, and a divergence that is not a number, leave it alone; so does a rate of 0, which stays. TorchRL's ``KLAdaptiveLR`` follows the
-    same rule but reads the divergence on the host and puts a new object in the optimiser's place; this one stays on
-    the rate's device, so that a captured CUDA graph goes on seeing it.
+    that has not moved, and a divergence that is not a number, leave it alone; a rate of 0 stays. TorchRL's
+    ``KLAdaptiveLR`` follows the same rule but reads the divergence on the host and puts a new object in the optimiser's
+    place; this one stays on the rate's device, so that a captured CUDA graph goes on seeing it.
 
     Args:
         target: Wanted divergence of the policy from the one that collected [nat].

@@ -69,7 +69,8 @@ def task_learner(
 
     At first the policy acts as the controller does, whatever phase it is told of: it saw only zeros there
     (:func:`~torchrl_athletic.networks.open_inputs`). A policy whose critic knows the task's entries was tuned to it
-    before, and goes on as it is. Its standard deviation is that with which it was trained last. What inputs are normalised by stays as it was: a policy that is tuned slowly shall not be moved by that.
+    before, and goes on as it is. Its standard deviation is that with which it was trained last. What inputs are
+    normalised by stays as it was: a policy that is tuned slowly shall not be moved by that.
 
     Args:
         env: Of a task: ``ball_throw_env`` and the like.
