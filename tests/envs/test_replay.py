@@ -24,7 +24,7 @@ DT = 0.005
 
 
 def takes(lengths=(90, 60), torques=False):
-    """Of the simulator itself: a replay of them without correction stays on them."""
+    """Takes of the simulator itself: a replay of them without correction stays on them."""
     simulator = Simulator("itself", ROBOT)
     scale = 3.0 if torques else 0.5
     return takes_of([recorded(simulator, commands(n, seed=n, scale=scale, hold=15), torques) for n in lengths], ROBOT)
@@ -124,7 +124,7 @@ def test_by_row_every_start_has_its_turn():
 
 
 def chain_of(net, torques, innermost):
-    """Of a policy's environment, from the joints outwards."""
+    """Chain of a policy's environment, from the joints outwards."""
     correction = UANCorrection(net)
     limit = TorqueSpeedClip(ROBOT.torque_limit, ROBOT.velocity_limit)
     law = (EquivalentTarget if torques else PDControl)(ROBOT.kp, ROBOT.kd)

@@ -39,7 +39,7 @@ PENDULUM = """
 
 
 def test_the_derivative_of_a_step_is_that_of_a_pendulum():
-    """Of v' = v + h (I + h d)⁻¹ (τ - d v - m g l sin q) and q' = q + h v', by q, v and τ."""
+    """Derivatives of v' = v + h (I + h d)⁻¹ (τ - d v - m g l sin q) and q' = q + h v', by q, v and τ."""
     h, inertia, damping, weight = 0.005, 0.01 + 2 * 0.25, 0.4, 2 * 9.81 * 0.5
     env = DifferentiableTorqueEnv(from_mjcf(PENDULUM), num_envs=1)
     shown = env.reset()
@@ -57,7 +57,7 @@ def test_the_derivative_of_a_step_is_that_of_a_pendulum():
 
 
 def take(seed=0, samples=600):
-    """Of an arm with twice the friction, which is what a net has to learn."""
+    """Take of an arm with twice the friction, which is what a net has to learn."""
     real = replace(robot(), build=lambda: _stiff(robot().spec()))
     return recorded(Simulator("real", real), commands(samples, seed=seed))
 

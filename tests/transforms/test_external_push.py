@@ -26,7 +26,7 @@ def make_env(n: int = 3, first_row: int = 0, decimation: int = 1, seed: int = 0)
 
 
 def momentum(env: TransformedEnv) -> torch.Tensor:
-    """Of all bodies [kg m/s]. Shape (N, 3)."""
+    """Momentum of all bodies [kg m/s]. Shape (N, 3)."""
     physics, rows = env.base_env.physics, []
     for qpos, qvel in zip(physics.qpos.numpy(), physics.qvel.numpy(), strict=True):
         data = mujoco.MjData(physics.model)

@@ -206,5 +206,5 @@ def _moved(
 
 
 def _number(value: Array) -> float:
-    """Of the one row."""
+    """The only number of an array of one row."""
     return float(np.ravel(value)[0])

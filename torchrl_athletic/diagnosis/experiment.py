@@ -93,9 +93,9 @@ class Experiment:
     Of the pairs that can be separated at all.
     """
     repeated: float
-    """The same if the old excitation were repeated for as long as the experiment lasts."""
+    """Separation of the closest pair if the old excitation were repeated for as long as the experiment lasts."""
     after: float
-    """The same with the experiment."""
+    """Separation of the closest pair with the experiment."""
     pairs: Mapping[tuple[Key, Key], tuple[float, float]]
     """Separation of each pair before and after."""
     inseparable: tuple[tuple[Key, Key], ...]
@@ -103,7 +103,7 @@ class Experiment:
     spread: float
     """Largest difference between the positions that the rivals predict for it [rad, m]."""
     unit: str
-    """Of the amplitude: 'rad' or 'm'."""
+    """Unit of the amplitude: 'rad' or 'm'."""
     joint_names: tuple[str, ...]
     time: Array
     """Uniform stamps [s]. Shape (T,)."""
@@ -342,16 +342,16 @@ class _Plan:
     torque: Array
     """Shape (T, J)."""
     share: tuple[float, float]
-    """Of the speed and torque limits that it uses."""
+    """Shares of the speed limit and of the torque limit that it uses, 0..1."""
     repeats: int = 1
     signals: tuple[Signals, ...] = ()
     products: Products = field(default_factory=lambda: Products({}, *np.zeros((4, 0))))
     separations: Array = field(default_factory=lambda: np.zeros(0))
-    """Of the pairs, with the recordings at hand. Shape (pairs,)."""
+    """Separation of each pair, with the recordings at hand. Shape (pairs,)."""
 
     @property
     def effort(self) -> float:
-        """Of speed, torque, time and band, 0..1."""
+        """Mean share of the speed, torque, time and band that it uses, 0..1."""
         band = max(m.highest for m in self.motions) * QUICKEST / HALF_POWER
         return float(np.mean([*self.share, min(self.recording.duration / 30, 1.0), band]))
 
@@ -372,9 +372,9 @@ class _Sensors:
     position: Array
     """Standard deviation of one reading [rad, m]. Shape (J,)."""
     velocity: Array | None
-    """The same [rad/s, m/s]; None if it is not read."""
+    """Standard deviation of one reading [rad/s, m/s]; None if velocity is not read. Shape (J,)."""
     correlation: Array
-    """Of the position's noise from one sample to the next. Shape (J,)."""
+    """Correlation of the position's noise from one sample to the next [1]. Shape (J,)."""
     louder: Array
     """Noise of the recordings' missing torque over what these numbers make of it. Shape (J,)."""
 

@@ -17,7 +17,7 @@ from torchrl_athletic.recordings import ExcitationError, Safety, chirp, multisin
 Array = NDArray[np.float64]
 
 RATE = 200.0
-"""Of the command [Hz]."""
+"""Rate of the command [Hz]."""
 MARGIN = 0.9
 """Share of a limit that a motion may use."""
 MOST_MOTIONS = 60
@@ -81,7 +81,7 @@ class Motion:
     amplitude: float
     """To both sides of the pose [rad, m]."""
     frequency: float
-    """Of its repetition, or the highest of a band [Hz]."""
+    """Frequency of its repetition, or the highest of a band [Hz]."""
     pose: Array
     """About which it moves [rad, m]. Shape (J,)."""
     wave: Array
@@ -95,7 +95,7 @@ class Motion:
         return max(self.frequency, HALF_POWER / self.rounding if self.rounding else 0.0)
 
     def smaller(self, share: float) -> Motion:
-        """The same with a share of the amplitude."""
+        """A copy with a share of the amplitude."""
         return replace(self, amplitude=share * self.amplitude, wave=share * self.wave)
 
     def words(self, unit: str) -> str:

@@ -53,7 +53,7 @@ class Products:
         return Products(of, *(np.concatenate(both) for both in groups))
 
     def times(self, factor: float) -> Products:
-        """Of takes that are longer by a factor."""
+        """Products of takes that are longer by a factor."""
         longer = {pair: factor * own for pair, own in self.of.items()}
         return replace(self, of=longer, count=factor * self.count)
 
@@ -69,7 +69,7 @@ class Rivals:
         self.weight = np.array([p[a] * p[b] for a, b in self.pairs]) / sum(p[a] * p[b] for a, b in self.pairs)
         total, independent = judge.total, judge.independent.sum(1)
         self.sigma = bank.noise
-        """Of each take [N·m]. Shape (takes, J)."""
+        """Noise of each take [N·m]. Shape (takes, J)."""
         left = (total * judge.mean_square(best.fit)).sum(1) / total.sum(1)
         sensed = _rms(np.stack([s.noise for s in bank.takes])) ** 2
         self.unnamed = np.maximum(left * _rms(self.sigma) ** 2 - sensed, 0.0)
@@ -83,7 +83,7 @@ class Rivals:
         self.draws: list[Array] | None = None
 
     def products(self, takes: Sequence[Signals], noise: Array | None = None) -> Products:
-        """Of some takes, as one set.
+        """Products of some takes, as one set.
 
         ``noise``: of the missing torque of each take [N·m], shape (takes, J); that of the recordings at hand if None.
         """
@@ -108,7 +108,7 @@ class Rivals:
         return Products(of, count, bent / usable, left / usable, _rms(noise))
 
     def separations(self, products: Products, noise: Array | None = None) -> Array:
-        """Of each pair: root of the evidence for the truth against the rival's best answer to it. Shape (pairs,).
+        """Separation of each pair: root of the evidence for the truth against the rival's best answer. Shape (pairs,).
 
         The mean of both directions, as either may be true, since they may be far from equal: a lag that was fitted
         larger than the delay says more. Of rivals that differ in their count of parameters the larger, as one that
@@ -163,7 +163,7 @@ class Coefficients:
         fit, at, rows = scored.fit, 0, []
         self.parts: list[tuple[Atom, Array, list[tuple[str, float]]]] = []
         self.free: list[list[Parameter]] = []
-        """Of each atom: the parameters that its first coefficients stand for."""
+        """Parameters that the first coefficients of each atom stand for."""
         for k, atom in enumerate(fit.atoms):
             given = fit.coefficients[at : at + len(atom.linear)]
             at += len(atom.linear)
@@ -180,7 +180,7 @@ class Coefficients:
         """Precision about the fitted values of what nobody has recorded."""
 
     def columns(self, s: Signals, cache: Cache) -> Array:
-        """Of all coefficients [N·m]. Shape (N, J, K)."""
+        """Columns of all coefficients [N·m]. Shape (N, J, K)."""
         out = []
         for atom, own, steps in self.parts:
             here = _fingerprint(s, atom, atom.fixed, cache)

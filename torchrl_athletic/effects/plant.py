@@ -148,7 +148,7 @@ class Plant:
     lag: Array = field(init=False)
     """Time constant of the torque loop [s]."""
     torque_limit: Array = field(init=False)
-    """Of the motor, either way, before its laws [N·m]."""
+    """Most torque of the motor in either direction, before its laws apply [N·m]."""
     torque_scale: Array = field(init=False)
     """Torque at the joint per commanded torque [1]."""
     torque_offset: Array = field(init=False)

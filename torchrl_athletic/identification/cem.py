@@ -60,7 +60,7 @@ class CEM:
     generations: int = 120
     population: int = 16
     windows: int = 32
-    """Of the recordings, drawn once."""
+    """Number of windows of the recordings, drawn once."""
     window: float = 1.0
     """Length of each [s]."""
     spread: float = 0.7

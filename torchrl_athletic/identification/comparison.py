@@ -65,7 +65,7 @@ COLOURS = {
 
 @dataclass(frozen=True)
 class Result:
-    """Of one simulator on one group of recordings, restarted in one way."""
+    """Score of one simulator on one group of recordings, restarted in one way."""
 
     method: str
     seed: int

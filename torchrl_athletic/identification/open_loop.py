@@ -64,12 +64,12 @@ class Rollout:
 
 @dataclass(frozen=True)
 class OpenLoopScore:
-    """Of one or several rollouts."""
+    """Error of one or several rollouts."""
 
     mse: float
     """Mean squared error of the position over joints and samples [rad²]."""
     per_joint: dict[str, float]
-    """The same by joint."""
+    """Mean squared error of each joint by its name [rad²]."""
     diverged: float
     """Share of windows that diverged."""
 
@@ -116,7 +116,7 @@ def open_loop(simulator: Simulator, recordings: Sequence[Recording], window: flo
 
 
 def score(rollouts: Sequence[Rollout]) -> OpenLoopScore:
-    """Of all their samples alike."""
+    """Score rollouts together; every sample weighs the same."""
     squared = np.concatenate([r.error.reshape(-1, len(r.joints)) ** 2 for r in rollouts])
     by_joint = dict(zip(rollouts[0].joints, squared.mean(0).tolist(), strict=True))
     diverged = np.concatenate([r.diverged for r in rollouts])

@@ -54,7 +54,7 @@ class _OfModel:
     joints: Tensor
     """Columns of the joints in ``qpos``."""
     dofs: Tensor
-    """And in ``qvel``."""
+    """Columns of the joints in ``qvel``."""
     limit: Tensor
     size: Tensor
     """How far each drawn number reaches."""

@@ -45,7 +45,7 @@ class Drive:
     delay: float = 0.0
     """[s]"""
     time_constant: float = 0.0
-    """Of the torque loop, first order [s]."""
+    """Time constant of the torque loop, first order [s]."""
     scale: float = 1.0
     """Torque per commanded torque [1]."""
     torque: float = 0.0
