@@ -1,0 +1,284 @@
+"""Kill a diagnosis and three trainings at random moments, go on, and compare the answer with an undisturbed run's.
+
+    python benchmarks/kills.py
+
+An hour on two busy cores. Each run is killed once by ``kill -9``, at a moment drawn evenly between its first sign of
+work and the end of an undisturbed run; then the same command is given again and runs to its end. The answer has to be
+the same to the last bit, but for times. What a kill loses is the work between the last state on disk and the kill.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+from tqdm import tqdm
+
+from torchrl_athletic.recordings import write_recording
+from torchrl_athletic.recordings.demo import HiddenEffect, concealed_demo, make_recordings, two_link_arm
+
+ROOT = Path(__file__).parents[1]
+STAGES = "stages.txt"
+NOTING = f"""
+import runpy, sys, time
+from pathlib import Path
+from torchrl_athletic.diagnosis.progress import Progress
+folder, begin = Path(sys.argv.pop(1)), Progress.stage
+def stage(bar, name):
+    with (folder / "{STAGES}").open("a") as file:
+        file.write(name + "\\n")
+    begin(bar, name)
+Progress.stage = stage
+sys.argv = sys.argv[1:]
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+"""A command that notes beside its output which stage of a diagnosis it has come to."""
+TIMES = {"seconds", "training_seconds"}
+"""Numbers of an answer that say how long something took."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Every field is a flag."""
+
+    kills: int = 100
+    """Runs that are killed, the jobs in turn by their share."""
+    seed: int = 0
+    """Seed of the moments."""
+    output: Path = Path("benchmarks/results/kills.md")
+    """Table to write."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A command, and what of its output folder is its answer."""
+
+    name: str
+    share: int
+    """Kills of a hundred."""
+    arguments: Callable[[Path], list[str]]
+    """Command line by the folder of the inputs, without ``--output``."""
+    answer: Callable[[Path], Any]
+    """What has to be the same, from the output folder."""
+    states: Sequence[str]
+    """Patterns of the files that hold a state to go on from."""
+
+
+@dataclass
+class Outcome:
+    """What became of the kills of one job."""
+
+    undisturbed: float = 0.0
+    """Length of the undisturbed run from its first sign of work [s]."""
+    same: int = 0
+    gone_on: int = 0
+    """Runs that found a state to go on from."""
+    lost: list[float] = field(default_factory=list)
+    """Work lost by each kill [s]."""
+    places: dict[str, int] = field(default_factory=dict)
+    """Kills by what was being done."""
+    different: list[str] = field(default_factory=list)
+    """Parts of the answers that differ, and after which kill."""
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    """Rows of a training's numbers, without times."""
+    with path.open(newline="") as file:
+        return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(file)]
+
+
+def numbers(path: Path) -> dict[str, list[Any]]:
+    """Arrays of a file by name."""
+    with np.load(path) as content:
+        return {name: content[name].tolist() for name in content.files}
+
+
+def without_times(content: Any) -> Any:
+    """JSON content without the entries that say how long something took."""
+    if isinstance(content, dict):
+        return {k: without_times(v) for k, v in content.items() if k not in TIMES}
+    return [without_times(item) for item in content] if isinstance(content, list) else content
+
+
+def diagnosed(output: Path) -> Mapping[str, Any]:
+    """All files but the inputs' record, byte by byte."""
+    return {p.name: p.read_bytes() for p in sorted(output.iterdir()) if p.is_file()}
+
+
+def corrected(output: Path) -> Mapping[str, Any]:
+    """The net, what is said of it, and the curve."""
+    (path,) = output.glob("*.pt")
+    net = {key: value.tolist() for key, value in torch.load(path, weights_only=True)["state"]["net"].items()}
+    said = without_times(json.loads((output / "simulator.json").read_text()))
+    return {"net": net, "simulator.json": said, "progress.csv": table(output / "progress.csv")}
+
+
+def controlled(output: Path) -> Mapping[str, Any]:
+    """The controller, its critic, and the curve."""
+    nets = {p.name: numbers(p) for p in sorted(output.glob("*.npz"))}
+    return nets | {"progress.csv": table(output / "progress.csv")}
+
+
+def diagnosis(folder: Path) -> list[str]:
+    data = ["--model", f"{folder}/arm.xml", "--recordings", f"{folder}/train", "--heldout", f"{folder}/heldout"]
+    return ["recipes/diagnose.py", *data]
+
+
+def uan(folder: Path, method: str, iterations: int, every: int, rows: int) -> list[str]:
+    data = ["--recordings", f"{folder}/targets", "--robot", f"{folder}/arm.xml", "--method", method, "--device", "cpu"]
+    size = ["--hidden", "16", "--num-envs", str(rows), "--window", "1.0", "--minutes", "60"]
+    return ["recipes/train_uan.py", *data, *size, "--iterations", str(iterations), "--evaluate-every", str(every)]
+
+
+def wbc(folder: Path) -> list[str]:
+    size = ["--hidden", "16", "--num-envs", "8", "--ppo.horizon", "4", "--iterations", "70", "--no-video"]
+    return ["recipes/pretrain_wbc.py", *size]
+
+
+CHECKPOINTS = ("checkpoints/checkpoint-*/*",)
+JOBS = (
+    Job("diagnosis", 40, diagnosis, diagnosed, ("progress.json", "diagnosis.json")),
+    Job("UAN, gradient", 20, lambda f: uan(f, "gradient", 40, 8, 8), corrected, CHECKPOINTS),
+    Job("UAN, PPO", 10, lambda f: uan(f, "ppo", 15, 3, 8), corrected, CHECKPOINTS),
+    Job("WBC", 30, wbc, controlled, CHECKPOINTS),
+)
+
+
+def main(cfg: Config) -> None:
+    rng = np.random.default_rng(cfg.seed)
+    outcomes = {}
+    with tempfile.TemporaryDirectory() as scratch, tqdm(total=cfg.kills) as bar:
+        folder = Path(scratch)
+        demo, loose = concealed_demo(0, duration=6.0), HiddenEffect("viscous_friction", "elbow", {"damping": 0.1})
+        targets = make_recordings(two_link_arm(), [loose], ("gaussian", "multisine"), 0, 6.0, field="position_target")
+        (folder / "arm.xml").write_text(demo.model_xml)
+        for name, takes in (("train", demo.recordings), ("heldout", demo.heldout), ("targets", targets)):
+            (folder / name).mkdir()
+            for k, take in enumerate(takes):
+                write_recording(take, folder / name / f"{k}.npz")
+        for job in JOBS:
+            outcomes[job] = killed_and_gone_on_with(job, folder, round(cfg.kills * job.share / 100), rng, bar)
+    cfg.output.parent.mkdir(parents=True, exist_ok=True)
+    cfg.output.write_text(report(outcomes, cfg))
+    print(report(outcomes, cfg))
+
+
+def killed_and_gone_on_with(job: Job, inputs: Path, kills: int, rng: np.random.Generator, bar: Any) -> Outcome:
+    """Run a job undisturbed, then kill it and go on, again and again."""
+    outcome = Outcome()
+    whole = inputs / f"{job.name} whole"
+    process, began = start(job, inputs, whole)
+    finish(process)
+    outcome.undisturbed = time.time() - began
+    expected = job.answer(whole / "out")
+    done = 0
+    while done < kills:
+        place = inputs / f"{job.name} {done} {rng.integers(2**31)}"
+        moment = rng.uniform(0.0, outcome.undisturbed)
+        process, began = start(job, inputs, place)
+        try:
+            process.wait(moment)
+            continue  # it was quicker than the undisturbed run; another moment is drawn
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+        at = time.time()
+        process.wait()
+        doing = what_it_did(job, place)
+        saved = [p.stat().st_mtime for pattern in job.states for p in (place / "out").glob(pattern)]
+        outcome.gone_on += bool(saved)
+        outcome.lost.append(at - max([began, *saved]))
+        outcome.places[doing] = outcome.places.get(doing, 0) + 1
+        finish(start(job, inputs, place)[0])
+        answer = job.answer(place / "out")
+        wrong = sorted(name for name in expected.keys() | answer.keys() if expected.get(name) != answer.get(name))
+        outcome.same += not wrong
+        if wrong:
+            outcome.different.append(f"{', '.join(wrong)} after a kill at {moment:.1f} s ({doing})")
+        done += 1
+        bar.update()
+    return outcome
+
+
+def start(job: Job, inputs: Path, place: Path) -> tuple[subprocess.Popen[bytes], float]:
+    """A process and the time of its first sign of work: a stage, or the output folder."""
+    place.mkdir(exist_ok=True)
+    (place / STAGES).unlink(missing_ok=True)
+    script, *flags = job.arguments(inputs)
+    told = [sys.executable, "-c", NOTING, str(place), str(ROOT / script), *flags, "--output", str(place / "out")]
+    if job.name != "diagnosis":
+        told = [sys.executable, str(ROOT / script), *flags, "--output", str(place / "out")]
+    log = (place / "log.txt").open("w")
+    before = sign(place)
+    process = subprocess.Popen(told, stdout=log, stderr=log, env=os.environ | {"OMP_NUM_THREADS": "1"}, cwd=place)
+    while process.poll() is None and sign(place) == before:
+        time.sleep(0.02)
+    return process, time.time()
+
+
+def sign(place: Path) -> tuple[bool, bool]:
+    return (place / STAGES).exists(), (place / "out").exists()
+
+
+def finish(process: subprocess.Popen[bytes]) -> None:
+    """Wait for a run's end.
+
+    Raises:
+        RuntimeError: If it failed.
+    """
+    if process.wait():
+        raise RuntimeError(f"a run ended with {process.returncode}: {process.args!r}")
+
+
+def what_it_did(job: Job, place: Path) -> str:
+    """Stage of a diagnosis, or how far a training was."""
+    if job.name == "diagnosis":
+        return (place / STAGES).read_text().split()[-1]
+    rows = place / "out" / "progress.csv"
+    if not rows.exists():
+        return "before an iteration"
+    return "in training" if any((place / "out").glob("checkpoints/checkpoint-*")) else "before a checkpoint"
+
+
+def report(outcomes: Mapping[Job, Outcome], cfg: Config) -> str:
+    """The tables as Markdown."""
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=ROOT).stdout
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, shared with other work, torch {torch.__version__}"
+    lines = [
+        "# Kills",
+        "",
+        f"Made by `python benchmarks/kills.py --kills {cfg.kills} --seed {cfg.seed}` at {commit.strip()} on {machine}.",
+        "",
+        "| job | undisturbed [s] | kills | found a state | same answer | lost, median [s] | lost, most [s] |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    total = Outcome()
+    for job, o in outcomes.items():
+        lines.append(_row(job.name, f"{o.undisturbed:.1f}", o))
+        total.same, total.gone_on, total.lost = total.same + o.same, total.gone_on + o.gone_on, total.lost + o.lost
+    lines += [_row("all", "", total), "", "| job | killed while | kills |", "|---|---|---|"]
+    lines += [f"| {job.name} | {place} | {n} |" for job, o in outcomes.items() for place, n in o.places.items()]
+    different = [f"- {job.name}: {what}" for job, o in outcomes.items() for what in o.different]
+    return "\n".join([*lines, *(["", "Different answers:", "", *different] if different else []), ""])
+
+
+def _row(name: str, length: str, o: Outcome) -> str:
+    lost = (f"{np.median(o.lost):.1f}", f"{max(o.lost):.1f}") if o.lost else ("", "")
+    return f"| {name} | {length} | {len(o.lost)} | {o.gone_on} | {o.same} | {lost[0]} | {lost[1]} |"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))
