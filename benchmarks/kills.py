@@ -122,7 +122,8 @@ def diagnosed(output: Path) -> Mapping[str, Any]:
 def corrected(output: Path) -> Mapping[str, Any]:
     """The net, what is said of it, and the curve."""
     (path,) = output.glob("*.pt")
-    net = {key: value.tolist() for key, value in torch.load(path, weights_only=True)["state"]["net"].items()}
+    state = torch.load(path, weights_only=True)["state"]["net"]
+    net = {key: value.tolist() if isinstance(value, torch.Tensor) else value for key, value in state.items()}
     said = without_times(json.loads((output / "simulator.json").read_text()))
     return {"net": net, "simulator.json": said, "progress.csv": table(output / "progress.csv")}
 
@@ -145,15 +146,15 @@ def uan(folder: Path, method: str, iterations: int, every: int, rows: int) -> li
 
 
 def wbc(folder: Path) -> list[str]:
-    size = ["--hidden", "16", "--num-envs", "8", "--ppo.horizon", "4", "--iterations", "70", "--no-video"]
+    size = ["--hidden", "16", "--num-envs", "8", "--ppo.horizon", "4", "--iterations", "60", "--no-video"]
     return ["recipes/pretrain_wbc.py", *size]
 
 
 CHECKPOINTS = ("checkpoints/checkpoint-*/*",)
 JOBS = (
     Job("diagnosis", 40, diagnosis, diagnosed, ("progress.json", "diagnosis.json")),
-    Job("UAN, gradient", 20, lambda f: uan(f, "gradient", 40, 8, 8), corrected, CHECKPOINTS),
-    Job("UAN, PPO", 10, lambda f: uan(f, "ppo", 15, 3, 8), corrected, CHECKPOINTS),
+    Job("UAN, gradient", 20, lambda f: uan(f, "gradient", 24, 6, 8), corrected, CHECKPOINTS),
+    Job("UAN, PPO", 10, lambda f: uan(f, "ppo", 12, 3, 8), corrected, CHECKPOINTS),
     Job("WBC", 30, wbc, controlled, CHECKPOINTS),
 )
 
