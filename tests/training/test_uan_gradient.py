@@ -222,6 +222,17 @@ def test_it_goes_on_where_it_was():
     assert second.iteration == 2
 
 
+def test_it_is_taken_back_to_the_states_that_were_kept_before_it_was_interrupted():
+    first, second = learner_of(uan()), learner_of(uan())
+    for _ in range(3):
+        descend(first)
+    second.load_state_dict(deepcopy(first.state_dict()))
+    for learner in (first, second):
+        learner.step_back()
+    for one, other in zip(first.net.parameters(), second.net.parameters(), strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
+
+
 def test_a_walking_robot_and_no_time_are_refused():
     with pytest.raises(ValueError, match="Bolt it to the world"):
         DifferentiableTorqueEnv(b2z1())
