@@ -2,9 +2,9 @@
 
     python benchmarks/kills.py
 
-An hour on two busy cores. Each run is killed once by ``kill -9``, at a moment drawn evenly between its first sign of
-work and the end of an undisturbed run; then the same command is given again and runs to its end. The answer has to be
-the same to the last bit, but for times. What a kill loses is the work between the last state on disk and the kill.
+Half an hour on two busy cores. Each run is killed once by ``kill -9``, at a moment drawn evenly between its first sign
+of work and the end of an undisturbed run; then the same command is given again and runs to its end. The answer has to
+be the same to the last bit, but for times. What a kill loses is the work between the last state on disk and the kill.
 """
 
 from __future__ import annotations
@@ -13,40 +13,34 @@ import csv
 import json
 import os
 import platform
-import signal
+import runpy
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
+from multiprocessing import get_context
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import torch
 import tyro
 from tqdm import tqdm
 
+from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.recordings import write_recording
 from torchrl_athletic.recordings.demo import HiddenEffect, concealed_demo, make_recordings, two_link_arm
 
 ROOT = Path(__file__).parents[1]
+FRESH = get_context("forkserver")
+"""Makes processes that know nothing of each other, from one that has imported what they need and done nothing."""
+PRELOADED = ["torchrl_athletic.diagnosis.command", "torchrl_athletic.training", "torchrl_athletic.envs", "tyro"]
 STAGES = "stages.txt"
-NOTING = f"""
-import runpy, sys, time
-from pathlib import Path
-from torchrl_athletic.diagnosis.progress import Progress
-folder, begin = Path(sys.argv.pop(1)), Progress.stage
-def stage(bar, name):
-    with (folder / "{STAGES}").open("a") as file:
-        file.write(name + "\\n")
-    begin(bar, name)
-Progress.stage = stage
-sys.argv = sys.argv[1:]
-runpy.run_path(sys.argv[0], run_name="__main__")
-"""
-"""A command that notes beside its output which stage of a diagnosis it has come to."""
 TIMES = {"seconds", "training_seconds"}
 """Numbers of an answer that say how long something took."""
 
@@ -140,7 +134,16 @@ def diagnosis(folder: Path) -> list[str]:
 
 
 def uan(folder: Path, method: str, iterations: int, every: int, rows: int) -> list[str]:
-    data = ["--recordings", f"{folder}/targets", "--robot", f"{folder}/arm.xml", "--method", method, "--device", "cpu"]
+    data = [
+        "--recordings",
+        f"{folder}/targets",
+        "--robot",
+        f"{folder}/coarse.xml",
+        "--method",
+        method,
+        "--device",
+        "cpu",
+    ]
     size = ["--hidden", "16", "--num-envs", str(rows), "--window", "1.0", "--minutes", "60"]
     return ["recipes/train_uan.py", *data, *size, "--iterations", str(iterations), "--evaluate-every", str(every)]
 
@@ -160,13 +163,16 @@ JOBS = (
 
 
 def main(cfg: Config) -> None:
+    os.environ["OMP_NUM_THREADS"] = "1"
+    FRESH.set_forkserver_preload(PRELOADED)
     rng = np.random.default_rng(cfg.seed)
     outcomes = {}
     with tempfile.TemporaryDirectory() as scratch, tqdm(total=cfg.kills) as bar:
         folder = Path(scratch)
-        demo, loose = concealed_demo(0, duration=6.0), HiddenEffect("viscous_friction", "elbow", {"damping": 0.1})
+        demo, loose = concealed_demo(0, duration=4.0), HiddenEffect("viscous_friction", "elbow", {"damping": 0.1})
         targets = make_recordings(two_link_arm(), [loose], ("gaussian", "multisine"), 0, 6.0, field="position_target")
         (folder / "arm.xml").write_text(demo.model_xml)
+        (folder / "coarse.xml").write_text(demo.model_xml.replace('timestep="0.001"', 'timestep="0.005"'))
         for name, takes in (("train", demo.recordings), ("heldout", demo.heldout), ("targets", targets)):
             (folder / name).mkdir()
             for k, take in enumerate(takes):
@@ -191,13 +197,12 @@ def killed_and_gone_on_with(job: Job, inputs: Path, kills: int, rng: np.random.G
         place = inputs / f"{job.name} {done} {rng.integers(2**31)}"
         moment = rng.uniform(0.0, outcome.undisturbed)
         process, began = start(job, inputs, place)
-        try:
-            process.wait(moment)
-            continue  # it was quicker than the undisturbed run; another moment is drawn
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
+        process.join(moment)
+        if process.exitcode is not None:
+            continue  # it was quicker than the undisturbed run: another moment is drawn
+        process.kill()
         at = time.time()
-        process.wait()
+        process.join()
         doing = what_it_did(job, place)
         saved = [p.stat().st_mtime for pattern in job.states for p in (place / "out").glob(pattern)]
         outcome.gone_on += bool(saved)
@@ -214,19 +219,15 @@ def killed_and_gone_on_with(job: Job, inputs: Path, kills: int, rng: np.random.G
     return outcome
 
 
-def start(job: Job, inputs: Path, place: Path) -> tuple[subprocess.Popen[bytes], float]:
+def start(job: Job, inputs: Path, place: Path) -> tuple[BaseProcess, float]:
     """A process and the time of its first sign of work: a stage, or the output folder."""
     place.mkdir(exist_ok=True)
     (place / STAGES).unlink(missing_ok=True)
-    script, *flags = job.arguments(inputs)
-    told = [sys.executable, "-c", NOTING, str(place), str(ROOT / script), *flags, "--output", str(place / "out")]
-    if job.name != "diagnosis":
-        told = [sys.executable, str(ROOT / script), *flags, "--output", str(place / "out")]
-    log = (place / "log.txt").open("w")
     before = sign(place)
-    process = subprocess.Popen(told, stdout=log, stderr=log, env=os.environ | {"OMP_NUM_THREADS": "1"}, cwd=place)
-    while process.poll() is None and sign(place) == before:
-        time.sleep(0.02)
+    process = FRESH.Process(target=run, args=(place, job.arguments(inputs)))
+    process.start()
+    while process.is_alive() and sign(place) == before:
+        time.sleep(0.01)
     return process, time.time()
 
 
@@ -234,14 +235,32 @@ def sign(place: Path) -> tuple[bool, bool]:
     return (place / STAGES).exists(), (place / "out").exists()
 
 
-def finish(process: subprocess.Popen[bytes]) -> None:
+def run(place: Path, arguments: Sequence[str]) -> None:
+    """Do as ``python SCRIPT FLAGS --output OUT`` does, and note which stage of a diagnosis has come."""
+    begin = Progress.stage
+
+    def stage(bar: Progress, name: str) -> None:
+        with (place / STAGES).open("a") as file:
+            file.write(name + "\n")
+        begin(bar, name)
+
+    noting = patch.object(Progress, "stage", stage)
+    script, *flags = arguments
+    os.chdir(place)  # what is written says how it was made, folder included
+    sys.argv = [str(ROOT / script), *flags, "--output", "out"]
+    with (place / "log.txt").open("a") as log, redirect_stdout(log), redirect_stderr(log), noting:
+        runpy.run_path(sys.argv[0], run_name="__main__")
+
+
+def finish(process: BaseProcess) -> None:
     """Wait for a run's end.
 
     Raises:
         RuntimeError: If it failed.
     """
-    if process.wait():
-        raise RuntimeError(f"a run ended with {process.returncode}: {process.args!r}")
+    process.join()
+    if process.exitcode:
+        raise RuntimeError(f"{process.name} ended with {process.exitcode}")
 
 
 def what_it_did(job: Job, place: Path) -> str:

@@ -72,6 +72,16 @@ def test_a_killed_process_is_gone_on_with_and_its_log_has_each_step_once(tmp_pat
     assert_same(whole, resumed)
 
 
+def test_a_log_of_a_run_that_was_killed_before_its_first_state_begins_anew(tmp_path):
+    table = CSVTable(tmp_path / "progress.csv")
+    table.log_metrics({"reward": 9.0}, step=1)
+    table.log_metrics({"reward": 9.0}, step=2)
+    train(arm_learner(), iterations=2, checkpoints=Checkpoints(tmp_path), logger=table, progress=False)
+    rows = CSVTable(table.path).rows
+    assert [row["step"] for row in rows] == ["1", "2"]
+    assert all(float(row["reward"]) < 0 for row in rows)
+
+
 def test_what_was_being_written_when_the_process_died_is_passed_over(tmp_path):
     learner, checkpoints = arm_learner(), Checkpoints(tmp_path)
     learner.iteration = 4
