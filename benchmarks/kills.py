@@ -34,7 +34,7 @@ from tqdm import tqdm
 
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.recordings import write_recording
-from torchrl_athletic.recordings.demo import HiddenEffect, concealed_demo, make_recordings, two_link_arm
+from torchrl_athletic.recordings.demo import HiddenEffect, make_recordings, pendulum
 
 ROOT = Path(__file__).parents[1]
 FRESH = get_context("forkserver")
@@ -149,15 +149,15 @@ def uan(folder: Path, method: str, iterations: int, every: int, rows: int) -> li
 
 
 def wbc(folder: Path) -> list[str]:
-    size = ["--hidden", "16", "--num-envs", "8", "--ppo.horizon", "4", "--iterations", "60", "--no-video"]
+    size = ["--hidden", "16", "--num-envs", "8", "--ppo.horizon", "4", "--iterations", "30", "--no-video"]
     return ["recipes/pretrain_wbc.py", *size]
 
 
 CHECKPOINTS = ("checkpoints/checkpoint-*/*",)
 JOBS = (
     Job("diagnosis", 40, diagnosis, diagnosed, ("progress.json", "diagnosis.json")),
-    Job("UAN, gradient", 20, lambda f: uan(f, "gradient", 24, 6, 8), corrected, CHECKPOINTS),
-    Job("UAN, PPO", 10, lambda f: uan(f, "ppo", 12, 3, 8), corrected, CHECKPOINTS),
+    Job("UAN, gradient", 20, lambda f: uan(f, "gradient", 20, 4, 8), corrected, CHECKPOINTS),
+    Job("UAN, PPO", 10, lambda f: uan(f, "ppo", 8, 2, 8), corrected, CHECKPOINTS),
     Job("WBC", 30, wbc, controlled, CHECKPOINTS),
 )
 
@@ -169,18 +169,20 @@ def main(cfg: Config) -> None:
     outcomes = {}
     with tempfile.TemporaryDirectory() as scratch, tqdm(total=cfg.kills) as bar:
         folder = Path(scratch)
-        demo, loose = concealed_demo(0, duration=4.0), HiddenEffect("viscous_friction", "elbow", {"damping": 0.1})
-        targets = make_recordings(two_link_arm(), [loose], ("gaussian", "multisine"), 0, 6.0, field="position_target")
-        (folder / "arm.xml").write_text(demo.model_xml)
-        (folder / "coarse.xml").write_text(demo.model_xml.replace('timestep="0.001"', 'timestep="0.005"'))
-        for name, takes in (("train", demo.recordings), ("heldout", demo.heldout), ("targets", targets)):
+        robot, kinds = pendulum(), ("gaussian", "square", "multisine")
+        dry = [HiddenEffect("coulomb_friction", "pendulum", {"torque": 0.15})]
+        torques = make_recordings(robot, dry, kinds, 0, 4.0)
+        targets = make_recordings(robot, dry, kinds, 0, 4.0, field="position_target")
+        (folder / "arm.xml").write_text(robot.model_xml)
+        (folder / "coarse.xml").write_text(robot.model_xml.replace('timestep="0.001"', 'timestep="0.005"'))
+        for name, takes in (("train", torques[:2]), ("heldout", torques[2:]), ("targets", targets)):
             (folder / name).mkdir()
             for k, take in enumerate(takes):
                 write_recording(take, folder / name / f"{k}.npz")
         for job in JOBS:
             outcomes[job] = killed_and_gone_on_with(job, folder, round(cfg.kills * job.share / 100), rng, bar)
-    cfg.output.parent.mkdir(parents=True, exist_ok=True)
-    cfg.output.write_text(report(outcomes, cfg))
+            cfg.output.parent.mkdir(parents=True, exist_ok=True)
+            cfg.output.write_text(report(outcomes, cfg))
     print(report(outcomes, cfg))
 
 
