@@ -35,6 +35,7 @@ from tqdm import tqdm
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.recordings import write_recording
 from torchrl_athletic.recordings.demo import HiddenEffect, make_recordings, pendulum
+from torchrl_athletic.recordings.demo.takes import Kind
 
 ROOT = Path(__file__).parents[1]
 FRESH = get_context("forkserver")
@@ -169,7 +170,7 @@ def main(cfg: Config) -> None:
     outcomes = {}
     with tempfile.TemporaryDirectory() as scratch, tqdm(total=cfg.kills) as bar:
         folder = Path(scratch)
-        robot, kinds = pendulum(), ("gaussian", "square", "multisine")
+        robot, kinds = pendulum(), list[Kind](("gaussian", "square", "multisine"))
         dry = [HiddenEffect("coulomb_friction", "pendulum", {"torque": 0.15})]
         torques = make_recordings(robot, dry, kinds, 0, 4.0)
         targets = make_recordings(robot, dry, kinds, 0, 4.0, field="position_target")
