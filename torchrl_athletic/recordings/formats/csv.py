@@ -51,7 +51,7 @@ def read_csv(path: Path) -> list[Take]:
         if len(row) != len(names):
             raise RecordingError(
                 f"{path}: line {number} has {len(row)} cells, but the header names {len(names)} columns. Complete the "
-                "line, or leave it out."
+                "line, or leave it out; what stands above the header has to go."
             )
     columns = zip(*[row for _, row in rows], strict=True) if rows else [()] * len(names)
     return [Take(str(path), {name: _parsed(column) for name, column in zip(names, columns, strict=True)})]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.recordings.formats.column_map import BASE, SIGNALS, Column, ColumnMap
+from torchrl_athletic.recordings.formats.column_map import BASE, EXAMPLE_JSON, SIGNALS, Column, ColumnMap
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
 _OPTIONAL = ("velocity", "torque_command", "position_target", "torque_measured")
@@ -370,5 +370,5 @@ def _advice(take: Take) -> str:
         f"Found are: {', '.join(take.fields) or 'no fields at all'}. Say what is what in a column map, for example "
         "ColumnMap(joint_names="
         "('hip', 'knee'), time=Column('t', unit='ms'), position=Column('q_{joint}', unit='deg'), "
-        "torque_command='tau_{joint}')."
+        f"torque_command='tau_{{joint}}'); in a JSON file, for --columns: {EXAMPLE_JSON}"
     )
