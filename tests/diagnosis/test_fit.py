@@ -187,6 +187,16 @@ def test_replicates_scatter_about_the_fitted_values_even_if_the_solver_stopped_e
         assert samples.std() < 0.5 * (0.12 - 0.05)
 
 
+def test_nothing_is_known_of_a_parameter_that_changes_nothing():
+    """The stiffness of a stop that is never met may be anything within its bounds."""
+    h, fitted = problem([ViscousFriction(), JointStop()], [])
+    low, high = h.bounds
+    never = np.array([0.12, high[1], 1.0, 0.5 * high[3]])
+    samples, _ = _bootstrap(fitted, never, np.random.default_rng(0), low, high)
+    assert np.ptp(samples[:, 3]) > 0.9 * (high[3] - low[3])
+    assert np.ptp(samples[:, 0]) < 0.1
+
+
 def test_a_push_does_not_steer_the_parameters():
     r = record(pendulum(joint='damping="0.12"'), smooth_torque(6.0), noise=1e-4)
     pushed = r.position.copy()
