@@ -414,7 +414,7 @@ def _judged(rivals: Rivals, known: Products, plan: _Plan, signals: Sequence[Sign
 
 
 def _worth(rivals: Rivals, plan: _Plan, hopeful: NDArray[np.bool_]) -> float:
-    """Between the closest pair's separation and the mean, where pairs weigh by how probable both are.
+    """Halfway between the closest pair's separation and the mean, where pairs weigh by how probable both are.
 
     Without pairs that nothing separates; less for a plan that takes more effort.
     """
@@ -540,7 +540,7 @@ def _planned(
 
 
 def _path(motion: Motion, start: Array, limits: Limits) -> Array:
-    """From the start there and back, corners rounded. Shape (T, J)."""
+    """Path from the start there and back, corners rounded. Shape (T, J)."""
     path = motion.pose + motion.wave
     if motion.rounding:
         rest = np.repeat(motion.pose[None], round(4 * motion.rounding * RATE), axis=0)

@@ -85,7 +85,7 @@ class Take:
 
     @property
     def period(self) -> float:
-        """Between samples [s]."""
+        """Time between samples [s]."""
         return self.substeps * float(self.model.opt.timestep)
 
     @property

@@ -51,7 +51,7 @@ class Finding:
     joint: str | None
     """Joint name; None for an effect of the whole robot."""
     probability: float
-    """That the statement is true."""
+    """Probability that the statement is true."""
     sentence: str
     """The statement in words, with numbers and units."""
     parameters: Mapping[str, Estimate]

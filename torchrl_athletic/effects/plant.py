@@ -162,9 +162,9 @@ class Plant:
     encoder_offset: Array = field(init=False)
     """Reading at the true zero [rad]."""
     clock_offset: Array = field(init=False)
-    """By which the stamps of positions are late against those of commands [s], either sign. Shape (rows,)."""
+    """How late the stamps of positions are against those of commands [s], either sign. Shape (rows,)."""
     base_offset: Array = field(init=False)
-    """By which the stamps of a floating base are late against those of the joints [s], either sign. Shape (rows,)."""
+    """How late the stamps of a floating base are against those of the joints [s], either sign. Shape (rows,)."""
 
     def __post_init__(self) -> None:
         shape = (self.rows, len(self.address.dof))

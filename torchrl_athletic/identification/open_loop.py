@@ -35,7 +35,7 @@ class Rollout:
     """A recording, and what a simulator made of its commands. W windows of L steps, J joints."""
 
     recording: Recording
-    """On the grid of the physics."""
+    """The recording, on the grid of the physics."""
     index: NDArray[np.intp]
     """Samples of the recording that are predicted; a window's start is the sample before. Shape (W, L)."""
     position: Array

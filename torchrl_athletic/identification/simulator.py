@@ -87,7 +87,7 @@ class Simulator:
 
     @cached_property
     def robot(self) -> Robot:
-        """With the correction in its model, as far as a model can say it."""
+        """The robot with the correction in its model, as far as a model can say it."""
         return self.nominal if self.correction is None else with_correction(self.nominal, self.correction)
 
     @property

@@ -17,7 +17,7 @@ _PER_SAMPLE = ("position", "velocity", "torque_command", "position_target", "tor
 _PER_JOINT = ("kp", "kd")
 _OF_BASE = {"base_position": 3, "base_orientation": 4}
 _UNIT = 0.01
-"""By which the length of a quaternion may differ from one: more than rounding to three decimals makes of it."""
+"""How much the length of a quaternion may differ from one: more than rounding to three decimals makes of it."""
 
 
 _LONGEST = 3000
