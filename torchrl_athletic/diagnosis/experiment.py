@@ -27,7 +27,7 @@ from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.result import Finding
 from torchrl_athletic.diagnosis.screen import Key, row_noise
 from torchrl_athletic.diagnosis.search import Judge, Scored
-from torchrl_athletic.diagnosis.separation import ENOUGH, Products, Rivals, thinned
+from torchrl_athletic.diagnosis.separation import ENOUGH, PairProducts, Rivals, thinned
 from torchrl_athletic.effects.base import carried
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.effects.payload import with_payload
@@ -345,7 +345,7 @@ class _Plan:
     """Shares of the speed limit and of the torque limit that it uses, 0..1."""
     repeats: int = 1
     signals: tuple[Signals, ...] = ()
-    products: Products = field(default_factory=lambda: Products({}, *np.zeros((4, 0))))
+    products: PairProducts = field(default_factory=lambda: PairProducts({}, *np.zeros((4, 0))))
     separations: Array = field(default_factory=lambda: np.zeros(0))
     """Separation of each pair, with the recordings at hand. Shape (pairs,)."""
 
@@ -399,13 +399,15 @@ class _Sensors:
         return cls(position, velocity, correlation, louder)
 
 
-def _measured(rivals: Rivals, known: Products, plan: _Plan, sensors: _Sensors) -> _Plan:
+def _measured(rivals: Rivals, known: PairProducts, plan: _Plan, sensors: _Sensors) -> _Plan:
     """The plan with what its log would separate."""
     s = thinned(_seen(rivals, plan, sensors))
     return _judged(rivals, known, plan, [s], rivals.products([s], row_noise([*rivals.takes, s])[-1:]))
 
 
-def _judged(rivals: Rivals, known: Products, plan: _Plan, signals: Sequence[Signals], products: Products) -> _Plan:
+def _judged(
+    rivals: Rivals, known: PairProducts, plan: _Plan, signals: Sequence[Signals], products: PairProducts
+) -> _Plan:
     """The plan with what it would separate."""
     noise, at_hand = row_noise([*rivals.takes, *signals]), len(rivals.takes)
     of_groups = np.concatenate([np.sqrt(np.mean(noise[:at_hand] ** 2, axis=0)), *noise[at_hand:]])
@@ -424,7 +426,7 @@ def _worth(rivals: Rivals, plan: _Plan, hopeful: NDArray[np.bool_]) -> float:
     return float(some.min() + weight @ some / max(weight.sum(), 1e-300)) / 2 * (1 - GENTLE * plan.effort)
 
 
-def _repeated(rivals: Rivals, known: Products, plan: _Plan, hopeful: NDArray[np.bool_]) -> _Plan:
+def _repeated(rivals: Rivals, known: PairProducts, plan: _Plan, hopeful: NDArray[np.bool_]) -> _Plan:
     """The plan as often as tells the pairs apart best: once, twice, four times and so on, or all that a minute holds.
 
     No more often than leaves something to spare, and not always the longest: the longer it is, the more of the older
@@ -576,7 +578,7 @@ def _gains(takes: Sequence[Signals], model: mujoco.MjModel) -> tuple[Array, Arra
 
 
 def _smaller(
-    rivals: Rivals, known: Products, plan: _Plan, share: float, limits: Limits, sensors: _Sensors
+    rivals: Rivals, known: PairProducts, plan: _Plan, share: float, limits: Limits, sensors: _Sensors
 ) -> _Plan | None:
     """The plan with a share of its amplitudes; None if nothing so small can be done."""
     loop = _gains(rivals.takes, plan.model)
