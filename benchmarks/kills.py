@@ -56,6 +56,8 @@ class Config:
 
     kills: int = 100
     """How many, of all jobs together."""
+    jobs: tuple[str, ...] = ("diagnosis", "UAN, gradient", "UAN, PPO", "WBC")
+    """What is killed; each has its share of the kills of all four."""
     seed: int = 0
     """Seed of the moments."""
     output: Path = Path("benchmarks/results/kills.md")
@@ -139,16 +141,8 @@ def diagnosis(folder: Path) -> list[str]:
 
 
 def uan(folder: Path, method: str, iterations: int, every: int, rows: int) -> list[str]:
-    data = [
-        "--recordings",
-        f"{folder}/targets",
-        "--robot",
-        f"{folder}/coarse.xml",
-        "--method",
-        method,
-        "--device",
-        "cpu",
-    ]
+    data = ["--recordings", f"{folder}/targets", "--robot", f"{folder}/coarse.xml"]
+    data += ["--method", method, "--device", "cpu"]
     size = ["--hidden", "16", "--num-envs", str(rows), "--window", "1.0", "--minutes", "60"]
     return ["recipes/train_uan.py", *data, *size, "--iterations", str(iterations), "--evaluate-every", str(every)]
 
@@ -184,7 +178,7 @@ def main(cfg: Config) -> None:
             (folder / name).mkdir()
             for k, take in enumerate(takes):
                 write_recording(take, folder / name / f"{k}.npz")
-        for job in JOBS:
+        for job in (j for j in JOBS if j.name in cfg.jobs):
             outcomes[job] = killed_and_gone_on_with(job, folder, round(cfg.kills * job.share / 100), rng, bar)
             cfg.output.parent.mkdir(parents=True, exist_ok=True)
             cfg.output.write_text(report(outcomes, cfg))
@@ -204,7 +198,7 @@ def killed_and_gone_on_with(job: Job, inputs: Path, kills: int, rng: np.random.G
         before, moments = len(outcome.lost), rng.uniform(0.0, outcome.undisturbed, IN_A_ROW)
         for moment in moments[: kills - before]:
             process, began = start(job, inputs, place)
-            process.join(moment)
+            process.join(max(0.0, moment + began - time.time()))
             if process.exitcode is not None:
                 break  # it had come to its end
             process.kill()
@@ -228,7 +222,7 @@ def killed_and_gone_on_with(job: Job, inputs: Path, kills: int, rng: np.random.G
 
 
 def start(job: Job, inputs: Path, place: Path) -> tuple[BaseProcess, float]:
-    """A process and the time of its first sign of work: a stage, or the output folder."""
+    """A process and the time of its first sign of work: a stage, the output folder, or a line of its log."""
     place.mkdir(exist_ok=True)
     (place / STAGES).unlink(missing_ok=True)
     before = sign(place)
@@ -239,8 +233,9 @@ def start(job: Job, inputs: Path, place: Path) -> tuple[BaseProcess, float]:
     return process, time.time()
 
 
-def sign(place: Path) -> tuple[bool, bool]:
-    return (place / STAGES).exists(), (place / "out").exists()
+def sign(place: Path) -> tuple[bool, bool, int]:
+    log = place / "log.txt"
+    return (place / STAGES).exists(), (place / "out").exists(), log.stat().st_size if log.exists() else 0
 
 
 def run(place: Path, arguments: Sequence[str]) -> None:
