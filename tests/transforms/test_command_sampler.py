@@ -90,7 +90,7 @@ def test_an_episode_starts_from_the_pose_that_the_end_effector_has():
 
 
 def test_on_a_hill_the_hand_starts_where_it_is_over_the_ground():
-    """The same robot 5 m higher, on ground that is 5 m higher, is told the same."""
+    """A robot 5 m higher, on ground that is 5 m higher, is told what it would be told below."""
     names = {f"{name}_keys": (f"{name}_position", f"{name}_quaternion") for name in ("base", "end_effector")}
     sampler = CommandSampler(CommandRanges(), DT, **names)
     level = {key: torch.tensor(value) for key, value in zip(POSES, ([0, 0, 0.6], [1, 0, 0, 0]) * 2, strict=True)}
