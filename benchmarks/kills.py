@@ -103,9 +103,11 @@ def table(path: Path) -> list[dict[str, str]]:
 
 
 def numbers(path: Path) -> dict[str, list[Any]]:
-    """Arrays of a file by name."""
+    """Arrays of a network's file by name, and what else it says."""
     with np.load(path) as content:
-        return {name: content[name].tolist() for name in content.files}
+        arrays = {name: content[name] for name in content.files}
+    said = json.loads(arrays.pop("metadata").tobytes())
+    return {"metadata": without_times(said)} | {name: array.tolist() for name, array in arrays.items()}
 
 
 def without_times(content: Any) -> Any:
@@ -148,8 +150,8 @@ def uan(folder: Path, method: str, iterations: int, every: int, rows: int) -> li
 
 
 def wbc(folder: Path) -> list[str]:
-    size = ["--hidden", "16", "--num-envs", "8", "--ppo.horizon", "4", "--iterations", "30", "--no-video"]
-    return ["recipes/pretrain_wbc.py", *size]
+    size = ["--hidden", "16", "--num-envs", "2", "--ppo.horizon", "2", "--ppo.epochs", "1", "--history", "2"]
+    return ["recipes/pretrain_wbc.py", *size, "--iterations", "26", "--no-video"]
 
 
 CHECKPOINTS = ("checkpoints/checkpoint-*/*",)
@@ -218,6 +220,7 @@ def killed_and_gone_on_with(job: Job, inputs: Path, kills: int, rng: np.random.G
         else:
             outcome.same += times
         shutil.rmtree(place)
+        bar.set_postfix(same=outcome.same, of=len(outcome.lost), lost=max(outcome.lost, default=0.0))
     return outcome
 
 
