@@ -59,7 +59,7 @@ class Config:
     inputs: int = 100_000
     """Damaged files, the kinds in turn."""
     seed: int = 0
-    """Of the damage."""
+    """Seed of the damage."""
     jobs: int = 2
     """Processes."""
     output: Path = Path("benchmarks/results/fuzz_readers.md")

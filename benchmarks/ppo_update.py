@@ -50,11 +50,11 @@ class Config:
     epochs: int = 5
     """Passes over the batch in one update."""
     minibatches: int = 4
-    """In each epoch."""
+    """Minibatches of the actor in each epoch."""
     micro_batches: tuple[int, ...] = (4096, 1024)
     """Most samples in the critic at once, a row each; on a GPU 98304 24576 say."""
     device: str = "cpu"
-    """Or cuda."""
+    """``cpu`` or ``cuda``."""
     tf32: bool = False
     """Let a GPU round matrix products to TF32."""
     graph: bool = False

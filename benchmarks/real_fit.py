@@ -155,7 +155,7 @@ class Replay:
         return out
 
     def thinned(self, most: int) -> Replay:
-        """The same with fewer windows."""
+        """A copy with fewer windows."""
         other = object.__new__(Replay)
         other.__dict__.update(self.__dict__)
         chosen = np.linspace(0, len(self.windows) - 1, min(most, len(self.windows))).astype(int)
@@ -226,7 +226,7 @@ class Replay:
         return out
 
     def mean_square(self, x: Array) -> Array:
-        """Of each window. Shape (W, J)."""
+        """Mean square of the error in each window. Shape (W, J)."""
         return np.stack([(e**2).mean(0) for e in self.errors(x)])
 
     def residual(self, x: Array) -> Array:

@@ -29,8 +29,8 @@ from torchrl_athletic.envs import replay_env
 from torchrl_athletic.identification import (
     CEM,
     ActuatorNetTraining,
+    Replay,
     Result,
-    Rollout,
     Simulator,
     compare,
     every_seed,
@@ -222,7 +222,7 @@ def with_uan(given: Simulator, recordings: Sequence[Recording], seed: int, itera
     return replace(given, net=net, kind="correction", notes=notes)
 
 
-def overlays(simulators: dict[Method, Simulator], groups: dict[str, list[Recording]]) -> dict[str, dict[str, Rollout]]:
+def overlays(simulators: dict[Method, Simulator], groups: dict[str, list[Recording]]) -> dict[str, dict[str, Replay]]:
     """Each group's first take, in windows of 2 s."""
     return {
         f"kept aside: {name}": {method: open_loop(s, kept[:1], 2.0)[0] for method, s in simulators.items()}

@@ -52,7 +52,7 @@ class Config:
     seed: int = 0
     """Seed of the trainings."""
     folder: Path = Path("outputs/wbc_ablation")
-    """For the trainings."""
+    """Folder for the trainings."""
     commit: str = ""
     """Commit of the code, where git cannot tell."""
     output: Path = Path("benchmarks/results")

@@ -20,7 +20,7 @@ import torch
 import tyro
 from tqdm import tqdm
 
-from torchrl_athletic.identification import Result, Rollout, Simulator, compare, digest_of, figure, open_loop, table
+from torchrl_athletic.identification import Replay, Result, Simulator, compare, digest_of, figure, open_loop, table
 from torchrl_athletic.identification.comparison import every_seed
 from torchrl_athletic.recordings import Recording, read_recordings
 from torchrl_athletic.robots import from_mjcf, z1
@@ -100,7 +100,7 @@ def scored(
     return results
 
 
-def examples(simulators: Sequence[Simulator], groups: dict[str, list[Recording]]) -> dict[str, dict[str, Rollout]]:
+def examples(simulators: Sequence[Simulator], groups: dict[str, list[Recording]]) -> dict[str, dict[str, Replay]]:
     """Rollouts of the first seed of each method: of a take that was fitted, and of the throw."""
     shown = {"fitted: Gaussian": [t.slice(0, 4000) for t in groups.get("Gaussian", [])[:1]], "not seen: throw": []}
     shown["not seen: throw"] = groups.get("throw, unseen", [])[:1]

@@ -51,7 +51,7 @@ class Reading(NamedTuple):
     position: Array
     """Position of the rotor behind the gear [rad]. Shape (7,)."""
     velocity: Array
-    """From differences of the encoder, filtered by the drive [rad/s]. Shape (7,)."""
+    """Velocity from differences of the encoder, filtered by the drive [rad/s]. Shape (7,)."""
     torque: Array
     """Motor current times the constant that the drive believes in [N·m]. Shape (7,)."""
 

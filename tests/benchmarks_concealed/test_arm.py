@@ -83,7 +83,7 @@ def test_the_stiffer_its_gears_the_closer_it_moves_to_a_rigid_arm():
 
 
 def energy(tree, p, x, model, data) -> float:
-    """Of links, rotors, springs, bristles [J]; MuJoCo weighs the links."""
+    """Energy of links, rotors, springs and bristles [J]; MuJoCo weighs the links."""
     data.qpos[:6], data.qvel[:6] = x[:, 0], x[:, 1]
     mujoco.mj_forward(model, data)
     stored = data.energy.sum() + 0.5 * (p["rotor"] * x[:, 3] ** 2).sum()

@@ -23,7 +23,7 @@ recipe = load_recipe()
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Of a policy that was trained for two iterations."""
+    """Folder of a policy that was trained for two iterations."""
     folder = tmp_path_factory.mktemp("throw") / "default-0"
     simulator = Simulator("default", recipe.z1()).save(folder / "simulator")
     config = recipe.Config(simulator=simulator, iterations=2, hidden=(16,), evaluate_every=2, output=folder)

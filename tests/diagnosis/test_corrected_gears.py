@@ -19,7 +19,7 @@ from torchrl_athletic.robots import from_mjcf
 from torchrl_athletic.transforms import CorrectedActuation
 
 ROTOR, LINK = 0.5, 2.0
-"""Of a slider without gravity [kg]."""
+"""Masses of a slider without gravity [kg]."""
 
 
 def geared_slider(terms, step=0.002, joint=""):

@@ -23,7 +23,7 @@ from torchrl_athletic.diagnosis.prepare import PAYLOAD, prepare
 from torchrl_athletic.diagnosis.result import Finding, Rival
 from torchrl_athletic.diagnosis.screen import TRIMS, Bank, candidates_for, trims_for
 from torchrl_athletic.diagnosis.search import Judge, Scored, search
-from torchrl_athletic.diagnosis.separation import DRAWS, ENOUGH, Products, Rivals, thinned
+from torchrl_athletic.diagnosis.separation import DRAWS, ENOUGH, PairProducts, Rivals, thinned
 from torchrl_athletic.effects import (
     ActuationDelay,
     ActuationLag,
@@ -352,7 +352,7 @@ def test_a_repeated_plan_is_simulated_once_unless_something_changes_meanwhile():
 
 def test_a_plan_is_repeated_only_while_that_tells_more_and_a_minute_at_most(monkeypatch):
     def told(*promises: float) -> int:
-        left, still, nothing = iter(promises[1:]), np.zeros((1000, 1)), Products({}, *np.zeros((4, 0)))
+        left, still, nothing = iter(promises[1:]), np.zeros((1000, 1)), PairProducts({}, *np.zeros((4, 0)))
         one = np.ones(1)
         recording = Recording(np.arange(1000) / RATE, ("pendulum",), still, position_target=still, kp=one, kd=one)
         model = mujoco.MjModel.from_xml_string(pendulum().model_xml)

@@ -10,7 +10,9 @@ from diagnosis.plants import RATE, candidate, double_pendulum, pendulum, record,
 from torchrl_athletic.diagnosis.fit import (
     Fitted,
     Hypothesis,
+    _bootstrap,
     _follows,
+    _Problem,
     _with_telling,
     as_trims,
     draw_windows,
@@ -157,6 +159,42 @@ def test_a_take_is_followed_only_if_every_joint_is():
     assert _follows(Hypothesis(()), calm, np.zeros(0), np.array([loose, loose]))
     for typical in ([loose, tight], [tight, loose], [tight, tight]):
         assert not _follows(Hypothesis(()), calm, np.zeros(0), np.array(typical))
+
+
+def problem(terms, trims, unit=1.0):
+    """A fit of a pendulum with more friction than its model, at some values of terms and trims."""
+    r = record(pendulum(joint='damping="0.12"'), smooth_torque(6.0), noise=1e-4)
+    h = Hypothesis(*(tuple(candidate(e, r, pendulum()) for e in part) for part in (terms, trims)))
+    windows = draw_windows([take(pendulum(), r, 1e-4)], 0.5, 20, np.random.default_rng(0))
+    return h, _Problem(h, windows, np.full(len(h.nominal), unit), h.nominal / unit)
+
+
+def test_a_trim_pays_for_leaving_the_model_and_a_term_does_not():
+    """0.3 at its bound, in units of a window that is followed as well as others are."""
+    h, fitted = problem([ViscousFriction()], [TorqueScale()], unit=0.5)
+    at = {"nominal": h.nominal, "bounds": h.bounds[1], "friction": [h.bounds[1][0], h.nominal[1]]}
+    paid = {name: fitted.residual(np.array(values)[:, None] / 0.5)[-2:, 0] for name, values in at.items()}
+    assert paid["nominal"].tolist() == paid["friction"].tolist() == [0, 0]
+    assert paid["bounds"] == pytest.approx([0, 0.3])
+
+
+def test_replicates_scatter_about_the_fitted_values_even_if_the_solver_stopped_early():
+    """A trim's cost, or a step that was refused, leaves a gradient in the windows; it is no scatter between them."""
+    h, fitted = problem([ViscousFriction()], [])
+    for early in (0.06, 0.1, 0.119):
+        samples, _ = _bootstrap(fitted, np.array([early]), np.random.default_rng(0), *h.bounds)
+        assert abs(samples.mean() - early) < 0.3 * samples.std()
+        assert samples.std() < 0.5 * (0.12 - 0.05)
+
+
+def test_nothing_is_known_of_a_parameter_that_changes_nothing():
+    """The stiffness of a stop that is never met may be anything within its bounds."""
+    h, fitted = problem([ViscousFriction(), JointStop()], [])
+    low, high = h.bounds
+    never = np.array([0.12, high[1], 1.0, 0.5 * high[3]])
+    samples, _ = _bootstrap(fitted, never, np.random.default_rng(0), low, high)
+    assert np.ptp(samples[:, 3]) > 0.9 * (high[3] - low[3])
+    assert np.ptp(samples[:, 0]) < 0.1
 
 
 def test_a_push_does_not_steer_the_parameters():

@@ -13,7 +13,7 @@ def enter(folder):
 
 
 def from_outside(folder):
-    """Of another thread, which the lock takes for a stranger as it does another process."""
+    """Enter from another thread, which the lock takes for a stranger as it does another process."""
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(enter, folder).result()
 

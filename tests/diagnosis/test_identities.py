@@ -14,7 +14,7 @@ from torchrl_athletic.diagnosis.report import terminal_summary
 from torchrl_athletic.diagnosis.report.page import render
 from torchrl_athletic.diagnosis.report.words import same_as
 from torchrl_athletic.diagnosis.result import Answer, Estimate, Finding, Name, Rival
-from torchrl_athletic.effects import CATALOGUE
+from torchrl_athletic.effects import CATALOGUE, CoulombFriction
 from torchrl_athletic.recordings import Recording
 
 
@@ -204,3 +204,12 @@ def test_a_file_from_before_is_read_without_them():
 def test_two_that_add_up_to_one_say_so_of_each_other(stated, said):
     found = with_alternatives([finding(name, "hip") for name in stated], ["hip"], CATALOGUE)
     assert said in same_as(found[0], Answer("explained", (), findings=found))[0]
+
+
+def test_a_rival_goes_by_another_single_name_and_not_by_one_that_two_names_make():
+    """Which takes values that a rival has not got; alone, one of the two would be another physics."""
+    pair = frozenset({"joint_spring", "torque_offset"})
+    both = type("Both", (CoulombFriction,), {"name": "both", "identical_to": (pair, frozenset({"viscous_friction"}))})()
+    told = replace(finding("torque_ripple", "knee"), rivals=(Rival("both", "knee", 0.3, ""),))
+    (said,) = with_alternatives([told], ("hip", "knee"), (*TORQUES, both))
+    assert said.rivals[0].alternatives == ((Name("viscous_friction", "knee"),),)

@@ -103,7 +103,7 @@ def test_bands_hold_the_share_and_are_narrow_for_a_long_even_take():
 
 
 def test_the_band_of_a_map_is_of_95_percent():
-    """Of means over blocks that are drawn apart it is as wide as that of a normal mean: 2 x 1.96 standard errors."""
+    """Over blocks that are drawn apart it is as wide as the band of a normal mean: 2 x 1.96 standard errors."""
     count = 400
     block = np.repeat(np.arange(count), 5)
     own = rng().normal(size=count)

@@ -507,7 +507,7 @@ def test_takes_with_other_gains_stay_alone():
 
 
 def test_a_gear_looks_at_the_inertia_of_its_own_piece():
-    """Of a folded arm it is another one than of a straight one."""
+    """A folded arm has another inertia than a straight one."""
     xml = double_pendulum()
     r = record(xml, np.repeat(smooth_torque(4.0), 2, 1))
     bent = replace(r, position=r.position + np.array([0.0, 2.0]))

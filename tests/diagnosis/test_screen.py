@@ -49,7 +49,7 @@ def take(rng):
 
 
 def stacked(take, columns, noise=NOISE):
-    """The same least squares with all rows of both joints one under the other."""
+    """One plain least squares with all rows of both joints one under the other."""
     weight = (take.valid / noise).ravel()
     return columns.reshape(2 * N, -1) * weight[:, None], take.missing.ravel() * weight
 

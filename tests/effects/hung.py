@@ -35,9 +35,9 @@ JOINTS = ("left_hip", "left_knee", "right_hip", "right_knee")
 KP, KD = np.array([25.0, 12.0, 25.0, 12.0]), np.array([0.8, 0.3, 0.8, 0.3])
 RATE, STEP = 200.0, 0.001
 SPRINGS, DAMPERS = np.array([80.0, 80.0, 400.0, 8.0, 8.0, 8.0]), np.array([5.0, 5.0, 10.0, 0.3, 0.3, 0.3])
-"""Of the trunk's position [N/m, N·s/m] and attitude [N·m/rad, N·m·s/rad]."""
+"""Stiffness and damping that hold the trunk's position [N/m, N·s/m] and attitude [N·m/rad, N·m·s/rad]."""
 POSITION_NOISE, BASE_NOISE = 1e-4, (1e-4, 2e-4)
-"""Of encoders [rad], and of the trunk's position [m] and attitude [rad], as a motion capture has it."""
+"""Noise of encoders [rad], and of the trunk's position [m] and attitude [rad], as a motion capture has it."""
 
 
 def model(armature: float = 0.01) -> str:
@@ -98,7 +98,7 @@ def record(
 
 
 def late(recording: Recording, by: float) -> Recording:
-    """The same with poses of the trunk that are stamped late [s]."""
+    """A copy whose poses of the trunk are stamped late [s]."""
     pose = np.hstack([recording.base_position, recording.base_orientation])
     there = CubicSpline(recording.time, pose)(np.maximum(recording.time - by, recording.time[0]))
     turn = there[:, 3:] / np.linalg.norm(there[:, 3:], axis=1, keepdims=True)

@@ -13,7 +13,7 @@ from torchrl_athletic.effects.change import Disturbance, ThermalDrift, _uncut
 
 
 def acceleration(force, *effects):
-    """Of the mass on its rail, from the third step on."""
+    """Acceleration of the mass on its rail, from the third step on."""
     (position,) = push(force, *effects)
     return np.diff(speed(position)) / STEP
 

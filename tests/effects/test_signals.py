@@ -125,7 +125,7 @@ def swing(time, amplitude: float):
 
 SWING = np.arange(0.0, 8.0, 0.002)
 MIDDLE = SWING + 0.001
-"""Of each hold, for which a held command stands."""
+"""Middle of each hold, for which a held command stands."""
 
 
 def pendulum_take(amplitude: float, friction: float = 0.0) -> Recording:

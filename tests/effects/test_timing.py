@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from effects.arm import JOINTS, address, arm, record
@@ -84,6 +86,16 @@ def test_the_grid_lies_within_the_bounds_and_holds_the_sampling_period(effect, n
     assert times == sorted(set(times))
     assert all(parameter.lower < t < parameter.upper for t in times)
     assert any(t == pytest.approx(1 / 250.0) for t in times)
+
+
+@pytest.mark.parametrize(("effect", "name"), [(ActuationDelay(), "delay"), (ActuationLag(), "time_constant")])
+def test_a_slow_log_is_asked_for_half_a_sample_to_three(effect, name):
+    """A drive that answers half a sample late is the commonest of all: no other entry of the grid is near at 30 Hz."""
+    s = project_recording(record(seconds=2.0), arm(), np.zeros(2))
+    slow = replace(s, recording=replace(s.recording, time=s.recording.time * 250.0 / 30.0))
+    times = np.array([point[name] for point in effect.grid(slow, 0)])
+    for samples in (0.5, 1.0, 1.5, 2.0, 3.0):
+        assert np.abs(times - samples / 30.0).min() < 1e-9
 
 
 @pytest.mark.parametrize("effect", [ActuationDelay(), ActuationLag()])

@@ -24,7 +24,7 @@ DT = 0.005
 
 
 def takes(lengths=(90, 60), torques=False):
-    """Of the simulator itself: a replay of them without correction stays on them."""
+    """Takes of the simulator itself: a replay of them without correction stays on them."""
     simulator = Simulator("itself", ROBOT)
     scale = 3.0 if torques else 0.5
     return takes_of([recorded(simulator, commands(n, seed=n, scale=scale, hold=15), torques) for n in lengths], ROBOT)
@@ -71,6 +71,25 @@ def test_a_heavier_simulation_leaves_the_takes():
     heavy = replace(ROBOT, build=lambda: _heavier(ROBOT.spec()))
     steps = played(replay_env(heavy, TAKES, num_envs=8), nothing, 50)
     assert steps["next", "privileged"][..., 0].abs().max() > 1e-2
+
+
+def test_the_critic_is_told_how_far_and_how_fast_the_simulation_is_ahead():
+    heavy = replace(ROBOT, build=lambda: _heavier(ROBOT.spec()))
+    after = played(replay_env(heavy, TAKES, num_envs=4), nothing, 20)["next"]
+    sample = after["sample"].squeeze(-1)
+    ahead = after["joint_position"] - TAKES.position[sample], after["joint_velocity"] - TAKES.velocity[sample]
+    torch.testing.assert_close(after["privileged"], torch.stack(ahead, -1))
+    assert ahead[1].abs().max() > 1e-3
+
+
+def test_an_episode_starts_as_fast_as_an_encoder_of_another_scale_said():
+    simulator = corrected({"encoder_scale": {"scale": 1.25}})
+    env = replay_env(ROBOT, TAKES, chain=simulator.chain(decimation=1), num_envs=64)
+    shown = env.reset()
+    torch.testing.assert_close(shown["joint_velocity"], TAKES.velocity[shown["sample"].squeeze(-1)])
+    knee = env.base_env.physics.qvel[:, 1].float()
+    torch.testing.assert_close(1.25 * knee, shown["joint_velocity"][:, 1])
+    assert knee.abs().max() > 0.1
 
 
 def _heavier(spec):
@@ -124,7 +143,7 @@ def test_by_row_every_start_has_its_turn():
 
 
 def chain_of(net, torques, innermost):
-    """Of a policy's environment, from the joints outwards."""
+    """Chain of a policy's environment, from the joints outwards."""
     correction = UANCorrection(net)
     limit = TorqueSpeedClip(ROBOT.torque_limit, ROBOT.velocity_limit)
     law = (EquivalentTarget if torques else PDControl)(ROBOT.kp, ROBOT.kd)
@@ -164,13 +183,14 @@ def test_the_net_does_in_a_policys_chain_what_it_did_in_the_replay(torques, inne
     assert replayed["torque_correction"].abs().max() > 0.1
 
 
-def corrected(*, net=None, kind="none"):
-    """An arm whose commands come late, whose torques lag, and whose hip winds up."""
+def corrected(more=None, *, net=None, kind="none"):
+    """An arm whose commands come late, whose torques lag, whose hip winds up, and more at its knee."""
     entries = (
         ("actuation_delay", "hip", {"delay": 0.012}),
         ("actuation_lag", "knee", {"time_constant": 0.02}),
         ("hysteresis", "hip", {"torque": 0.4, "width": 0.02}),
         ("encoder_offset", "knee", {"offset": 0.05}),
+        *((effect, "knee", values) for effect, values in (more or {}).items()),
     )
     effects = [
         {"effect": effect, "joint": joint, "parameters": {name: {"value": value} for name, value in values.items()}}

@@ -16,7 +16,7 @@ POSE = torch.tensor(ROBOT.default_pose)
 
 
 def earned(name, **shown):
-    """Of one robot, at a quarter of the clock: its first and last foot stand, the others are at the top of a swing."""
+    """Reward of one robot, at a quarter of the clock: the first and last foot stand, the others swing."""
     entries = {key: torch.as_tensor(value, dtype=torch.float32)[None] for key, value in shown.items()}
     step = TensorDict({"gait_cycle": torch.tensor([[0.25]]), **entries}, [1])
     value = TERMS[name](TensorDict({}, [1]), step)

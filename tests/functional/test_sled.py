@@ -41,7 +41,7 @@ def backwards(speed):
 
 
 def energy(velocity, distance, mass=MASS):
-    """Of sled and rope [J]. Shape (T, 1)."""
+    """Energy of sled and rope [J]. Shape (T, 1)."""
     stored = STIFFNESS / 3 * (distance - LENGTH).clamp(min=0) ** 3
     return 0.5 * mass * velocity.square().sum(-1, keepdim=True) + stored
 

@@ -38,7 +38,7 @@ def make(backend: str, model: mujoco.MjModel, num_envs: int = N, **options) -> P
 
 
 def excite(physics: Physics, steps: int = 60, seed: int = 0, **options) -> None:
-    """The same torques for every back end, different between envs and steps."""
+    """Apply torques that differ between envs and steps, and not between back ends."""
     generator = torch.Generator().manual_seed(seed)
     for _ in range(steps):
         torque = torch.randn(physics.num_envs, len(physics.joint_names), generator=generator, dtype=torch.float64)

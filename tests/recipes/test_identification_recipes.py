@@ -29,7 +29,7 @@ identify, compare = recipe("identify"), recipe("compare_identification")
 
 
 def take(kind: str, split: str, seed: int, samples: int = 241) -> Recording:
-    """Of an arm with twice the friction."""
+    """Take of an arm with twice the friction."""
     steps = 0.2 * np.random.default_rng(seed).standard_normal((samples // 40 + 1, 7))
     steps[0] = steps[:, 6] = 0.0
     target = np.array(ARM.default_pose) + np.repeat(steps, 40, axis=0)[:samples]

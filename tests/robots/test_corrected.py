@@ -71,7 +71,7 @@ def diagnosed(content: dict[str, object]) -> Plant:
 
 
 def arm_rows(model: mujoco.MjModel, field: str) -> np.ndarray:
-    """Of the arm's joints, or of the links that they move."""
+    """Rows of the arm's joints, or of the links that they move."""
     joints = [model.joint(name) for name in ARM.joint_names]
     at = [int(j.dofadr[0]) if field.startswith("dof") else int(j.bodyid[0]) for j in joints]
     return np.asarray(getattr(model, field))[at]

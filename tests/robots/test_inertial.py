@@ -15,7 +15,7 @@ boxes = st.builds(box, st.floats(0.1, 10.0), edges, vectors)
 
 
 def kinetic_energy(part: Inertial, velocity: np.ndarray, spin: np.ndarray) -> float:
-    """Of a body whose frame's origin moves at ``velocity`` and which turns with ``spin``."""
+    """Kinetic energy of a body whose frame's origin moves at ``velocity`` and which turns with ``spin``."""
     of_centre = velocity + np.cross(spin, part.centre)
     return 0.5 * part.mass * of_centre @ of_centre + 0.5 * spin @ part.matrix() @ spin
 

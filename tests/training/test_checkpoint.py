@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs import Compose, StepCounter, TransformedEnv
 from torchrl.testing.mocking_classes import CountingEnv
 from training.tasks import arm_env, arm_learner
@@ -71,6 +72,16 @@ def test_a_killed_process_is_gone_on_with_and_its_log_has_each_step_once(tmp_pat
     assert_same(whole, resumed)
 
 
+def test_a_log_of_a_run_that_was_killed_before_its_first_state_begins_anew(tmp_path):
+    table = CSVTable(tmp_path / "progress.csv")
+    table.log_metrics({"reward": 9.0}, step=1)
+    table.log_metrics({"reward": 9.0}, step=2)
+    train(arm_learner(), iterations=2, checkpoints=Checkpoints(tmp_path), logger=table, progress=False)
+    rows = CSVTable(table.path).rows
+    assert [row["step"] for row in rows] == ["1", "2"]
+    assert all(float(row["reward"]) < 0 for row in rows)
+
+
 def test_what_was_being_written_when_the_process_died_is_passed_over(tmp_path):
     learner, checkpoints = arm_learner(), Checkpoints(tmp_path)
     learner.iteration = 4
@@ -86,6 +97,22 @@ def test_only_the_newest_stay(tmp_path):
     for learner.iteration in range(4):
         checkpoints.save(learner)
     assert sorted(path.name[-1] for path in tmp_path.iterdir()) == ["2", "3"]
+
+
+@pytest.mark.parametrize(("iteration_takes", "kept"), [(4.0, [3, 6, 7]), (12.0, [1, 2, 3, 4, 5, 6, 7]), (1.0, [7])])
+def test_slow_iterations_are_saved_by_the_clock(iteration_takes, kept, tmp_path, monkeypatch):
+    """Every ten seconds, whatever the number of iterations, so that a kill loses no more than that and an iteration."""
+    now, learner = [100.0], arm_learner()
+    monkeypatch.setattr("torchrl_athletic.training.ppo.time.perf_counter", lambda: now[0])
+
+    def step(learner):
+        learner.iteration += 1
+        now[0] += iteration_takes
+        return TensorDict({"reward": torch.zeros(())})
+
+    checkpoints = Checkpoints(tmp_path, keep=9)
+    train(learner, iterations=7, checkpoints=checkpoints, checkpoint_seconds=10.0, progress=False, step=step)
+    assert sorted(int(path.name.rpartition("-")[2]) for path in tmp_path.iterdir()) == kept
 
 
 def test_with_another_number_of_environments_new_episodes_start(tmp_path):

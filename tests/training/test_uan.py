@@ -38,7 +38,7 @@ def take(samples=300, seed=0, **changes):
 
 
 def swinging(names=("joint2", "joint1"), rate=200.0, **changes):
-    """Of a Z1, by formulas."""
+    """Take of a Z1, by formulas."""
     time = np.arange(0.0, 1.0, 1 / rate)
     position = np.stack([1.5 + 0.2 * np.sin(6 * time), 0.3 * np.sin(4 * time)], -1)
     target = position + np.array([0.05, -0.1])

@@ -39,7 +39,7 @@ PENDULUM = """
 
 
 def test_the_derivative_of_a_step_is_that_of_a_pendulum():
-    """Of v' = v + h (I + h d)⁻¹ (τ - d v - m g l sin q) and q' = q + h v', by q, v and τ."""
+    """Derivatives of v' = v + h (I + h d)⁻¹ (τ - d v - m g l sin q) and q' = q + h v', by q, v and τ."""
     h, inertia, damping, weight = 0.005, 0.01 + 2 * 0.25, 0.4, 2 * 9.81 * 0.5
     env = DifferentiableTorqueEnv(from_mjcf(PENDULUM), num_envs=1)
     shown = env.reset()
@@ -57,7 +57,7 @@ def test_the_derivative_of_a_step_is_that_of_a_pendulum():
 
 
 def take(seed=0, samples=600):
-    """Of an arm with twice the friction, which is what a net has to learn."""
+    """Take of an arm with twice the friction, which is what a net has to learn."""
     real = replace(robot(), build=lambda: _stiff(robot().spec()))
     return recorded(Simulator("real", real), commands(samples, seed=seed))
 
@@ -220,6 +220,17 @@ def test_it_goes_on_where_it_was():
     for one, other in zip(first.net.parameters(), second.net.parameters(), strict=True):
         torch.testing.assert_close(one, other)
     assert second.iteration == 2
+
+
+def test_it_is_taken_back_to_the_states_that_were_kept_before_it_was_interrupted():
+    first, second = learner_of(uan()), learner_of(uan())
+    for _ in range(3):
+        descend(first)
+    second.load_state_dict(deepcopy(first.state_dict()))
+    for learner in (first, second):
+        learner.step_back()
+    for one, other in zip(first.net.parameters(), second.net.parameters(), strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
 
 
 def test_a_walking_robot_and_no_time_are_refused():

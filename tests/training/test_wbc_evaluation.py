@@ -16,7 +16,7 @@ STEPS = 6
 
 @pytest.fixture
 def examined(tmp_path, monkeypatch):
-    """Of four robots, examined in batches of some size: what became of each."""
+    """What became of each of four robots, examined in batches of some size."""
     starts = Disturbances(None, (), StartRanges(), (0.0, 0.0), (0, 0))
     policy, condition = pretrained("wbc"), Condition(b2z1(cone="pyramidal"), starts)
     told_of = module._told_of

@@ -88,7 +88,7 @@ def arranged(stepper, count):
 
 
 def update(processes, masked, critic_minibatches=1):
-    """Of half of the samples in each of two processes, or of all in one."""
+    """Update with half of the samples in each of two processes, or with all in one."""
     policy, value = networks(torch.float64)
     stepper = SplitOptimizationStepper(
         SplitClipPPOLoss(policy, value, clip_value=0.2),

@@ -2,6 +2,7 @@ from typing import ClassVar
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
 from torchrl_athletic.functional import commands, rotations, streams
@@ -86,6 +87,17 @@ def test_an_episode_starts_from_the_pose_that_the_end_effector_has():
     torch.testing.assert_close(position, shown["end_effector_position"])
     attitude = rotations.matrix(rotations.multiply(heading, start[:, 3:]))
     torch.testing.assert_close(attitude, rotations.matrix(shown["end_effector_quaternion"]), atol=1e-5, rtol=1e-5)
+
+
+def test_on_a_hill_the_hand_starts_where_it_is_over_the_ground():
+    """A robot 5 m higher, on ground that is 5 m higher, is told what it would be told below."""
+    names = {f"{name}_keys": (f"{name}_position", f"{name}_quaternion") for name in ("base", "end_effector")}
+    sampler = CommandSampler(CommandRanges(), DT, **names)
+    level = {key: torch.tensor(value) for key, value in zip(POSES, ([0, 0, 0.6], [1, 0, 0, 0]) * 2, strict=True)}
+    level |= {"end_effector_position": torch.tensor([0.6, 0.1, 0.9]), "base_height": torch.tensor([0.6])}
+    hill = level | {key: level[key] + torch.tensor([0, 0, 5.0]) for key in POSES if key.endswith("position")}
+    starts = [sampler._present(torch.tensor(0), TensorDict(shown, [])) for shown in (level, hill)]
+    torch.testing.assert_close(*starts)
 
 
 def test_rows_and_goals_of_one_row_are_drawn_apart(long):

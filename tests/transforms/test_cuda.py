@@ -19,7 +19,7 @@ DEVICES = ["cpu", pytest.param("cuda", marks=needs_gpu)]
 
 
 def found():
-    """Of a late, slow and weak shoulder whose encoder is off."""
+    """Findings of a late, slow and weak shoulder whose encoder is off."""
     values = {
         "actuation_delay": {"delay": 0.012},
         "actuation_lag": {"time_constant": 0.006},
@@ -52,7 +52,7 @@ def make_env(device):
 
 
 def swing(device):
-    """The same for all devices: a function of the time. Its actions are on the device before a graph is recorded."""
+    """A policy that is a function of the time. Its actions are on the device before a graph is recorded."""
     still = torch.zeros(len(ROBOT.joint_names), device=device)
 
     def policy(tensordict):

@@ -26,7 +26,7 @@ def make_env(n: int = 3, first_row: int = 0, decimation: int = 1, seed: int = 0)
 
 
 def momentum(env: TransformedEnv) -> torch.Tensor:
-    """Of all bodies [kg m/s]. Shape (N, 3)."""
+    """Momentum of all bodies [kg m/s]. Shape (N, 3)."""
     physics, rows = env.base_env.physics, []
     for qpos, qvel in zip(physics.qpos.numpy(), physics.qvel.numpy(), strict=True):
         data = mujoco.MjData(physics.model)
@@ -74,6 +74,22 @@ def test_pushes_hit_one_body_at_a_time_with_their_size_and_last_as_long_as_they_
     runs = [len(run) for row in on for run in "".join("1" if x else " " for x in row[:140]).split()[:-1]]
     assert (min(runs), max(runs)) == (10, 20)
     assert push[..., :3][acting].mean(0).abs().max() < 0.4
+
+
+def test_how_hard_a_push_is_has_nothing_to_do_with_where_it_hits():
+    pushes = [Push(("left", "right"), force=(0.0, 10.0), torque=(0.0, 1.0))]
+    push = ExternalPush(pushes, dt=0.005)._wrench(torch.rand(4000, 8, generator=torch.Generator().manual_seed(0)))
+    force, torque = push[..., :3].norm(dim=-1), push[..., 3:].norm(dim=-1)
+    left, right = (force[:, body][force[:, body] > 0].mean() for body in range(2))
+    assert left == pytest.approx(right.item(), rel=0.1)
+    assert torch.corrcoef(torch.stack((force.sum(-1), torque.sum(-1))))[0, 1].abs() < 0.1
+
+
+def test_an_episode_may_start_just_before_a_push():
+    """It starts anywhere within a rest, so that a policy cannot count on a quiet beginning."""
+    left = make_env(400).reset()["push_steps_left"]
+    assert (left.min(), left.max()) == (1, 20)
+    assert left.float().mean() == pytest.approx(10, abs=1)
 
 
 def test_a_reset_ends_the_push_of_its_rows_only():

@@ -46,6 +46,13 @@ def test_starts_fill_their_ranges_and_keep_to_the_joints_limits():
     assert world.abs().amax(0).tolist() == pytest.approx([0.5, 0.0, 0.0], abs=0.01)
 
 
+def test_where_a_robot_looks_does_not_change_how_it_leans():
+    """It is tilted first and then turned about the world's vertical, so that a slope would be the same to it."""
+    leaning = [make_env(20, StartRanges(base_turn=(0.3, 0.3, yaw))).reset() for yaw in (0.0, 3.0)]
+    torch.testing.assert_close(*(td["projected_gravity"] for td in leaning))
+    assert (rotations.yaw(leaning[1]["base_quaternion"]).abs() > 0.5).any()
+
+
 def test_without_ranges_it_is_the_keyframe():
     none = StartRanges(0.0, 0.0, (0, 0, 0), (0, 0, 0), (0, 0, 0), (0, 0, 0))
     start, plain = make_env(2, none).reset(), TorqueEnv(ROBOT, num_envs=2).reset()

@@ -1,6 +1,7 @@
 """The most that joints gave at once, within an action too."""
 
 import torch
+from tensordict import TensorDict
 from torchrl.envs import Compose, TransformedEnv
 
 from torchrl_athletic.envs import TorqueEnv
@@ -24,6 +25,14 @@ def test_it_is_the_greatest_sum_since_the_episode_s_start():
         peak = torch.maximum(peak, steps["joint_power"][:, time, [0, 2]].sum(-1, keepdim=True))
         torch.testing.assert_close(steps["peak_power"][:, time], peak)
         peak = torch.where(steps["done"][:, time], 0.0, peak)
+
+
+def test_what_a_joint_gives_back_feeds_another_and_a_brake_is_no_power():
+    peak = PeakPower([0, 1])
+    before = TensorDict(peak_power=torch.zeros(2, 1), batch_size=[2])
+    after = TensorDict(joint_power=torch.tensor([[5.0, -3.0], [-5.0, 3.0]]), batch_size=[2])
+    peak.advance(before, after)
+    assert after["peak_power"].tolist() == [[2.0], [0.0]]
 
 
 def test_it_reads_every_step_of_the_physics_and_not_the_mean_of_an_action():

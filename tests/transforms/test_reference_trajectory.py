@@ -46,7 +46,7 @@ class TestContractOfResetState(TransformContract):
 
 
 PHASES = PhaseSchedule((Phase("a", 0.06, 0.6), Phase("b", 0.04, start_probability=0.3), Phase("c")))
-"""Of a few steps each."""
+"""Phases of a few steps each."""
 
 
 class TestContractByPhase(TransformContract):

@@ -10,7 +10,7 @@ from torchrl_athletic.transforms import StaggeredEpisodes
 
 
 def make_env(num_envs=200, max_steps=50, **told):
-    """Of a toy that lasts longer than the counter lets it."""
+    """A toy that lasts longer than the counter lets it."""
     counted = Compose(StepCounter(max_steps), StaggeredEpisodes(max_steps, **told))
     return TransformedEnv(ToyEnv(num_envs=num_envs, shortest=1000), counted)
 

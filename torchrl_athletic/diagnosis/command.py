@@ -51,7 +51,7 @@ class Config:
     drive: Literal["command", "measured"] = "command"
     """Torque that drives the simulation: what was commanded, or what was measured."""
     base: Base = "recorded"
-    """Of a floating robot in the air: its recorded pose, or held where the model has it."""
+    """Base of a floating robot in the air: its recorded pose, or held where the model has it."""
     dataset: Literal["emps", "two_link_arm", "pendulum", "xl330", "unbalanced_disk"] | None = None
     """Diagnose a public recording of a real robot instead."""
     demo: int = 0
@@ -59,10 +59,10 @@ class Config:
     time_budget: float | None = None
     """Time after which no further combination of effects is fitted [s]."""
     seed: int = 0
-    """Of the bootstrap and of the choice of windows."""
+    """Seed of the bootstrap and of the choice of windows."""
     highest_frequency: float | None = None
-    """Of the experiment that is planned for rivals [Hz]; lower than the logs allow where something on the robot is
-    loose."""
+    """Highest frequency of the planned experiment for rivals [Hz]. Give less than the logs allow where something
+    on the robot is loose."""
     uan: bool = False
     """Hand what no named physics explains to an Unsupervised Actuator Net: two more minutes, and uan.pt."""
 

@@ -32,7 +32,7 @@ def remember(settings: DataclassInstance, output: Path) -> None:
 
 
 def _digest(output: Path) -> str | None:
-    """Of what the diagnosis in a folder was made of, as it says itself."""
+    """Digest of a diagnosis' inputs, as the diagnosis in a folder states it."""
     path = output / "diagnosis.json"
     return json.loads(path.read_text(encoding="utf-8")).get("inputs") if path.is_file() else None
 

@@ -19,7 +19,7 @@ _NO_CONSTRAINTS = int(
 _BEARING = 1e-6
 """Mass of the body that bears a motor's hinge, of which only the armature counts, per the link's [1]."""
 _IMPEDANCES = (1e-4, 1 - 1e-4)
-"""At which MuJoCo clips ``solimp``."""
+"""Bounds at which MuJoCo clips ``solimp``."""
 _OF_THE_LINK = (
     mujoco.mjtSensor.mjSENS_JOINTLIMITPOS,
     mujoco.mjtSensor.mjSENS_JOINTLIMITVEL,
@@ -206,5 +206,5 @@ def _moved(
 
 
 def _number(value: Array) -> float:
-    """Of the one row."""
+    """The only number of an array of one row."""
     return float(np.ravel(value)[0])

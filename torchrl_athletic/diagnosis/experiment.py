@@ -27,7 +27,7 @@ from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.result import Finding
 from torchrl_athletic.diagnosis.screen import Key, row_noise
 from torchrl_athletic.diagnosis.search import Judge, Scored
-from torchrl_athletic.diagnosis.separation import ENOUGH, Products, Rivals, thinned
+from torchrl_athletic.diagnosis.separation import ENOUGH, PairProducts, Rivals, thinned
 from torchrl_athletic.effects.base import carried
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.effects.payload import with_payload
@@ -93,9 +93,9 @@ class Experiment:
     Of the pairs that can be separated at all.
     """
     repeated: float
-    """The same if the old excitation were repeated for as long as the experiment lasts."""
+    """Separation of the closest pair if the old excitation were repeated for as long as the experiment lasts."""
     after: float
-    """The same with the experiment."""
+    """Separation of the closest pair with the experiment."""
     pairs: Mapping[tuple[Key, Key], tuple[float, float]]
     """Separation of each pair before and after."""
     inseparable: tuple[tuple[Key, Key], ...]
@@ -103,7 +103,7 @@ class Experiment:
     spread: float
     """Largest difference between the positions that the rivals predict for it [rad, m]."""
     unit: str
-    """Of the amplitude: 'rad' or 'm'."""
+    """Unit of the amplitude: 'rad' or 'm'."""
     joint_names: tuple[str, ...]
     time: Array
     """Uniform stamps [s]. Shape (T,)."""
@@ -342,16 +342,16 @@ class _Plan:
     torque: Array
     """Shape (T, J)."""
     share: tuple[float, float]
-    """Of the speed and torque limits that it uses."""
+    """Shares of the speed limit and of the torque limit that it uses, 0..1."""
     repeats: int = 1
     signals: tuple[Signals, ...] = ()
-    products: Products = field(default_factory=lambda: Products({}, *np.zeros((4, 0))))
+    products: PairProducts = field(default_factory=lambda: PairProducts({}, *np.zeros((4, 0))))
     separations: Array = field(default_factory=lambda: np.zeros(0))
-    """Of the pairs, with the recordings at hand. Shape (pairs,)."""
+    """Separation of each pair, with the recordings at hand. Shape (pairs,)."""
 
     @property
     def effort(self) -> float:
-        """Of speed, torque, time and band, 0..1."""
+        """Mean share of the speed, torque, time and band that it uses, 0..1."""
         band = max(m.highest for m in self.motions) * QUICKEST / HALF_POWER
         return float(np.mean([*self.share, min(self.recording.duration / 30, 1.0), band]))
 
@@ -372,9 +372,9 @@ class _Sensors:
     position: Array
     """Standard deviation of one reading [rad, m]. Shape (J,)."""
     velocity: Array | None
-    """The same [rad/s, m/s]; None if it is not read."""
+    """Standard deviation of one reading [rad/s, m/s]; None if velocity is not read. Shape (J,)."""
     correlation: Array
-    """Of the position's noise from one sample to the next. Shape (J,)."""
+    """Correlation of the position's noise from one sample to the next [1]. Shape (J,)."""
     louder: Array
     """Noise of the recordings' missing torque over what these numbers make of it. Shape (J,)."""
 
@@ -399,13 +399,15 @@ class _Sensors:
         return cls(position, velocity, correlation, louder)
 
 
-def _measured(rivals: Rivals, known: Products, plan: _Plan, sensors: _Sensors) -> _Plan:
+def _measured(rivals: Rivals, known: PairProducts, plan: _Plan, sensors: _Sensors) -> _Plan:
     """The plan with what its log would separate."""
     s = thinned(_seen(rivals, plan, sensors))
     return _judged(rivals, known, plan, [s], rivals.products([s], row_noise([*rivals.takes, s])[-1:]))
 
 
-def _judged(rivals: Rivals, known: Products, plan: _Plan, signals: Sequence[Signals], products: Products) -> _Plan:
+def _judged(
+    rivals: Rivals, known: PairProducts, plan: _Plan, signals: Sequence[Signals], products: PairProducts
+) -> _Plan:
     """The plan with what it would separate."""
     noise, at_hand = row_noise([*rivals.takes, *signals]), len(rivals.takes)
     of_groups = np.concatenate([np.sqrt(np.mean(noise[:at_hand] ** 2, axis=0)), *noise[at_hand:]])
@@ -414,7 +416,7 @@ def _judged(rivals: Rivals, known: Products, plan: _Plan, signals: Sequence[Sign
 
 
 def _worth(rivals: Rivals, plan: _Plan, hopeful: NDArray[np.bool_]) -> float:
-    """Between the closest pair's separation and the mean, where pairs weigh by how probable both are.
+    """Halfway between the closest pair's separation and the mean, where pairs weigh by how probable both are.
 
     Without pairs that nothing separates; less for a plan that takes more effort.
     """
@@ -424,7 +426,7 @@ def _worth(rivals: Rivals, plan: _Plan, hopeful: NDArray[np.bool_]) -> float:
     return float(some.min() + weight @ some / max(weight.sum(), 1e-300)) / 2 * (1 - GENTLE * plan.effort)
 
 
-def _repeated(rivals: Rivals, known: Products, plan: _Plan, hopeful: NDArray[np.bool_]) -> _Plan:
+def _repeated(rivals: Rivals, known: PairProducts, plan: _Plan, hopeful: NDArray[np.bool_]) -> _Plan:
     """The plan as often as tells the pairs apart best: once, twice, four times and so on, or all that a minute holds.
 
     No more often than leaves something to spare, and not always the longest: the longer it is, the more of the older
@@ -540,7 +542,7 @@ def _planned(
 
 
 def _path(motion: Motion, start: Array, limits: Limits) -> Array:
-    """From the start there and back, corners rounded. Shape (T, J)."""
+    """Path from the start there and back, corners rounded. Shape (T, J)."""
     path = motion.pose + motion.wave
     if motion.rounding:
         rest = np.repeat(motion.pose[None], round(4 * motion.rounding * RATE), axis=0)
@@ -576,7 +578,7 @@ def _gains(takes: Sequence[Signals], model: mujoco.MjModel) -> tuple[Array, Arra
 
 
 def _smaller(
-    rivals: Rivals, known: Products, plan: _Plan, share: float, limits: Limits, sensors: _Sensors
+    rivals: Rivals, known: PairProducts, plan: _Plan, share: float, limits: Limits, sensors: _Sensors
 ) -> _Plan | None:
     """The plan with a share of its amplitudes; None if nothing so small can be done."""
     loop = _gains(rivals.takes, plan.model)

@@ -31,7 +31,7 @@ TELLING = 4
 MOST_LOOKED_AT = 1000
 """Windows among which those are looked for in which a term acts, as many as 500 s have."""
 AT_ONCE = 200
-"""Of these, simulated at a time: bounds the memory."""
+"""Windows that are simulated at a time; bounds the memory."""
 SHOOTING = (0.2, WINDOW)
 """Window lengths of the successive fits [s]: short ones are nearly linear and forgive a poor start."""
 
@@ -46,7 +46,7 @@ class Hypothesis:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Of the terms, then of the trims, in the order of the value vector. Length P."""
+        """Parameters of the terms, then of the trims, in the order of the value vector. Length P."""
         return tuple(p for c in (*self.terms, *self.trims) for p in c.parameters)
 
     @property
@@ -250,7 +250,7 @@ def _in_blocks(windows: Sequence[Windows]) -> Iterator[Windows]:
 
 
 def without(fitted: Fitted, dropped: Sequence[Candidate]) -> Fitted:
-    """The same fit with some terms or trims left out."""
+    """Leave some terms or trims out of a fit; the values of the others stay."""
     terms, trims = (
         tuple(c for c in part if c not in dropped) for part in (fitted.hypothesis.terms, fitted.hypothesis.trims)
     )
@@ -258,7 +258,7 @@ def without(fitted: Fitted, dropped: Sequence[Candidate]) -> Fitted:
 
 
 def as_trims(fitted: Fitted, moved: Sequence[Candidate]) -> Fitted:
-    """The same fit in which some terms count as trims: their values stay, and they are no findings."""
+    """Count some terms of a fit as trims: their values stay, and they are no findings."""
     h = fitted.hypothesis
     return _regrouped(fitted, Hypothesis(tuple(t for t in h.terms if t not in moved), (*moved, *h.trims)))
 
@@ -329,7 +329,7 @@ def _is_long(w: Windows) -> bool:
 
 
 def _weights(w: Windows, predicted: Array, typical: Array) -> Array:
-    """Of each window's residuals: over the typical error, less where the model cannot follow. Shape (W, J).
+    """Weight of each window's residuals: over the typical error, less where the model cannot follow. Shape (W, J).
 
     A take that is followed end to end drifts by more than a window does; it counts as its length in windows, against
     its own error.

@@ -14,7 +14,7 @@ Values = Mapping[str, Estimate]
 def with_alternatives(
     findings: Sequence[Finding], joints: Sequence[str], catalogue: Sequence[Effect], damped: Collection[str] = ()
 ) -> tuple[Finding, ...]:
-    """The same findings, each with the names that no recording can tell from its own, and so their rivals.
+    """Add to each finding the rivals that no recording can tell from it.
 
     What an effect declares in ``identical_to`` holds where its values make it so: friction by direction is dry friction
     with an offset only as long as its viscous part is the same both ways, only a clock that is late is a delay, gains

@@ -17,7 +17,7 @@ from torchrl_athletic.recordings import ExcitationError, Safety, chirp, multisin
 Array = NDArray[np.float64]
 
 RATE = 200.0
-"""Of the command [Hz]."""
+"""Rate of the command [Hz]."""
 MARGIN = 0.9
 """Share of a limit that a motion may use."""
 MOST_MOTIONS = 60
@@ -79,9 +79,9 @@ class Motion:
     kind: str
     """'sine', 'sweep' (constant speeds both ways), 'steps', 'chirp', 'mix' (of sines) or 'multisine'."""
     amplitude: float
-    """To both sides of the pose [rad, m]."""
+    """Amplitude to both sides of the pose [rad, m]."""
     frequency: float
-    """Of its repetition, or the highest of a band [Hz]."""
+    """Frequency of its repetition, or the highest of a band [Hz]."""
     pose: Array
     """About which it moves [rad, m]. Shape (J,)."""
     wave: Array
@@ -95,7 +95,7 @@ class Motion:
         return max(self.frequency, HALF_POWER / self.rounding if self.rounding else 0.0)
 
     def smaller(self, share: float) -> Motion:
-        """The same with a share of the amplitude."""
+        """A copy with a share of the amplitude."""
         return replace(self, amplitude=share * self.amplitude, wave=share * self.wave)
 
     def words(self, unit: str) -> str:
@@ -195,7 +195,7 @@ def _mixes(
 
 
 def _fade(samples: int) -> Array:
-    """From zero to one and back to zero within half a second of both ends. Shape (samples,)."""
+    """Weight that goes from zero to one and back to zero within half a second of both ends. Shape (samples,)."""
     time = np.arange(samples) / RATE
     return np.asarray(np.sin(np.pi / 2 * np.clip(np.minimum(time, time[::-1]) / 0.5, 0.0, 1.0)) ** 2)
 
@@ -252,7 +252,7 @@ def _of_all(names: tuple[str, ...], middle: Array, half: Array, limits: Limits, 
 
 
 def way(start: Array, end: Array, limits: Limits) -> Array:
-    """From rest to rest, a fifth of a second of waiting at both ends, at half the fastest speed. Shape (T, J)."""
+    """Path from rest to rest, a fifth of a second still at both ends, at half the fastest speed. Shape (T, J)."""
     seconds = max(0.5, float((1.875 * np.abs(end - start) / (0.5 * limits.velocity)).max()))
     x = np.linspace(0, 1, round(seconds * RATE))[:, None]
     way = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)

@@ -85,7 +85,7 @@ class Take:
 
     @property
     def period(self) -> float:
-        """Between samples [s]."""
+        """Time between samples [s]."""
         return self.substeps * float(self.model.opt.timestep)
 
     @property
@@ -118,14 +118,14 @@ class Take:
         return LinkMotion(self.model, self.address, self.period, self.position, self.velocity, base=self.base)
 
     def misread(self, rng: np.random.Generator) -> Take:
-        """The same with the noise of its velocity on the base of a floating robot."""
+        """A copy in which the base of a floating robot has the noise of its velocity."""
         if self.base is None:
             return self
         velocity = self.base.velocity + self.base_noise * rng.standard_normal(self.base.velocity.shape)
         return replace(self, base=replace(self.base, velocity=velocity))
 
     def halved(self) -> Take:
-        """The same at half the physics step."""
+        """A copy at half the physics step."""
         model = self.model.__copy__()
         model.opt.timestep /= 2
         pieces = tuple(piece.halved() for piece in self.pieces)

@@ -51,7 +51,7 @@ class Finding:
     joint: str | None
     """Joint name; None for an effect of the whole robot."""
     probability: float
-    """That the statement is true."""
+    """Probability that the statement is true."""
     sentence: str
     """The statement in words, with numbers and units."""
     parameters: Mapping[str, Estimate]
@@ -110,7 +110,7 @@ class RegimeMap:
     before_band: NDArray[np.float64]
     """Block-bootstrap 95 % band of ``before``. Shape (B, 2)."""
     after: NDArray[np.float64]
-    """The same after the correction. Shape (B,)."""
+    """Mean missing torque that the correction leaves in the bin. Shape (B,)."""
     after_band: NDArray[np.float64]
     """Shape (B, 2)."""
     noise: float

@@ -33,7 +33,7 @@ LIKELY = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class Products:
+class PairProducts:
     """Inner products of what the rivals predict, one group of rows a joint and set of takes. G groups."""
 
     of: dict[tuple[int, int], Array]
@@ -47,13 +47,13 @@ class Products:
     noise: Array
     """Standard deviation of the missing torque that noise explains [N·m]. Shape (G,)."""
 
-    def __add__(self, other: Products) -> Products:
+    def __add__(self, other: PairProducts) -> PairProducts:
         of = {pair: np.concatenate([own, other.of[pair]]) for pair, own in self.of.items()}
         groups = ((getattr(self, name), getattr(other, name)) for name in ("count", "bent", "left", "noise"))
-        return Products(of, *(np.concatenate(both) for both in groups))
+        return PairProducts(of, *(np.concatenate(both) for both in groups))
 
-    def times(self, factor: float) -> Products:
-        """Of takes that are longer by a factor."""
+    def times(self, factor: float) -> PairProducts:
+        """Products of takes that are longer by a factor."""
         longer = {pair: factor * own for pair, own in self.of.items()}
         return replace(self, of=longer, count=factor * self.count)
 
@@ -69,7 +69,7 @@ class Rivals:
         self.weight = np.array([p[a] * p[b] for a, b in self.pairs]) / sum(p[a] * p[b] for a, b in self.pairs)
         total, independent = judge.total, judge.independent.sum(1)
         self.sigma = bank.noise
-        """Of each take [N·m]. Shape (takes, J)."""
+        """Noise of each take [N·m]. Shape (takes, J)."""
         left = (total * judge.mean_square(best.fit)).sum(1) / total.sum(1)
         sensed = _rms(np.stack([s.noise for s in bank.takes])) ** 2
         self.unnamed = np.maximum(left * _rms(self.sigma) ** 2 - sensed, 0.0)
@@ -82,8 +82,8 @@ class Rivals:
         self.known = [Coefficients(s, bank.takes[0]) for s in rivals]
         self.draws: list[Array] | None = None
 
-    def products(self, takes: Sequence[Signals], noise: Array | None = None) -> Products:
-        """Of some takes, as one set.
+    def products(self, takes: Sequence[Signals], noise: Array | None = None) -> PairProducts:
+        """Products of some takes, as one set.
 
         ``noise``: of the missing torque of each take [N·m], shape (takes, J); that of the recordings at hand if None.
         """
@@ -105,10 +105,10 @@ class Rivals:
         pairs = [*permutations(many, 2), *((a, a) for a in many)]
         of = {(a, b): whole[a].transpose(0, 2, 1) @ whole[b] for a, b in pairs}
         usable = np.maximum(count, 1e-9)
-        return Products(of, count, bent / usable, left / usable, _rms(noise))
+        return PairProducts(of, count, bent / usable, left / usable, _rms(noise))
 
-    def separations(self, products: Products, noise: Array | None = None) -> Array:
-        """Of each pair: root of the evidence for the truth against the rival's best answer to it. Shape (pairs,).
+    def separations(self, products: PairProducts, noise: Array | None = None) -> Array:
+        """Separation of each pair: root of the evidence for the truth against the rival's best answer. Shape (pairs,).
 
         The mean of both directions, as either may be true, since they may be far from equal: a lag that was fitted
         larger than the delay says more. Of rivals that differ in their count of parameters the larger, as one that
@@ -134,7 +134,7 @@ class Rivals:
             out.append(float(np.mean(ways) if alike else max(ways)))
         return np.array(out)
 
-    def _evidence(self, products: Products, truth: Array, a: int, b: int, quiet: Array) -> float:
+    def _evidence(self, products: PairProducts, truth: Array, a: int, b: int, quiet: Array) -> float:
         """For rival a with coefficients ``truth`` against rival b fitted to what that predicts, as a search weighs.
 
         ``quiet``: variance of the products' noise in that of the search's. Shape (G,).
@@ -163,7 +163,7 @@ class Coefficients:
         fit, at, rows = scored.fit, 0, []
         self.parts: list[tuple[Atom, Array, list[tuple[str, float]]]] = []
         self.free: list[list[Parameter]] = []
-        """Of each atom: the parameters that its first coefficients stand for."""
+        """Parameters that the first coefficients of each atom stand for."""
         for k, atom in enumerate(fit.atoms):
             given = fit.coefficients[at : at + len(atom.linear)]
             at += len(atom.linear)
@@ -180,7 +180,7 @@ class Coefficients:
         """Precision about the fitted values of what nobody has recorded."""
 
     def columns(self, s: Signals, cache: Cache) -> Array:
-        """Of all coefficients [N·m]. Shape (N, J, K)."""
+        """Columns of all coefficients [N·m]. Shape (N, J, K)."""
         out = []
         for atom, own, steps in self.parts:
             here = _fingerprint(s, atom, atom.fixed, cache)

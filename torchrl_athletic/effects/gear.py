@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 WARM_UP = (4.0, 1.5)
 """After which a deflection has forgotten where it started from, without play and with [s]."""
 ONSET = 0.02
-"""Over which the torque that it starts from is averaged [s]."""
+"""Time over which the torque that it starts from is averaged [s]."""
 OBSERVER = 100.0
 """How fast the motor of an observer returns to the measured position [1/s]."""
 CONTACT_STEP = 0.001

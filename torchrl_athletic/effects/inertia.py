@@ -15,7 +15,7 @@ from torchrl_athletic.effects.signals import JointAddress, Signals, inertia_matr
 _WORTH = 0.05
 """Share of the joint's inertia: a change worth mentioning."""
 _STEP = 1.05
-"""Between distances of a centre of mass at which a fingerprint is taken."""
+"""Ratio between distances of a centre of mass at which a fingerprint is taken."""
 
 
 LEAST_ROTOR = 1e-4
@@ -208,7 +208,7 @@ def free_of_simple_bodies(model: mujoco.MjModel) -> None:
 
 
 def _lever(model: mujoco.MjModel, address: JointAddress, joint: int) -> Array:
-    """From the joint to the centre of mass, in the body's frame [m]. Shape (3,)."""
+    """Way from the joint to the centre of mass, in the body's frame [m]. Shape (3,)."""
     return np.asarray(model.body_ipos[address.body[joint]] - model.jnt_pos[address.joint[joint]], dtype=np.float64)
 
 

@@ -148,7 +148,7 @@ class Plant:
     lag: Array = field(init=False)
     """Time constant of the torque loop [s]."""
     torque_limit: Array = field(init=False)
-    """Of the motor, either way, before its laws [N·m]."""
+    """Most torque of the motor in either direction, before its laws apply [N·m]."""
     torque_scale: Array = field(init=False)
     """Torque at the joint per commanded torque [1]."""
     torque_offset: Array = field(init=False)
@@ -162,9 +162,9 @@ class Plant:
     encoder_offset: Array = field(init=False)
     """Reading at the true zero [rad]."""
     clock_offset: Array = field(init=False)
-    """By which the stamps of positions are late against those of commands [s], either sign. Shape (rows,)."""
+    """How late the stamps of positions are against those of commands [s], either sign. Shape (rows,)."""
     base_offset: Array = field(init=False)
-    """By which the stamps of a floating base are late against those of the joints [s], either sign. Shape (rows,)."""
+    """How late the stamps of a floating base are against those of the joints [s], either sign. Shape (rows,)."""
 
     def __post_init__(self) -> None:
         shape = (self.rows, len(self.address.dof))

@@ -72,7 +72,8 @@ class JointAddress:
         unknown = [name for name in names if name not in known]
         if unknown:
             raise RecordingError(
-                f"{source}: joint_names has {unknown[0]!r}, the model has {sorted(known)}. Rename it with a column map."
+                f"{source}: joint_names has {unknown[0]!r}, the model has {sorted(known)}. Rename it with a "
+                "column map, whose joint_names are the model's and file_joint_names the file's."
             )
         silent = sorted(set(known) - set(names))
         if silent:

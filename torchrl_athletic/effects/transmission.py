@@ -198,7 +198,7 @@ class Backlash(_Transmission):
 
 
 def _stiffness(inertia: float, frequency: float) -> float:
-    """At which the link rings at a frequency [Hz] on a held motor."""
+    """Stiffness at which the link rings at a frequency [Hz] on a held motor."""
     return inertia * (2 * np.pi * frequency) ** 2
 
 

@@ -26,7 +26,7 @@ TASKS: Mapping[str, Callable[..., TransformedEnv]] = {
     "DumbbellSnatch": dumbbell_snatch_env,
     "SledPull": sled_pull_env,
 }
-"""By the names of :data:`~.registration.TASKS`."""
+"""Makers of the tasks, by the names of :data:`~.registration.TASKS`."""
 
 Array = NDArray[np.float32]
 

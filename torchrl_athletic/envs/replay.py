@@ -284,7 +284,7 @@ class ReplayTakes(RandomTransform):
         return _Past(error, torque, wound, {key: seen.get(key).clone() for key in memory})
 
     def _wound_further(self, wound: Tensor, velocity: Tensor) -> Tensor:
-        """By a step at a velocity. Shapes (*B, J, M), (*B, J)."""
+        """Wind up by a step at a velocity. Shapes (*B, J, M), (*B, J)."""
         return actuator_dynamics.wind_up(wound, self.dt * velocity.unsqueeze(-1), self.ways)
 
     def _known(self, env: Any) -> tuple[_Start, _Past]:

@@ -92,7 +92,7 @@ class Disturbances:
     randomization: RandomizationRanges | None = RandomizationRanges()  # noqa: RUF009  frozen
     """Ranges for links, ground and the legs' drives."""
     pushes: tuple[Push, ...] = B2Z1_PUSHES
-    """At base, hips, feet and end effector."""
+    """Pushes at base, hips, feet and end effector."""
     starts: StartRanges | None = StartRanges(base_position=(12.0, 12.0, 0.0))  # noqa: RUF009  frozen
     """Around the default pose, spread over the terrain's tiles."""
     encoder_offset: tuple[float, float] = (-0.05, 0.05)
@@ -252,7 +252,7 @@ def _starting(chance: Disturbances, rows: Mapping[str, Any]) -> list[Transform]:
 def _scaling(
     robot: Robot, offset: Sequence[float] | None, scale: Mapping[str, float] | Sequence[float] | float | None
 ) -> ActionScaling:
-    """From actions to position targets [rad]."""
+    """Transforms from actions to position targets [rad]."""
     count = len(robot.joint_names)
     scale = ACTION_SCALE if scale is None else scale
     if isinstance(scale, Mapping):

@@ -32,11 +32,11 @@ class CommandRanges:
     forward: Range = (-1.0, 1.0)
     """Velocity along the base's heading [m/s]."""
     lateral: Range = (-0.5, 0.5)
-    """To the left [m/s]."""
+    """Velocity to the left [m/s]."""
     yaw_rate: Range = (-1.0, 1.0)
     """Counter-clockwise [rad/s]."""
     standstill_probability: float = 0.1
-    """That a goal's velocity is 0 instead."""
+    """Probability that a goal's velocity is 0 instead."""
     distance: Range = (0.5, 0.9)
     """Distance of the hand from the shoulder [m]."""
     elevation: Range = (math.radians(-48), math.radians(135))
@@ -46,9 +46,9 @@ class CommandRanges:
     roll: Range = (-math.pi / 4, math.pi / 4)
     """Roll of the end effector about its own x axis [rad]; last of the three turns in its own axes."""
     pitch: Range = (-math.pi / 9, math.pi / 4)
-    """Nose down, from the line of sight [rad]."""
+    """Pitch from the line of sight, nose down [rad]."""
     yaw: Range = (-math.pi / 6, math.pi / 6)
-    """From the line of sight, about the axis that a forearm along it would have upwards [rad]."""
+    """Yaw from the line of sight, about the axis that a forearm along it would have upwards [rad]."""
     shoulder: Place = (0.15, 0.0, 0.25)
     """Where it is in the commands' frame [m]: that of the Z1 on a B2."""
     frame_height: float = 0.5

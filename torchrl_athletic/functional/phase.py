@@ -20,9 +20,9 @@ class Phase:
     duration: float = math.inf
     """When it hands over to the next phase, since its own beginning [s]."""
     leave_probability: float = 1.0
-    """That it does. It is decided once: a phase that does not hand over stays for the rest of the episode."""
+    """Probability that it hands over, decided once: a phase that does not stays for the rest of the episode."""
     start_probability: float = 0.0
-    """That an episode starts in it. What the phases leave is the first one's."""
+    """Probability that an episode starts in it. What the phases leave is the first one's."""
     timer: float | None = None
     """Time in which its timer goes from 0 to 1 [s], where it stays; None has none."""
 

@@ -8,7 +8,7 @@ from torchrl_athletic.identification.actuator_net import ActuatorNetTraining, id
 from torchrl_athletic.identification.cem import CEM, identify_cem
 from torchrl_athletic.identification.comparison import Result, compare, every_seed, figure, name_of_uan, table
 from torchrl_athletic.identification.diagnosed import identify_diagnosed
-from torchrl_athletic.identification.open_loop import OpenLoopScore, Rollout, open_loop, score
+from torchrl_athletic.identification.open_loop import OpenLoopScore, Replay, open_loop, score
 from torchrl_athletic.identification.randomization import ARM_RANGES, randomized
 from torchrl_athletic.identification.simulator import Simulator, inertia_of, load_net, on_a_fit, read_correction
 from torchrl_athletic.identification.takes import digest_of, on_all_joints, on_grid
@@ -18,8 +18,8 @@ __all__ = [
     "CEM",
     "ActuatorNetTraining",
     "OpenLoopScore",
+    "Replay",
     "Result",
-    "Rollout",
     "Simulator",
     "compare",
     "digest_of",

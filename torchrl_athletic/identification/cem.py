@@ -16,7 +16,7 @@ from torchrl_athletic.identification.open_loop import (
     MOST,
     gains_of,
     identified_joints,
-    replay_env,
+    open_loop_env,
     simulate,
     windows_of,
 )
@@ -60,7 +60,7 @@ class CEM:
     generations: int = 120
     population: int = 16
     windows: int = 32
-    """Of the recordings, drawn once."""
+    """Number of windows of the recordings, drawn once."""
     window: float = 1.0
     """Length of each [s]."""
     spread: float = 0.7
@@ -207,7 +207,7 @@ class WindowError:
         self.measured = np.concatenate([t.position[i] for t, i in zip(self.takes, self.index, strict=True)])
         self.population = settings.population
         fields = tuple(dict.fromkeys(f.field for f in self.free))
-        self.env = replay_env(simulator, takes[0], self.population * len(self.measured), fields)
+        self.env = open_loop_env(simulator, takes[0], self.population * len(self.measured), fields)
         self.dof = [int(robot.model().joint(f.joint).dofadr[0]) for f in self.free]
 
     def __call__(self, values: Array) -> Array:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from torchrl_athletic.identification.open_loop import Rollout, open_loop, score
+from torchrl_athletic.identification.open_loop import Replay, open_loop, score
 from torchrl_athletic.identification.simulator import Simulator
 from torchrl_athletic.recordings import Recording
 
@@ -65,7 +65,7 @@ COLOURS = {
 
 @dataclass(frozen=True)
 class Result:
-    """Of one simulator on one group of recordings, restarted in one way."""
+    """Score of one simulator on one group of recordings, restarted in one way."""
 
     method: str
     seed: int
@@ -167,7 +167,7 @@ def name_of_uan(method: str, credit: str = "joint", knows: str = "errors", memor
 
 def figure(
     results: Sequence[Result],
-    examples: Mapping[str, Mapping[str, Rollout]],
+    examples: Mapping[str, Mapping[str, Replay]],
     path: str | Path,
     *,
     window: str = "whole",
@@ -233,7 +233,7 @@ def _bars(axes: Any, results: Sequence[Result], methods: Sequence[str], column: 
     axes.grid(axis="y", which="major", linewidth=0.3)
 
 
-def _traces(axes: Any, title: str, rollouts: Mapping[str, Rollout], joint: str | None, seconds: float) -> None:
+def _traces(axes: Any, title: str, rollouts: Mapping[str, Replay], joint: str | None, seconds: float) -> None:
     some = next(iter(rollouts.values()))
     j = some.joints.index(joint) if joint else int(np.ptp(some.measured, axis=(0, 1)).argmax())
     measured = some.measured[..., j].ravel()

@@ -26,7 +26,7 @@ KNOWN = frozenset({"speed_torque_limit", "torque_saturation", "gain_mismatch"})
 
 
 def actable_effects() -> tuple[Effect, ...]:
-    """Those of the catalogue with which policies can be trained, on any robot that has the diagnosed joints."""
+    """Effects of the catalogue with which policies can be trained, on any robot that has the diagnosed joints."""
     left_out = NOT_ACTED_OUT.keys() | NOT_IN_A_ROBOT | OF_THE_RECORDING | KNOWN
     return tuple(effect for effect in CATALOGUE if effect.name not in left_out)
 

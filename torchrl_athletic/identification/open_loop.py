@@ -31,11 +31,11 @@ WARM_UP = 40
 
 
 @dataclass(frozen=True, eq=False)
-class Rollout:
+class Replay:
     """A recording, and what a simulator made of its commands. W windows of L steps, J joints."""
 
     recording: Recording
-    """On the grid of the physics."""
+    """The recording, on the grid of the physics."""
     index: NDArray[np.intp]
     """Samples of the recording that are predicted; a window's start is the sample before. Shape (W, L)."""
     position: Array
@@ -64,17 +64,17 @@ class Rollout:
 
 @dataclass(frozen=True)
 class OpenLoopScore:
-    """Of one or several rollouts."""
+    """Error of one or several rollouts."""
 
     mse: float
     """Mean squared error of the position over joints and samples [rad²]."""
     per_joint: dict[str, float]
-    """The same by joint."""
+    """Mean squared error of each joint by its name [rad²]."""
     diverged: float
     """Share of windows that diverged."""
 
 
-def open_loop(simulator: Simulator, recordings: Sequence[Recording], window: float | None = None) -> list[Rollout]:
+def open_loop(simulator: Simulator, recordings: Sequence[Recording], window: float | None = None) -> list[Replay]:
     """Start where the robot was, then let the recorded commands act through the chain that policies are trained with.
 
     Position targets act through the drives' law on the *simulated* state, with the recording's gains; torques act as
@@ -106,7 +106,7 @@ def open_loop(simulator: Simulator, recordings: Sequence[Recording], window: flo
         >>> rollout.position.shape, score([rollout]).mse < 0.01, score([rollout]).diverged  # it sags a little
         ((1, 100, 6), True, 0.0)
     """
-    found: list[Rollout | None] = [None] * len(recordings)
+    found: list[Replay | None] = [None] * len(recordings)
     order = sorted(range(len(recordings)), key=lambda k: gains_of(recordings[k]))
     for _, group in groupby(order, key=lambda k: gains_of(recordings[k])):
         together = list(group)
@@ -115,8 +115,8 @@ def open_loop(simulator: Simulator, recordings: Sequence[Recording], window: flo
     return [rollout for rollout in found if rollout is not None]
 
 
-def score(rollouts: Sequence[Rollout]) -> OpenLoopScore:
-    """Of all their samples alike."""
+def score(rollouts: Sequence[Replay]) -> OpenLoopScore:
+    """Score rollouts together; every sample weighs the same."""
     squared = np.concatenate([r.error.reshape(-1, len(r.joints)) ** 2 for r in rollouts])
     by_joint = dict(zip(rollouts[0].joints, squared.mean(0).tolist(), strict=True))
     diverged = np.concatenate([r.diverged for r in rollouts])
@@ -132,7 +132,7 @@ def gains_of(recording: Recording) -> tuple[tuple[float, ...], ...]:
     return tuple(recording.kp.tolist()), tuple(recording.kd.tolist())
 
 
-def _rolled(simulator: Simulator, recordings: Sequence[Recording], window: float | None) -> Iterator[Rollout]:
+def _rolled(simulator: Simulator, recordings: Sequence[Recording], window: float | None) -> Iterator[Replay]:
     """Rollouts of takes with the same gains."""
     for recording in recordings:
         _check_identified(simulator, recording)
@@ -140,7 +140,7 @@ def _rolled(simulator: Simulator, recordings: Sequence[Recording], window: float
     takes = [on_all_joints(recording, simulator.robot) for recording in recordings]
     index = [windows_of(recording, window) for recording in recordings]
     rows = sum(len(i) for i in index)
-    env = replay_env(simulator, takes[0], rows)
+    env = open_loop_env(simulator, takes[0], rows)
     steps = max(i.shape[1] for i in index)
     position, failed = simulate(env, takes, index, steps)
     joints = [n for n in identified_joints(simulator) if n in recordings[0].joint_names]
@@ -148,7 +148,7 @@ def _rolled(simulator: Simulator, recordings: Sequence[Recording], window: float
     first = 0
     for recording, i in zip(recordings, index, strict=True):
         rolled = position[first : first + len(i), : i.shape[1]][..., columns]
-        yield Rollout(recording, i, rolled, tuple(joints), failed[first : first + len(i)])
+        yield Replay(recording, i, rolled, tuple(joints), failed[first : first + len(i)])
         first += len(i)
 
 
@@ -174,7 +174,7 @@ def windows_of(recording: Recording, window: float | None) -> NDArray[np.intp]:
     return np.arange(0, last - length + 1, length)[:, None] + np.arange(1, length + 1)
 
 
-def replay_env(simulator: Simulator, take: Recording, rows: int, fields: Sequence[str] = ()) -> TransformedEnv:
+def open_loop_env(simulator: Simulator, take: Recording, rows: int, fields: Sequence[str] = ()) -> TransformedEnv:
     """Rows that follow a simulator's chain under commands as the take's, with fields of the model of their own."""
     robot = simulator.robot
     positions = take.kp is not None

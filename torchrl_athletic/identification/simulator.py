@@ -60,7 +60,7 @@ class Simulator:
     """
 
     name: str
-    """Of the method: ``"default"``, ``"cem"``, ``"uan"``..."""
+    """Name of the method: ``"default"``, ``"cem"``, ``"uan"``..."""
     nominal: Robot
     """As given, before anything was identified."""
     correction: Mapping[str, Any] | None = None
@@ -87,7 +87,7 @@ class Simulator:
 
     @cached_property
     def robot(self) -> Robot:
-        """With the correction in its model, as far as a model can say it."""
+        """The robot with the correction in its model, as far as a model can say it."""
         return self.nominal if self.correction is None else with_correction(self.nominal, self.correction)
 
     @property
@@ -97,7 +97,7 @@ class Simulator:
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Of the model, that differ between rows of an environment: ``TorqueEnv(..., fields=simulator.fields)``."""
+        """Model fields that differ between rows of an environment: ``TorqueEnv(..., fields=simulator.fields)``."""
         return () if self.randomization is None else self._randomizer(0).fields
 
     @property
@@ -115,7 +115,7 @@ class Simulator:
         return total.hexdigest()[:16]
 
     def on(self, robot: Robot) -> Simulator:
-        """The same identification on a variant of the robot, such as one with a tool in its hand."""
+        """Put this identification on a variant of the robot, such as one with a tool in its hand."""
         return replace(self, nominal=robot)
 
     def chain(

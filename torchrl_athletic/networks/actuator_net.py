@@ -92,7 +92,7 @@ class Sizes:
     """Steps."""
     hidden: tuple[int, ...]
     joints: int | None
-    """That it tells apart; None if it does not know which one it serves."""
+    """Number of joints that it tells apart; None if it does not know which one it serves."""
     state: bool
     """Whether it is shown positions, velocities and torques of all joints."""
     memory: tuple[float, ...] = ()

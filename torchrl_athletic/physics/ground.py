@@ -126,7 +126,7 @@ class Clearance:
     bodies: Tensor
     """Which each point is fixed to. Shape (P,)."""
     points: Tensor
-    """In the body's frame [m]. Shape (P, 3)."""
+    """Points in the body's frame [m]. Shape (P, 3)."""
     radius: Tensor
     """[m]. Shape (P,)."""
     ground: Ground

@@ -33,7 +33,7 @@ class RemoteFile:
     commit: str
     """40 hex digits."""
     sha256: str
-    """Of the bytes in the repository."""
+    """Checksum of the file as the repository has it."""
 
 
 @dataclass(frozen=True)

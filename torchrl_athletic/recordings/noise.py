@@ -13,13 +13,13 @@ from torchrl_athletic.recordings.resampling import GAP_FACTOR
 
 _ORDER = 4
 _STRIDES = 6
-"""Over so many samples differences are taken at most."""
+"""Longest distance over which differences are taken [samples]."""
 _MEMORY = 4
-"""Of these, how many tell of a memory: over more, little motions leave as much."""
+"""Longest distance that tells of noise with memory [samples]; beyond it, little motions leave as much."""
 _ALIKE = 0.15
 """Relative error of these variances up to which noise explains them."""
 _ENOUGH = 100
-"""Windows that say something of noise with a memory."""
+"""Fewest windows that say something of noise with a memory."""
 _CONDITIONS = ("robot", "payload", "fixture", "excitation")
 _REPEAT_KEYS = ("repeat_id", "repeat")
 

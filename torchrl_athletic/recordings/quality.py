@@ -22,9 +22,9 @@ SLOWEST_RATE = 30.0
 SLOW_RATE = 100.0
 """Below this rate [Hz] they are told apart poorly: a warning."""
 LOST_FACTOR = 1.75
-"""Of the median step, from which rows were lost."""
+"""Length of a step, in median steps, from which rows count as lost [1]."""
 SHORT_FACTOR = 0.75
-"""Of the median step, below which a neighbour makes up for a long one: a stamp that came late, and no row was lost."""
+"""Length in median steps below which a step makes up for a long neighbour: a stamp came late, no row was lost [1]."""
 LOST_CHANGE = 0.1
 """Change of the command while rows were lost from which it matters that nobody knows it, in its standard deviations."""
 LOST_EVERY = 3.0
@@ -81,7 +81,7 @@ class Quality:
     position_noise: Floats
     """Standard deviation of a reading [rad, m]. Shape (J,)."""
     noise_correlation: Floats
-    """Of that noise from one sample to the next [1]. Shape (J,)."""
+    """Correlation of the position noise from one sample to the next [1]. Shape (J,)."""
     velocity_noise: Floats | None
     """[rad/s, m/s]. Shape (J,)."""
     velocity_scale: tuple[float | None, ...]
@@ -130,7 +130,7 @@ class Quality:
         return np.asarray(~np.any(masked, axis=0), dtype=np.bool_)
 
     def report(self) -> dict[str, Any]:
-        """The same as plain dicts, lists and numbers, as ``diagnosis.json`` holds it.
+        """This quality as plain dicts, lists and numbers, as ``diagnosis.json`` holds it.
 
         ``masked`` counts samples of which at least one joint is masked, ``masked_by_joint`` counts joint by joint.
         """

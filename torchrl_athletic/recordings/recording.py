@@ -17,7 +17,7 @@ _PER_SAMPLE = ("position", "velocity", "torque_command", "position_target", "tor
 _PER_JOINT = ("kp", "kd")
 _OF_BASE = {"base_position": 3, "base_orientation": 4}
 _UNIT = 0.01
-"""By which the length of a quaternion may differ from one: more than rounding to three decimals makes of it."""
+"""How much the length of a quaternion may differ from one: more than rounding to three decimals makes of it."""
 
 
 _LONGEST = 3000
@@ -140,7 +140,7 @@ class Recording:
         return command
 
     def driven_by_measured_torque(self) -> Recording:
-        """The same take with the measured torque as its command, which takes the torque loop out of the question."""
+        """A copy whose command is the measured torque, which takes the torque loop out of the question."""
         if self.torque_measured is None:
             raise RecordingError(
                 f"{self.source}: there is no torque_measured to drive the simulation with. "
@@ -150,7 +150,7 @@ class Recording:
         return replace(driven, torque_measured=None, torque_semantics=None)
 
     def ordered(self, joint_names: Sequence[str]) -> Recording:
-        """The same take with its joints in another order.
+        """A copy with its joints in another order.
 
         Raises:
             RecordingError: If the names are not the same joints.
@@ -171,7 +171,7 @@ class Recording:
         return replace(self, joint_names=tuple(joint_names), **moved)
 
     def with_base_held(self, position: ArrayLike, orientation: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> Recording:
-        """The same take of a robot whose base stood still, such as with its trunk clamped and its legs in the air.
+        """A copy that says that the base stood still, such as with a clamped trunk and the legs in the air.
 
         Args:
             position: Of the base in the world [m]. Shape (3,).

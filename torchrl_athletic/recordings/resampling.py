@@ -17,7 +17,7 @@ GAP_FACTOR = 5.0
 
 
 def resample(recording: Recording, step: float, max_gap: float | None = None) -> Recording:
-    """The same take on the uniform grid t0, t0 + step, ...
+    """Put a take on the uniform grid t0, t0 + step, ...
 
     - Position: cubic Hermite through positions and velocities. Without a velocity channel, Akima's cubic: a joint at
       rest stays at rest as with PCHIP, but turning points are not flattened.

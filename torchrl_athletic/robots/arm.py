@@ -29,7 +29,7 @@ GROUND, ARM_ON_TRUNK, OBJECT = 1, 4, 8
 SHOULDER_HEIGHT = 0.1035
 """Axis of ``joint2`` above the mounting plane [m]."""
 GRIP = (0.186, 0.0, 0.0)
-"""Between the pads of the jaws, in ``link06`` [m]."""
+"""Point between the pads of the jaws, in ``link06`` [m]."""
 
 _GREY, _DARK, _STEEL = (0.75, 0.76, 0.78, 1.0), (0.16, 0.17, 0.19, 1.0), (0.55, 0.6, 0.68, 1.0)
 
@@ -73,7 +73,7 @@ ARM_JOINTS = (
         "jointGripper", (0.0, 1.0, 0.0), (-1.5707963, 0.0), 0.0, group="gripper", torque_limit=20.0, kp=30.0, kd=1.0
     ),
 )
-"""From the base to the gripper, which is closed at 0 and open at -1.57."""
+"""Joints from the base to the gripper, which is closed at 0 and open at -1.57."""
 
 LINKS: dict[str, tuple[Vector, Inertial]] = {
     "link00": (

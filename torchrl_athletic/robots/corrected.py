@@ -185,7 +185,7 @@ def _inertia(model: mujoco.MjModel, given: mujoco.MjModel, joint: int, values: V
 
 
 def _lever(model: mujoco.MjModel, joint: int) -> Any:
-    """From the joint to the centre of mass of its link [m]. Shape (3,)."""
+    """Way from the joint to the centre of mass of its link [m]. Shape (3,)."""
     return model.body_ipos[model.jnt_bodyid[joint]] - model.jnt_pos[joint]
 
 

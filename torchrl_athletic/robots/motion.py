@@ -43,11 +43,11 @@ class KeyPose:
     joints: Mapping[str, float] = field(default_factory=dict)
     """Positions by name [rad]. Joints not named are as in the robot's default pose."""
     base_height: float | None = None
-    """Over the ground [m]. None has the robot stand as in its default pose."""
+    """Height over the ground [m]. None has the robot stand as in its default pose."""
     base_pitch: float = 0.0
     """Nose down [rad]."""
     base_velocity: Velocity = (0.0, 0.0, 0.0)
-    """To command there: forward and to the left [m/s], counter-clockwise [rad/s]."""
+    """Velocity to command there: forward and to the left [m/s], counter-clockwise [rad/s]."""
 
     def __post_init__(self) -> None:
         where = f"key pose at {self.time} s"
@@ -85,7 +85,7 @@ class PhaseMotion:
 
     name: str
     poses: tuple[KeyPose, ...]
-    """In the order of their times, the first at 0 s."""
+    """Key poses in the order of their times, the first at 0 s."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "poses", tuple(self.poses))

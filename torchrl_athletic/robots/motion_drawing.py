@@ -114,7 +114,7 @@ def motion_frames(
 
 
 def _camera(posed: PosedRobot) -> mujoco.MjvCamera:
-    """From the right, so that ahead is to the right."""
+    """View from the right, so that ahead is to the right."""
     camera = mujoco.MjvCamera()
     camera.lookat[:] = (0.15, 0.0, 0.5 + 0.4 * posed.stand)
     camera.distance, camera.azimuth, camera.elevation = 2.0 + 1.5 * posed.stand, 90.0, -8.0

@@ -76,11 +76,11 @@ class Robot:
     """Names of bodies that are no part of it: the tool in its hand, what lies in that, a payload."""
 
     def spec(self) -> mujoco.MjSpec:
-        """Its description, new and yours to edit."""
+        """The robot's description, new and yours to edit."""
         return self.build()
 
     def model(self) -> mujoco.MjModel:
-        """Its compiled model."""
+        """The robot's compiled model."""
         return self.build().compile()
 
 

@@ -20,13 +20,13 @@ class Terrain:
     roughness: tuple[float, float] = (0.0, 0.025)
     """Least and largest height of bumps [m]. Paper, table of domain randomisation: 0 to 2.5 cm."""
     tiles: int = 7
-    """On an edge of the field; an odd number puts a tile's centre at the origin."""
+    """Tiles on an edge of the field; an odd number puts a tile's centre at the origin."""
     tile_size: float = 4.0
     """[m]."""
     spacing: float = 0.1
     """Distance of neighbouring heights [m]."""
     slope: float = 0.0
-    """By which the whole field rises along x [rad]; it is at height 0 in its middle."""
+    """Slope by which the whole field rises along x [rad]; it is at height 0 in its middle."""
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -90,6 +90,8 @@ class Checkpoints:
     def resume(self, learner: HasState, logger: Any = None) -> bool:
         """Take over the newest state; tells whether there was one.
 
+        Without one, rows of a table are dropped: they are of a run that was killed before its first state.
+
         Raises:
             RuntimeError: If the networks or the optimisers are of other sizes.
             ValueError: If the run was of something else, or of another number of processes.
@@ -102,6 +104,8 @@ class Checkpoints:
                 shutil.rmtree(path)
         there = processes.gather(newest in _steps(rotation))
         if newest < 0:
+            if isinstance(logger, CSVTable) and logger.rows:
+                logger.load_state_dict({"rows": 0})
             return False
         if not all(there):
             raise ValueError(

@@ -186,7 +186,7 @@ TOLD = {"RANK": 0, "WORLD_SIZE": 1, "LOCAL_RANK": 0, "LOCAL_WORLD_SIZE": 1}
 
 
 def _keep_to_share_of_cpus(number: int, count: int) -> None:
-    """Or the threads of each process's physics take all, and wait for those of the others."""
+    """Give each process its own CPUs; otherwise the threads of one process wait for those of the others."""
     if hasattr(os, "sched_getaffinity"):
         cpus = sorted(os.sched_getaffinity(0))
         ours = cpus[len(cpus) * number // count : len(cpus) * (number + 1) // count]

@@ -47,7 +47,7 @@ class FineTune:
     ppo: PPO = field(default_factory=lambda: FINE_TUNE)
     """What else is chosen by hand."""
     episodes: int = 100
-    """To judge the policy by at the end."""
+    """Episodes that judge the policy at the end."""
     logger: LoggerName = "csv"
     """Where numbers go; wandb stays offline."""
     output: Path = Path("outputs/fine_tune")

@@ -288,6 +288,7 @@ def train(
     logger: MetricLogger | None = None,
     checkpoints: Checkpoints | None = None,
     checkpoint_every: int = 50,
+    checkpoint_seconds: float = 45.0,
     progress: bool = True,
     show: Sequence[str] = ("reward", "kl"),
     step: Callable[[Any], TensorDict] = iterate,
@@ -304,7 +305,9 @@ def train(
         evaluate_every: Iterations between evaluations; there is one at the end in any case.
         logger: Where the numbers go, see :func:`~torchrl_athletic.training.make_logger`.
         checkpoints: Where the state goes.
-        checkpoint_every: Iterations between checkpoints; there is one at the end in any case.
+        checkpoint_every: Most iterations between checkpoints; there is one at the end in any case.
+        checkpoint_seconds: Most time between checkpoints, but for the iteration that is under way [s]: a kill loses no
+            more than about a minute.
         progress: Whether to show a bar with samples per second and the time left.
         show: Entries to show beside it.
         step: What an iteration is; a method other than PPO brings its own, and a learner with ``iteration``,
@@ -330,7 +333,7 @@ def train(
     metrics: dict[str, float] = {}
     share = _share_done(learner, iterations, minutes)
     with tqdm(total=1.0, initial=share, bar_format=BAR, disable=not progress) as bar:
-        started = learner.seconds
+        started = saved = learner.seconds
         while share < 1:
             metrics = _numbers(step(learner))
             learner.seconds = clock()
@@ -341,10 +344,12 @@ def train(
             metrics |= {"samples": float(learner.samples), "seconds": learner.seconds}
             if logger is not None:
                 logger.log_metrics(metrics, step=learner.iteration)
-            if share == 1 or learner.iteration % checkpoint_every == 0:
+            late = learner.seconds - saved >= checkpoint_seconds
+            if share == 1 or late or learner.iteration % checkpoint_every == 0:
                 _check_room(learner)
-            if checkpoints is not None and (share == 1 or learner.iteration % checkpoint_every == 0):
-                checkpoints.save(learner, logger)
+                if checkpoints is not None:
+                    checkpoints.save(learner, logger)
+                saved = learner.seconds
             rate = (learner.samples - first_sample) / (learner.seconds - started)
             shown = {name: f"{metrics[name]:.3g}" for name in show if name in metrics}
             bar.set_postfix({"samples": f"{learner.samples:,}", "samples/s": f"{rate:,.0f}", **shown}, refresh=False)

@@ -253,6 +253,7 @@ class GradientLearner:
         """What it takes to go on."""
         return {
             "net": self.net.state_dict(),
+            "kept": list(self.kept),
             "optimizer": self.optimizer.state_dict(),
             "current": self.current.clone().to_dict(),
             "env": env_state(self.env),
@@ -262,7 +263,8 @@ class GradientLearner:
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Go on where :meth:`state_dict` was taken."""
         self.net.load_state_dict(state_dict["net"])
-        self.kept = (deepcopy(self.net.state_dict()),) * 2
+        older, newer = (deepcopy(state) for state in state_dict["kept"])
+        self.kept = older, newer
         self.optimizer.load_state_dict(state_dict["optimizer"])
         current = TensorDict(state_dict["current"], device=self.env.device).auto_batch_size_(self.env.ndim)
         self.current = restore_env(self.env, current, state_dict["env"])

@@ -150,7 +150,7 @@ class CommandSampler(RandomTransform):
         }
 
     def _present(self, key: Tensor, tensordict: TensorDictBase) -> Tensor:
-        """At rest, with the end effector where it is."""
+        """Command to stand, with the end effector where it is."""
         centre = self.centre.expand(*key.shape, -1)
         if self.end_effector_keys is None:
             return centre.clone()

@@ -312,7 +312,7 @@ class CorrectedActuation(StatefulTransform):
     def _beside_the_motor(
         self, torque: Tensor, position: Tensor, velocity: Tensor, tensordict: TensorDictBase
     ) -> Tensor:
-        """With what acts at the joint itself, at its true position and velocity."""
+        """Add what acts at the joint itself, at its true position and velocity."""
         if "asymmetric_friction" in self.present:
             torque = torque + dynamics.even_friction(velocity, self.even_constant, self.even_slope)
         if "stribeck_friction" in self.present:

@@ -54,7 +54,7 @@ class _OfModel:
     joints: Tensor
     """Columns of the joints in ``qpos``."""
     dofs: Tensor
-    """And in ``qvel``."""
+    """Columns of the joints in ``qvel``."""
     limit: Tensor
     size: Tensor
     """How far each drawn number reaches."""
@@ -63,7 +63,7 @@ class _OfModel:
 
     @property
     def numbers(self) -> int:
-        """That a start takes."""
+        """How many random numbers a start takes."""
         return len(self.size)
 
 
@@ -120,7 +120,7 @@ class InitialState(RandomTransform):
         return tensordict.set(self.qpos_key, qpos).set(self.qvel_key, qvel)
 
     def _move(self, qpos: Tensor, qvel: Tensor, drawn: Tensor, model: _OfModel) -> None:
-        """In place. Drawn numbers are within [-1, 1]."""
+        """Move states in place. Drawn numbers are within [-1, 1]."""
         joints = len(model.joints)
         angle, speed, place, turn, linear, angular = (drawn * model.size).split([joints, joints, 3, 3, 3, 3], -1)
         moved = qpos[:, model.joints] + angle

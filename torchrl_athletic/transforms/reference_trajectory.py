@@ -15,7 +15,7 @@ from torchrl_athletic.functional.reference import AtEnd, pad_references, sample_
 from torchrl_athletic.transforms.stateful import RandomTransform
 
 References = Mapping[str, Tensor | Sequence[Tensor]]
-"""By name, such as ``joint_position``: (T, D) for one reference, (R, T, D) or R of shape (T_r, D) for several."""
+"""Tables by name, ``joint_position`` say: (T, D) for one reference, (R, T, D) or R of shape (T_r, D) for several."""
 
 
 @dataclass(frozen=True)

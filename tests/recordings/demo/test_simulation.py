@@ -30,7 +30,7 @@ def free(machine, start, seconds, rate=1000.0):
 
 
 def energy(robot, q, v):
-    """Of an arm, from the Cartesian motion of its centres of mass [J]."""
+    """Energy of an arm, from the Cartesian motion of its centres of mass [J]."""
     angle, rate = np.cumsum(q, axis=1), np.cumsum(v, axis=1)
     total, joint = 0.0, np.zeros((len(q), 4))  # x, z, their rates
     for j, link in enumerate(robot.links):

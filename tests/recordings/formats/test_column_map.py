@@ -153,3 +153,15 @@ def test_a_malformed_json_map_says_where(text, advice, tmp_path):
     with pytest.raises(RecordingError, match=advice) as caught:
         ColumnMap.load(tmp_path / "map.json")
     assert str(caught.value).startswith(str(tmp_path / "map.json"))
+
+
+def test_the_map_that_messages_show_is_one(tmp_path):
+    with pytest.raises(RecordingError, match=r"map\.json: there is no such column map\. Write one like \{") as caught:
+        ColumnMap.load(tmp_path / "map.json")
+    (tmp_path / "map.json").write_text(str(caught.value).partition("like ")[2])
+    shown = ColumnMap.load(tmp_path / "map.json")
+    assert [column.name for column in (shown.time, shown.position, shown.torque_command)] == [
+        "t",
+        "q_{joint}",
+        "tau_{joint}",
+    ]

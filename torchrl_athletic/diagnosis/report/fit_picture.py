@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from torchrl_athletic.diagnosis.fitting import Fit
 
 SECONDS = 5.0
-"""Of one recording that are drawn [s]."""
+"""Length that is drawn of one recording [s]."""
 MOST = 8
 """Joints that are drawn, those of the largest error first."""
 

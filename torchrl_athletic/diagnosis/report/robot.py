@@ -154,7 +154,7 @@ def _seen(model: mujoco.MjModel, data: mujoco.MjData, towards: Array) -> float:
 
 
 def _area(points: Array, axes: Array) -> float:
-    """Of the picture that a view makes of some points [m²]."""
+    """Area of the picture that a view makes of some points [m²]."""
     return float(np.prod(np.ptp(points @ axes[:2].T, axis=0)))
 
 

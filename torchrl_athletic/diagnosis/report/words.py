@@ -121,7 +121,7 @@ def same_as(finding: Finding | Rival, answer: Answer) -> list[str]:
 
 
 def _named(name: Name | Finding, here: str | None) -> str:
-    """With the joint where it is another one."""
+    """Words for a name, with its joint where that is another one."""
     at = "" if name.joint == here else f" of {'the ' if name.joint is None else ''}{place(name.joint)}"
     return f"{words(name.effect)}{at}"
 

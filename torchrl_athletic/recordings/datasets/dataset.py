@@ -16,7 +16,7 @@ class Dataset:
     model: str
     """MJCF of the bench as published, with the physics left out that a diagnosis is to find."""
     recordings: list[Recording]
-    """For fitting, in a fixed order."""
+    """Recordings for fitting, in a fixed order."""
     heldout: list[Recording]
     """Never fitted: motion of another kind than ``recordings``."""
     notes: str

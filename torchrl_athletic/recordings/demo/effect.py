@@ -45,11 +45,11 @@ class Drive:
     delay: float = 0.0
     """[s]"""
     time_constant: float = 0.0
-    """Of the torque loop, first order [s]."""
+    """Time constant of the torque loop, first order [s]."""
     scale: float = 1.0
     """Torque per commanded torque [1]."""
     torque: float = 0.0
-    """Beside the command [N·m]."""
+    """Torque that acts beside the command [N·m]."""
     kp_scale: float = 1.0
     """True gain per logged gain [1]."""
     kd_scale: float = 1.0

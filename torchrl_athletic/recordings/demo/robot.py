@@ -53,7 +53,7 @@ class Robot:
     kd: tuple[float, ...]
     """[N·m·s/rad]"""
     timestep: float = 0.001
-    """Of the MJCF [s]."""
+    """Time step that the MJCF states [s]."""
     slide: bool = False
     """True for a joint that slides, horizontally."""
 

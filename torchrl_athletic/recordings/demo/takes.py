@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 Kind = Literal["gaussian", "square", "sine", "chirp", "multisine"]
 
 _STEP = 0.001
-"""Of the integrator [s]. A joint that breaks loose within a step costs 2 µrad at most, a fiftieth of the noise."""
+"""Step of the integrator [s]. A joint that breaks loose within a step costs 2 µrad at most, a fiftieth of the noise."""
 _COMMANDS = ("torque_command", "position_target")
 _SLEW = 6.0
 """Fastest change of a position target, in amplitudes a second."""
@@ -45,7 +45,7 @@ class Sensors:
     velocity_noise: float | None = 5e-3
     """Standard deviation [rad/s]. None: velocity is not logged."""
     correlation: float = 0.0
-    """Of the noise from one sample to the next (AR(1)), 0 for white noise [1]."""
+    """Correlation of the noise from one sample to the next (AR(1)), 0 for white noise [1]."""
     encoder_bits: int | None = None
     """Counts per turn (per metre), as a power of two; None does not round the position."""
     loop_jitter: float = 0.0

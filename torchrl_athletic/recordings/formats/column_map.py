@@ -222,10 +222,14 @@ class ColumnMap:
         Raises:
             RecordingError: If the file is not such an object.
         """
+        if not Path(path).is_file():
+            raise RecordingError(f"{path}: there is no such column map. Write one like {EXAMPLE_JSON}")
         try:
             content = json.loads(Path(path).read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
-            raise RecordingError(f"{path}: not a column map in JSON ({error}).") from error
+            raise RecordingError(
+                f"{path}: not a column map in JSON ({error}). Write one like {EXAMPLE_JSON}"
+            ) from error
         if not isinstance(content, dict):
             raise RecordingError(f"{path}: a column map is a JSON object, like {EXAMPLE_JSON}")
         try:
@@ -240,7 +244,10 @@ class ColumnMap:
         return value
 
 
-EXAMPLE_JSON = '{"time": {"name": "t", "unit": "ms"}, "position": {"name": "q_{joint}", "unit": "deg"}}'
+EXAMPLE_JSON = (
+    '{"time": {"name": "t", "unit": "ms"}, "position": {"name": "q_{joint}", "unit": "deg"}, '
+    '"torque_command": {"name": "tau_{joint}", "unit": "N·m"}}'
+)
 
 
 def _check(columns: ColumnMap) -> None:

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.recordings.formats.foreign_library import decoding
-from torchrl_athletic.recordings.formats.take import Take, is_number
+from torchrl_athletic.recordings.formats.take import RawTake, is_number
 from torchrl_athletic.recordings.recording import RecordingError
 
 _LONGEST = 1000
 """Characters of a text that are kept; no number has more."""
 
 
-def read_csv(path: Path) -> list[Take]:
+def read_csv(path: Path) -> list[RawTake]:
     """The one take of a CSV file with a header, separated by comma, semicolon or tab."""
     with decoding(str(path), "a CSV text in UTF-8"):
         raw = gzip.decompress(path.read_bytes()) if path.suffix.lower() == ".gz" else path.read_bytes()
@@ -51,10 +51,10 @@ def read_csv(path: Path) -> list[Take]:
         if len(row) != len(names):
             raise RecordingError(
                 f"{path}: line {number} has {len(row)} cells, but the header names {len(names)} columns. Complete the "
-                "line, or leave it out."
+                "line, or leave it out; what stands above the header has to go."
             )
     columns = zip(*[row for _, row in rows], strict=True) if rows else [()] * len(names)
-    return [Take(str(path), {name: _parsed(column) for name, column in zip(names, columns, strict=True)})]
+    return [RawTake(str(path), {name: _parsed(column) for name, column in zip(names, columns, strict=True)})]
 
 
 def _parsed(cells: tuple[str, ...]) -> NDArray[Any]:

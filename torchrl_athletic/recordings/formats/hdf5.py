@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from torchrl_athletic.recordings.formats.column_map import ColumnMap
 from torchrl_athletic.recordings.formats.foreign_library import decoding, import_format_library
 from torchrl_athletic.recordings.formats.groups import takes_by_group
-from torchrl_athletic.recordings.formats.take import NOTES, Load, Take
+from torchrl_athletic.recordings.formats.take import NOTES, Load, RawTake
 from torchrl_athletic.recordings.recording import RecordingError
 
 
-def read_hdf5(path: Path, columns: ColumnMap) -> Iterator[Take]:
+def read_hdf5(path: Path, columns: ColumnMap) -> Iterator[RawTake]:
     """The takes of an HDF5 file. Arrays of more than two dimensions, such as pictures, are not loaded."""
     h5py = import_format_library("h5py")
     arrays: dict[str, Load] = {}

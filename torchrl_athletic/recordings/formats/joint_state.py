@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.recordings.formats.column_map import ColumnMap
-from torchrl_athletic.recordings.formats.take import Take
+from torchrl_athletic.recordings.formats.take import RawTake
 from torchrl_athletic.recordings.recording import RecordingError
 
 _COMMAND = re.compile(r"command|cmd|target|desired|goal|reference|setpoint", re.IGNORECASE)
@@ -43,7 +43,7 @@ class Track:
 
 def take_from_messages(
     source: str, topics: Mapping[str, str], read: Callable[[set[str]], Iterable[Message]], columns: ColumnMap
-) -> Take:
+) -> RawTake:
     """One take from a topic of measured states and a topic of commands.
 
     The state's stamps are the time line. The command at a stamp is the last one stamped no later (zero-order hold),
@@ -103,7 +103,7 @@ def take_from_messages(
     notes: dict[str, Any] = {} if headers else {"stamps": "received"}
     notes |= {"before_first_command": int((~known).sum())} if not known.all() else {}
     notes |= {"command_age": float(age.mean())} if age.any() else {}
-    return Take(source, fields, notes)
+    return RawTake(source, fields, notes)
 
 
 def _choose_topics(source: str, topics: Mapping[str, str], columns: ColumnMap) -> tuple[str, str]:

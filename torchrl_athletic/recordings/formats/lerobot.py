@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torchrl_athletic.recordings.formats.column_map import ColumnMap
 from torchrl_athletic.recordings.formats.foreign_library import decoding
 from torchrl_athletic.recordings.formats.parquet import read_columns
-from torchrl_athletic.recordings.formats.take import Take, parse_json_object
+from torchrl_athletic.recordings.formats.take import RawTake, parse_json_object
 from torchrl_athletic.recordings.recording import RecordingError
 
 _STATE, _ACTION = "observation.state", "action"
@@ -22,7 +22,7 @@ def is_lerobot(folder: Path) -> bool:
     return (folder / "meta" / "info.json").is_file()
 
 
-def read_lerobot(folder: Path, columns: ColumnMap) -> list[Take]:
+def read_lerobot(folder: Path, columns: ColumnMap) -> list[RawTake]:
     """One take an episode, by episode index.
 
     The fields keep LeRobot's names ``observation.state`` and ``action``; joints named ``hip.pos`` are called ``hip``.
@@ -65,7 +65,7 @@ def _take(
     episode: int,
     parts: list[dict[str, NDArray[Any]]],
     names: dict[str, list[str] | None],
-) -> Take:
+) -> RawTake:
     source = f"{folder}: episode {episode}"
     if any(part.keys() != parts[0].keys() for part in parts):
         raise RecordingError(f"{source}: the files that hold it have different columns.")
@@ -87,7 +87,7 @@ def _take(
                     )
                 fields |= {f"{feature}/{name}": array[:, i] for i, name in enumerate(parts_of)}
     robot = info.get("robot_type")
-    return Take(source, fields, {"robot": robot, "episode": episode} if robot else {"episode": episode})
+    return RawTake(source, fields, {"robot": robot, "episode": episode} if robot else {"episode": episode})
 
 
 def _column(arrays: dict[str, NDArray[Any]], name: str, file: Path) -> NDArray[Any]:

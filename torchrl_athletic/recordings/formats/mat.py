@@ -15,10 +15,10 @@ from torchrl_athletic.recordings.formats.column_map import ColumnMap
 from torchrl_athletic.recordings.formats.foreign_library import decoding
 from torchrl_athletic.recordings.formats.groups import takes_by_group
 from torchrl_athletic.recordings.formats.hdf5 import read_hdf5
-from torchrl_athletic.recordings.formats.take import Take
+from torchrl_athletic.recordings.formats.take import RawTake
 
 
-def read_mat(path: Path, columns: ColumnMap) -> Iterable[Take]:
+def read_mat(path: Path, columns: ColumnMap) -> Iterable[RawTake]:
     """The takes of a MAT file. A field ``q`` of a struct ``log`` is named ``log/q``; of the second of several,
     ``log/2/q``.
 

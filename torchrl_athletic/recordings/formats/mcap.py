@@ -14,7 +14,7 @@ from torchrl_athletic.recordings.formats.column_map import ColumnMap
 from torchrl_athletic.recordings.formats.foreign_library import decoding, import_format_library
 from torchrl_athletic.recordings.formats.joint_state import Message, counted, take_from_messages
 from torchrl_athletic.recordings.formats.metadata import metadata_text
-from torchrl_athletic.recordings.formats.take import Take, parse_json_object
+from torchrl_athletic.recordings.formats.take import RawTake, parse_json_object
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
 _NOTES = "torchrl_athletic"
@@ -38,7 +38,7 @@ uint32 nanosec
 """Definition of ``sensor_msgs/msg/JointState`` with all that it needs."""
 
 
-def read_mcap(path: Path, columns: ColumnMap) -> list[Take]:
+def read_mcap(path: Path, columns: ColumnMap) -> list[RawTake]:
     """The take of an MCAP file; how: :func:`take_from_messages`."""
     mcap, ros2 = import_format_library("mcap.reader"), import_format_library("mcap_ros2.decoder")
     with path.open("rb") as file:
@@ -117,7 +117,7 @@ def write_mcap(recording: Recording, path: Path) -> None:
             writer.add_attachment(0, 0, _NOTES, "application/octet-stream", recording.time.astype("<f8").tobytes())
 
 
-def _with_notes(take: Take, notes: dict[str, str], exact_time: bytes | None) -> Take:
+def _with_notes(take: RawTake, notes: dict[str, str], exact_time: bytes | None) -> RawTake:
     """Add what :func:`write_mcap` put beside the messages; exact times only while they are those of the messages."""
     fields, source = dict(take.fields), f"{take.source}: metadata record {_NOTES}"
     if exact_time is not None and len(exact_time) == 8 * len(fields["time"]):

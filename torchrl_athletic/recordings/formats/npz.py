@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.recordings.formats.foreign_library import decoding
 from torchrl_athletic.recordings.formats.metadata import metadata_text
-from torchrl_athletic.recordings.formats.take import Fields, Take
+from torchrl_athletic.recordings.formats.take import Fields, RawTake
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
 
-def read_npz(path: Path) -> Iterator[Take]:
+def read_npz(path: Path) -> Iterator[RawTake]:
     """The one take of an npz archive."""
     with decoding(str(path), "an npz archive"):
         archive = np.load(path, allow_pickle=False)
@@ -32,7 +32,7 @@ def read_npz(path: Path) -> Iterator[Take]:
             return np.asarray(archive[name])
 
     with archive:
-        yield Take(str(path), Fields({name: partial(load, name) for name in archive.files}))
+        yield RawTake(str(path), Fields({name: partial(load, name) for name in archive.files}))
 
 
 def write_npz(recording: Recording, path: Path) -> None:

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from torchrl_athletic.recordings.formats.column_map import BASE, SIGNALS
 from torchrl_athletic.recordings.formats.foreign_library import decoding, import_format_library
 from torchrl_athletic.recordings.formats.metadata import metadata_text
-from torchrl_athletic.recordings.formats.take import NOTES, Take, parse_json_object
+from torchrl_athletic.recordings.formats.take import NOTES, RawTake, parse_json_object
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
 NOTES_KEY = b"torchrl_athletic"
 """Key in the schema's metadata of the JSON with the fields that have no value a sample."""
 
 
-def read_parquet(path: Path) -> list[Take]:
+def read_parquet(path: Path) -> list[RawTake]:
     """The one take of a Parquet file: numeric columns, or lists of equal length."""
     arrays, metadata = read_columns(path)
     if NOTES_KEY in metadata:
@@ -27,7 +27,7 @@ def read_parquet(path: Path) -> list[Take]:
         with decoding(source, f"JSON with {', '.join(NOTES)}"):
             notes = parse_json_object(metadata[NOTES_KEY].decode(), source)
             arrays |= {name: np.array(notes[name]) for name in NOTES if notes.get(name) is not None}
-    return [Take(str(path), arrays)]
+    return [RawTake(str(path), arrays)]
 
 
 def read_columns(path: Path) -> tuple[dict[str, NDArray[Any]], dict[bytes, bytes]]:

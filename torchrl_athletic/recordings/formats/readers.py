@@ -15,12 +15,12 @@ from torchrl_athletic.recordings.formats.mcap import read_mcap
 from torchrl_athletic.recordings.formats.npz import read_npz
 from torchrl_athletic.recordings.formats.parquet import read_parquet
 from torchrl_athletic.recordings.formats.rosbag import is_rosbag2, read_rosbag
-from torchrl_athletic.recordings.formats.take import Take, recording_from_take
+from torchrl_athletic.recordings.formats.take import RawTake, recording_from_take
 from torchrl_athletic.recordings.recording import Recording
 
 _LEROBOT, _ROSBAG2 = "a LeRobot data set", "a ROS 2 bag"
 
-SUFFIXES: dict[str, Callable[[Path, ColumnMap], Iterable[Take]]] = {
+SUFFIXES: dict[str, Callable[[Path, ColumnMap], Iterable[RawTake]]] = {
     ".npz": lambda path, _: read_npz(path),
     ".csv": lambda path, _: read_csv(path),
     ".csv.gz": lambda path, _: read_csv(path),

@@ -10,7 +10,7 @@ from typing import Any
 from torchrl_athletic.recordings.formats.column_map import ColumnMap
 from torchrl_athletic.recordings.formats.foreign_library import decoding, import_format_library
 from torchrl_athletic.recordings.formats.joint_state import Message, counted, take_from_messages
-from torchrl_athletic.recordings.formats.take import Take
+from torchrl_athletic.recordings.formats.take import RawTake
 
 
 def is_rosbag2(folder: Path) -> bool:
@@ -18,7 +18,7 @@ def is_rosbag2(folder: Path) -> bool:
     return (folder / "metadata.yaml").is_file()
 
 
-def read_rosbag(path: Path, columns: ColumnMap) -> list[Take]:
+def read_rosbag(path: Path, columns: ColumnMap) -> list[RawTake]:
     """The take of a ROS 1 bag (``.bag``) or a ROS 2 bag (folder, or bare ``.db3``); see :func:`take_from_messages`."""
     highlevel, typesys = import_format_library("rosbags.highlevel"), import_format_library("rosbags.typesys")
     with ExitStack() as stack:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.recordings.formats.column_map import BASE, SIGNALS, Column, ColumnMap
+from torchrl_athletic.recordings.formats.column_map import BASE, EXAMPLE_JSON, SIGNALS, Column, ColumnMap
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 
 _OPTIONAL = ("velocity", "torque_command", "position_target", "torque_measured")
@@ -44,7 +44,7 @@ class Fields(Mapping[str, NDArray[Any]]):
 
 
 @dataclass(frozen=True)
-class Take:
+class RawTake:
     """One continuous take before its names and units are understood."""
 
     source: str
@@ -55,7 +55,7 @@ class Take:
     """What the reader itself has to note."""
 
 
-def recording_from_take(take: Take, columns: ColumnMap) -> Recording:
+def recording_from_take(take: RawTake, columns: ColumnMap) -> Recording:
     """Translate names and units, and check.
 
     Raises:
@@ -111,7 +111,7 @@ def _owner(name: str) -> str | None:
     return max((s for s in SIGNALS if name == s or name.startswith((f"{s}/", f"{s}_"))), key=len, default=None)
 
 
-def _column(take: Take, columns: ColumnMap, signal: str) -> Column | None:
+def _column(take: RawTake, columns: ColumnMap, signal: str) -> Column | None:
     """Where the signal stands: as the map says, else under its own name; None when it is not there."""
     if (column := columns.column(signal)) is not None:
         return column
@@ -125,7 +125,7 @@ def _column(take: Take, columns: ColumnMap, signal: str) -> Column | None:
     return Column(patterns[0]) if patterns else None
 
 
-def _joints(take: Take, columns: ColumnMap, position: Column) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _joints(take: RawTake, columns: ColumnMap, position: Column) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of the joints in the model, and in the file."""
     if columns.joint_names is not None:
         return columns.joint_names, columns.file_joint_names or columns.joint_names
@@ -145,7 +145,7 @@ def _joints(take: Take, columns: ColumnMap, position: Column) -> tuple[tuple[str
     return labels, labels
 
 
-def _check_same_joints(take: Take, signal: str, column: Column, labels: tuple[str, ...], columns: ColumnMap) -> None:
+def _check_same_joints(take: RawTake, signal: str, column: Column, labels: tuple[str, ...], columns: ColumnMap) -> None:
     """Columns found by themselves must be of the same joints for every signal, unless the map chose the joints."""
     there = joints_by_pattern(take.fields, signal).get(str(column.name), [])
     if columns.joint_names is None and there and _file_joints(take) is None and set(there) != set(labels):
@@ -156,7 +156,7 @@ def _check_same_joints(take: Take, signal: str, column: Column, labels: tuple[st
         )
 
 
-def _signal(take: Take, signal: str, column: Column, labels: tuple[str, ...], used: set[str]) -> NDArray[np.float64]:
+def _signal(take: RawTake, signal: str, column: Column, labels: tuple[str, ...], used: set[str]) -> NDArray[np.float64]:
     """Values of one signal in SI units. Shape (T, J)."""
     if isinstance(column.name, tuple) or "{joint}" in column.name:
         patterns = column.name if isinstance(column.name, tuple) else (column.name,) * len(labels)
@@ -185,7 +185,7 @@ def _signal(take: Take, signal: str, column: Column, labels: tuple[str, ...], us
     return column.to_si(raw, signal, take.source)
 
 
-def _of_base(take: Take, columns: ColumnMap, name: str, used: set[str]) -> NDArray[np.float64] | None:
+def _of_base(take: RawTake, columns: ColumnMap, name: str, used: set[str]) -> NDArray[np.float64] | None:
     """Position or attitude of the base in SI units: one array, or one column an axis. Shape (T, 3) or (T, 4)."""
     axes = BASE[name]
     column = columns.column(name)
@@ -207,7 +207,7 @@ def _of_base(take: Take, columns: ColumnMap, name: str, used: set[str]) -> NDArr
     return column.to_si(raw, name, take.source)
 
 
-def _select(take: Take, name: str, array: NDArray[np.float64], labels: tuple[str, ...]) -> NDArray[np.float64]:
+def _select(take: RawTake, name: str, array: NDArray[np.float64], labels: tuple[str, ...]) -> NDArray[np.float64]:
     """Entries of the wanted joints along the last axis."""
     there = _file_joints(take)
     if there is not None and array.shape[-1] == len(there):
@@ -225,7 +225,7 @@ def _select(take: Take, name: str, array: NDArray[np.float64], labels: tuple[str
     return array
 
 
-def _time(take: Take, columns: ColumnMap, samples: int, used: set[str]) -> NDArray[np.float64]:
+def _time(take: RawTake, columns: ColumnMap, samples: int, used: set[str]) -> NDArray[np.float64]:
     if columns.rate is not None:
         if "time" in take.fields:
             raise RecordingError(f"{take.source}: there is a time in the file, so leave rate out of the column map.")
@@ -252,7 +252,7 @@ def _time(take: Take, columns: ColumnMap, samples: int, used: set[str]) -> NDArr
     return column.to_si(seconds, "time", take.source)
 
 
-def _semantics(take: Take, columns: ColumnMap, measured: Column | None) -> Any:
+def _semantics(take: RawTake, columns: ColumnMap, measured: Column | None) -> Any:
     """What the measured torque is; a file that says it without having one is left to be refused."""
     if "torque_measured" in columns.ignore:
         return None
@@ -270,7 +270,7 @@ def _semantics(take: Take, columns: ColumnMap, measured: Column | None) -> Any:
 
 
 def _gain(
-    take: Take, columns: ColumnMap, key: str, labels: tuple[str, ...], used: set[str]
+    take: RawTake, columns: ColumnMap, key: str, labels: tuple[str, ...], used: set[str]
 ) -> NDArray[np.float64] | None:
     """Gains as the map says, else of the file; what a foreign file with a torque command calls ``kp`` is left alone."""
     given = getattr(columns, key)
@@ -286,7 +286,7 @@ def _gain(
     return _select(take, key, values, labels) if values.ndim == 1 else values
 
 
-def _numbers(take: Take, name: str, signal: str, used: set[str]) -> NDArray[np.float64]:
+def _numbers(take: RawTake, name: str, signal: str, used: set[str]) -> NDArray[np.float64]:
     """A field as floats; refuses text, booleans, dates, complex numbers and objects."""
     if name not in take.fields:
         raise RecordingError(f"{take.source}: {signal} is looked for in {name!r}, which is not there. {_advice(take)}")
@@ -312,7 +312,7 @@ def is_number(text: str) -> bool:
     return re.fullmatch(pattern, text.strip(), re.ASCII | re.IGNORECASE) is not None
 
 
-def _file_joints(take: Take) -> tuple[str, ...] | None:
+def _file_joints(take: RawTake) -> tuple[str, ...] | None:
     """What the file itself calls its joints."""
     names = take.fields.get("joint_names")
     if names is None:
@@ -328,7 +328,7 @@ def _file_joints(take: Take) -> tuple[str, ...] | None:
     return joints
 
 
-def _text(take: Take, name: str) -> str | None:
+def _text(take: RawTake, name: str) -> str | None:
     value = take.fields.get(name)
     if value is None:
         return None
@@ -339,7 +339,7 @@ def _text(take: Take, name: str) -> str | None:
     return str(value.item())
 
 
-def _metadata(take: Take) -> dict[str, Any]:
+def _metadata(take: RawTake) -> dict[str, Any]:
     text = _text(take, "metadata")
     return {} if text is None else parse_json_object(text, f"{take.source}: metadata")
 
@@ -365,10 +365,10 @@ def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name} is no JSON")
 
 
-def _advice(take: Take) -> str:
+def _advice(take: RawTake) -> str:
     return (
         f"Found are: {', '.join(take.fields) or 'no fields at all'}. Say what is what in a column map, for example "
         "ColumnMap(joint_names="
         "('hip', 'knee'), time=Column('t', unit='ms'), position=Column('q_{joint}', unit='deg'), "
-        "torque_command='tau_{joint}')."
+        f"torque_command='tau_{{joint}}'); in a JSON file, for --columns: {EXAMPLE_JSON}"
     )
