@@ -13,7 +13,8 @@ PACKAGE = Path(__file__).parents[1] / "torchrl_athletic"
 THRESHOLDS = {
     "<!-- thresholds of a diagnosis -->": (
         "recordings.quality recordings.resampling effects.signals effects.base diagnosis.prepare diagnosis.screen "
-        "diagnosis.search diagnosis.fit diagnosis.compare diagnosis.diagnose diagnosis.gates diagnosis.calibration "
+        "diagnosis.propose diagnosis.search diagnosis.fit diagnosis.compare diagnosis.simulate diagnosis.decide "
+        "diagnosis.state diagnosis.gates diagnosis.calibration "
     ).split(),
     "<!-- thresholds of experiments -->": ["diagnosis.separation", "diagnosis.motions", "diagnosis.experiment"],
 }

@@ -17,9 +17,10 @@ from torchrl_athletic.diagnosis.experiment import (
     propose,
     write,
 )
-from torchrl_athletic.diagnosis.gates import LEAST_SHARE, Evidence, answer_set
+from torchrl_athletic.diagnosis.gates import LEAST_SHARE
 from torchrl_athletic.diagnosis.motions import RATE, Limits, Motion
 from torchrl_athletic.diagnosis.prepare import PAYLOAD, prepare
+from torchrl_athletic.diagnosis.proposal import Proposal, answer_set
 from torchrl_athletic.diagnosis.result import Finding, Rival
 from torchrl_athletic.diagnosis.screen import TRIMS, Bank, candidates_for, trims_for
 from torchrl_athletic.diagnosis.search import Judge, Scored, search
@@ -112,7 +113,7 @@ def rivals_of(judge: Judge, best: Scored) -> dict:
 
 def options_of(judge: Judge, best: Scored, least: float = LEAST_SHARE) -> list:
     (term,) = best.fit.terms
-    return [o for o in answer_set(Evidence(judge, best), term) if o.share > least]
+    return [o for o in answer_set(Proposal(judge, best), term) if o.share > least]
 
 
 @lru_cache
@@ -373,10 +374,10 @@ def test_a_plan_is_repeated_only_while_that_tells_more_and_a_minute_at_most(monk
 def test_where_one_question_cannot_be_settled_the_next_one_is_asked(tilted):
     *_, judge, best, experiment = solved("offset")
 
-    def question(judge: Judge, best: Scored, rivals: list, probability: float) -> tuple[Evidence, Finding]:
+    def question(judge: Judge, best: Scored, rivals: list, probability: float) -> tuple[Proposal, Finding]:
         key = best.fit.terms[0].candidate.key
         others = tuple(Rival(*rival, 0.3, "") for rival in rivals if rival != key)
-        return Evidence(judge, best), Finding(*key, probability, "", {}, "", others)
+        return Proposal(judge, best), Finding(*key, probability, "", {}, "", others)
 
     hopeless = question(*tilted, [("encoder_offset", "pendulum"), ("gravity_tilt", None)], 0.4)
     other = question(judge, best, list(answers(judge, best)), 0.6)
@@ -425,9 +426,9 @@ def test_the_finding_with_the_most_doubtful_name_is_asked_about():
     (effect, joint), *others = share
     finding = Finding(effect, joint, share[effect, joint], "", {}, "", tuple(Rival(*k, share[k], "") for k in others))
     sure = replace(finding, effect="none", probability=0.99, rivals=())
-    e = next_experiment([Evidence(judge, best)], [sure, finding])
+    e = next_experiment([Proposal(judge, best)], [sure, finding])
     assert set(e.rivals) == set(share)
-    assert next_experiment([Evidence(judge, best)], [sure]) is None
+    assert next_experiment([Proposal(judge, best)], [sure]) is None
 
 
 def loaded(robot: Robot, weight: float) -> Robot:
@@ -451,7 +452,7 @@ def test_a_weight_is_asked_for_where_no_motion_tells_a_weak_motor_from_a_heavy_l
     assert propose(judge, rivals_of(judge, best)) is None
     key = best.fit.terms[0].candidate.key
     finding = Finding(*key, share[key], "", {}, "", tuple(Rival(*k, p, "") for k, p in share.items() if k != key))
-    evidence = [Evidence(judge, best)]
+    evidence = [Proposal(judge, best)]
     assert next_experiment(evidence, [finding]) is None
     experiment = next_experiment(evidence, [finding], xml=robot.model_xml)
     assert experiment.payload == pytest.approx(0.5 * robot.links[0].mass, rel=0.2)

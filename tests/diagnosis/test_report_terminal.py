@@ -108,7 +108,7 @@ def test_no_gap_is_claimed_closed_where_nothing_was_missing():
 
 def test_a_partial_answer_says_so_before_anything_else():
     lines = terminal_summary(partial().answer).splitlines()
-    assert lines[2].startswith("Stopped early, in the stage 'fit'")
+    assert lines[2].startswith("Stopped early, in the stage 'simulate'")
     assert "Stopped early" not in terminal_summary(arm().answer)
 
 

@@ -56,20 +56,20 @@ def test_thresholds_of_experiments_have_a_table(hook):
 
 def test_trims_of_naming_and_of_the_fit():
     """Their tolerances are written from the code into the page of effects."""
-    trims = " ".join(PAGE[PAGE.index("### Trims") : PAGE.index("## Fit")].split())
+    trims = " ".join(PAGE[PAGE.index("### Trims") : PAGE.index("## Simulate")].split())
     assert [e.name for e in TRIMS if f"`{e.name}`" not in trims] == []
     assert {e.name for e in FIT_TRIMS} - {e.name for e in TRIMS} == {"torque_scale"}
     assert "In the fit, `torque_scale` too" in trims
 
 
 def test_what_a_probability_rests_on_is_listed():
-    gates = PAGE[PAGE.index("## Gates") : PAGE.index("**Verdict.**")]
+    gates = PAGE[PAGE.index("## State") : PAGE.index("**Verdict.**")]
     assert [f.name for f in fields(Grounds) if f"`{f.name}`" not in gates] == []
 
 
 def test_what_a_true_term_may_leave_is_said_by_class():
     assert MISFIT == {"friction": 0.02, "presliding": 0.02, "change": 0.02, "transmission": 0.03}
-    text = " ".join(PAGE[PAGE.index("## Screen") : PAGE.index("### Trims")].split())
+    text = " ".join(PAGE[PAGE.index("## Propose") : PAGE.index("### Trims")].split())
     assert "a term of friction, presliding or change on the joint it must explain 2 %" in text
     assert "beside a transmission 3 %, beside others half a percent" in text
     assert "odds of twenty for each term" in text

@@ -12,8 +12,10 @@ from typing import Annotated, Literal
 import tyro
 
 from torchrl_athletic.diagnosis.continuation import recall, remember
-from torchrl_athletic.diagnosis.diagnose import Diagnosis, ModelError, diagnose
+from torchrl_athletic.diagnosis.diagnose import diagnose
 from torchrl_athletic.diagnosis.folder import locked
+from torchrl_athletic.diagnosis.model import ModelError
+from torchrl_athletic.diagnosis.outcome import Diagnosis
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.report import terminal_summary

@@ -21,8 +21,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from torchrl_athletic.diagnosis.corrected import write_json
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.gates import Evidence, answer_set
 from torchrl_athletic.diagnosis.motions import MARGIN, RATE, Limits, Motion, motions, touches, way
+from torchrl_athletic.diagnosis.proposal import Proposal, answer_set
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.result import Finding
 from torchrl_athletic.diagnosis.screen import Key, row_noise
@@ -181,7 +181,7 @@ class Experiment:
 
 
 def next_experiment(
-    evidence: Sequence[Evidence], findings: Sequence[Finding], limits: Limits | None = None, xml: str = ""
+    evidence: Sequence[Proposal], findings: Sequence[Finding], limits: Limits | None = None, xml: str = ""
 ) -> Experiment | None:
     """The experiment for the finding whose rivals share most of the evidence, of those that one would help.
 

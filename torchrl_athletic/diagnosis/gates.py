@@ -8,7 +8,6 @@ included, must pass the sensors' floor.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +16,10 @@ from torchrl_athletic.diagnosis.calibration import Grounds, probability, rival_p
 from torchrl_athletic.diagnosis.compare import follows, open_share
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
+from torchrl_athletic.diagnosis.proposal import Proposal, StandIn
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score, Verdict
 from torchrl_athletic.diagnosis.screen import Atom, Candidate, Key
-from torchrl_athletic.diagnosis.search import INVARIANT, Judge, Scored, alternatives, as_rival, keys, scatter
+from torchrl_athletic.diagnosis.search import INVARIANT, scatter
 from torchrl_athletic.effects import Effect, Parameter
 
 Array = NDArray[np.float64]
@@ -44,56 +44,20 @@ LEAST_SHARE = 0.03
 """Of the evidence; rivals below are not printed."""
 
 
-@dataclass(frozen=True, eq=False)
-class StandIn:
-    """What could stand in a term's place."""
+def judge_findings(
+    evidence: Sequence[Proposal],
+    fitted: Fitted,
+    scores: Collection[Score],
+    sets: Mapping[Key, Sequence[StandIn]],
+) -> tuple[Finding, ...]:
+    """State every term of the fitted hypothesis, most probable first.
 
-    atom: Atom
-    """Its name."""
-    scored: Scored
-    """The combination that has it."""
-    evidence: float
-    """Of torques and simulation against that combination; lower is better."""
-    share: float = 0.0
-    """Of the evidence among all that could stand there."""
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """One part of the search, kept for the gates: the mechanics, or the drive alone."""
-
-    judge: Judge
-    best: Scored
-    behind: float = 0.0
-    """Evidence that the recordings' torques give against it, beside the first."""
-    on_trial: bool = False
-    """Whether the simulation has to be decisively better with it than with the first, and to close much of what that
-    leaves: a law that holds the first as a special case, and an effect that is asked about late."""
-    alone: bool = False
-    """Whether it is an effect that was asked about alone, whatever the torques say."""
-    simulated: Mapping[frozenset[Key], float] = field(default_factory=dict)
-    """Combination -> twice the log odds that the simulation gives against it, for those that were fitted."""
-    others: tuple[Scored, ...] = ()
-    """Other combinations that neither torques nor simulation refute."""
-
-    def left_of(self, candidate: Candidate) -> float:
-        """The same where an effect acts: on its joint, or on the joint that is explained worst."""
-        left = self.left()
-        return float(left.max() if candidate.joint_name is None else left[candidate.joint])
-
-    def excess_of(self, candidate: Candidate) -> float:
-        """Mean square that stays there, beyond the noise and in its units."""
-        excess = self.judge.excess(self.best.fit)
-        return float(excess.max() if candidate.joint_name is None else excess[candidate.joint])
-
-    def left(self) -> Array:
-        """Share of each joint's excess missing torque that is left. Shape (J,)."""
-        before, after = (self.judge.excess(fit) for fit in (self.judge.bare, self.best.fit))
-        return np.where(before > 1.0, np.clip(after / np.maximum(before, 1e-12), 0.0, 1.0), 0.0)
-
-
-def judge_findings(evidence: Sequence[Evidence], fitted: Fitted, scores: Collection[Score] = ()) -> tuple[Finding, ...]:
-    """State every term of the fitted hypothesis, most probable first."""
+    Args:
+        evidence: What was chosen: the mechanics, and the drive if it was looked at alone.
+        fitted: The same in the simulation.
+        scores: Of that fit.
+        sets: Term -> who could stand in its place.
+    """
     still_open = max((open_share(s) for s in scores), default=1.0)
     stated = {c.key: c for c in fitted.hypothesis.terms}
     above, far = _above_floor(scores), _far(scores)
@@ -104,7 +68,7 @@ def judge_findings(evidence: Sequence[Evidence], fitted: Fitted, scores: Collect
         if not c.effect.is_physical(c.parameters, h.values_of(c, fitted.values)) or _is_noise(c, above)
     }
     out = [
-        _finding(part, term, fitted, stated[term.candidate.key], still_open, senseless, far)
+        _finding(part, term, fitted, stated[term.candidate.key], sets[term.candidate.key], still_open, senseless, far)
         for part in evidence
         for term in part.best.fit.terms
         if term.candidate.key in stated
@@ -113,7 +77,7 @@ def judge_findings(evidence: Sequence[Evidence], fitted: Fitted, scores: Collect
 
 
 def verdict_of(
-    evidence: Sequence[Evidence], findings: Sequence[Finding], train: Score | None, heldout: Score | None, is_open: bool
+    evidence: Sequence[Proposal], findings: Sequence[Finding], train: Score | None, heldout: Score | None, is_open: bool
 ) -> tuple[Verdict, float]:
     """The verdict, and the share of the error energy above the floor that no finding explains."""
     deciding = [s for s in (heldout, train) if s is not None]
@@ -133,40 +97,6 @@ def verdict_of(
 def _of_all(finding: Finding) -> float:
     """That a finding or one of its rivals is true."""
     return finding.probability + sum(rival.probability for rival in finding.rivals)
-
-
-def answer_set(part: Evidence, term: Atom) -> list[StandIn]:
-    """Who could stand in a term's place, itself included, with the share of the evidence that each has.
-
-    Each other effect in its place, beside all other terms; and an effect that alone does what this term and others of
-    its joint do together, as gains that are off do of a rotor with a lag.
-    """
-    found = keys(part.best.fit.terms)
-    beside = found - {term.candidate.key}
-    replaced = alternatives(part.judge, part.best, term)
-    options = [(next(a for a in s.fit.terms if a.candidate.key not in beside), s) for s in replaced]
-    for other in part.others:
-        atom = _instead(part.best, other)
-        if atom is not None and term.candidate.key not in keys(other.fit.terms):
-            options.append((atom, as_rival(part.judge, part.best, other.fit.terms)))
-    untried = part.simulated.get(found, 0.0)  # by the simulation: no better than the best
-    out = [StandIn(a, s, s.evidence + part.simulated.get(keys(s.fit.terms), untried)) for a, s in options]
-    best: dict[Key, StandIn] = {}
-    for option in sorted(out, key=lambda o: o.evidence):
-        best.setdefault(option.atom.candidate.key, option)
-    least = min(o.evidence for o in best.values())
-    weights = np.exp(-0.5 * np.array([o.evidence - least for o in best.values()]))
-    return [replace(o, share=float(w)) for o, w in zip(best.values(), weights / weights.sum(), strict=True)]
-
-
-def _instead(best: Scored, other: Scored) -> Atom | None:
-    """The only term that a combination has and the best has not, if it stands for several of its joint; else None."""
-    new = [a for a in other.fit.terms if a.candidate.key not in keys(best.fit.terms)]
-    gone = [a for a in best.fit.terms if a.candidate.key not in keys(other.fit.terms)]
-    if len(new) != 1 or len(gone) < 2:
-        return None
-    joints = {a.candidate.joint_name for a in (*new, *gone)} - {None}
-    return new[0] if new[0].candidate.joint_name is None or len(joints) == 1 else None
 
 
 def summarise(
@@ -208,10 +138,11 @@ def summarise(
 
 
 def _finding(
-    part: Evidence,
+    part: Proposal,
     term: Atom,
     fitted: Fitted,
     chosen: Candidate,
+    rated: Sequence[StandIn],
     still_open: float,
     senseless: Collection[Key],
     far: Collection[str],
@@ -219,7 +150,6 @@ def _finding(
     bank, candidate, h = part.judge.bank, term.candidate, fitted.hypothesis
     values, samples = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.samples)
     band = h.values_of(chosen, fitted.interval().T).T
-    rated = answer_set(part, term)
     own = next(option.share for option in rated if option.atom.candidate.key == candidate.key)
     grounds = Grounds(
         share=own,
@@ -351,7 +281,7 @@ def _stand_in(effect: Effect, joint: str) -> str:
     )
 
 
-def _energy_share(part: Evidence, term: Atom) -> float:
+def _energy_share(part: Proposal, term: Atom) -> float:
     """Share of the joint's missing torque that comes back when the term is taken away."""
     joint = term.candidate.joint
     without = part.judge.bank.fit([a for a in part.best.fit.terms if a is not term])

@@ -153,8 +153,8 @@ class Answer:
     """Name of the diagnosed model."""
     complete: bool = True
     """False when the run was stopped early: what is stated then is the state at that point."""
-    stage: str = "report"
-    """The last finished stage."""
+    stage: str = "deliver"
+    """The stage that a run ended in."""
     seed: int = 0
     inputs: str = ""
     """Digest of the model, the recordings and the settings that it was made of."""

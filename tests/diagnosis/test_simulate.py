@@ -1,0 +1,119 @@
+"""Which combinations are tried in the simulation, and when effects are asked about alone."""
+
+import importlib
+from types import SimpleNamespace
+
+import pytest
+
+from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.proposal import Proposal
+from torchrl_athletic.diagnosis.result import Score
+from torchrl_athletic.diagnosis.simulate import ALONE, BEHIND, _asked_alone, key_of
+from torchrl_athletic.diagnosis.stages import Simulated
+
+stage = importlib.import_module("torchrl_athletic.diagnosis.simulate")
+
+
+class Started:
+    """A diagnosis that has tried its first proposal, which leaves ``left`` of the motion; six effects may act alone."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, left: float, is_open: bool, named: bool, over: float) -> None:
+        self.alone = [SimpleNamespace(fit=SimpleNamespace(terms=[k])) for k in range(6)]
+        self.few = False
+        """Whether none of them closes a material share of the torque."""
+        self.finds: dict[int, tuple[bool, float]] = {}
+        """Number of a trial -> whether the choice falls on it with a name, and what it leaves."""
+        self.late = 9
+        """Number of trials from which on it is late."""
+        self.chosen = 0
+        first = Proposal(None, SimpleNamespace(fit=SimpleNamespace(terms=[])))
+        self.begun = Simulated(None, (self.trial(first, named, left, over),), (first,))  # of two, time allowed one
+        monkeypatch.setattr(stage, "singles", lambda judge: ([], self.alone) if self.few else (self.alone, []))
+        monkeypatch.setattr(stage, "keys", id)
+        monkeypatch.setattr(stage, "open_share", lambda score: score.before)
+        monkeypatch.setattr(stage, "torque_is_open", lambda trial: is_open)
+        monkeypatch.setattr(stage, "decided_by", lambda trials: (self.chosen,))
+        monkeypatch.setattr(stage, "_trial", self.tried)
+
+    @staticmethod
+    def trial(proposal: Proposal, named: bool, left: float, over: float) -> SimpleNamespace:
+        score = Score(left, 1.0, 1.0, 0.0, {"hip": {"before": over, "after": over, "floor": 1.0}})
+        fitted = SimpleNamespace(hypothesis=SimpleNamespace(terms=(None,) * named))
+        return SimpleNamespace(proposal=proposal, fitted=fitted, scores={"train": score})
+
+    def tried(self, proposal: Proposal, *_: object) -> SimpleNamespace:
+        number, self.count = self.count, self.count + 1
+        named, left = self.finds.get(number, (False, 0.9))
+        self.chosen = number if number in self.finds else self.chosen
+        return self.trial(proposal, named, left, 9.0)
+
+    def run(self) -> Simulated:
+        self.count = len(self.begun.trials)
+        late, progress = lambda: self.count >= self.late, SimpleNamespace(update=lambda fraction: None)
+        return _asked_alone(self.begun, SimpleNamespace(late=late, progress=progress))
+
+
+@pytest.mark.parametrize(
+    ("left", "is_open", "named", "over", "asked"),
+    [
+        (0.9, True, True, 9.0, ALONE),
+        (0.9, True, False, 9.0, 6),  # as long as nothing is named and most is open
+        (0.9, True, False, 2.0, ALONE),  # so near the floor the simulation could tell nothing of so many
+        (0.3, True, True, 9.0, 0),
+        (0.9, False, True, 9.0, 0),
+        (0.0, False, False, 3.0, ALONE),  # trims took the torque, and the motion is not followed all the same
+        (0.0, False, False, 2.0, 0),
+        (0.0, False, True, 3.0, 0),
+    ],
+)
+def test_effects_are_tried_alone_where_most_of_the_motion_stays_open(monkeypatch, left, is_open, named, over, asked):
+    work = Started(monkeypatch, left, is_open, named, over)
+    first, *more = [t.proposal for t in work.run().trials]
+    assert first is work.begun.trials[0].proposal
+    assert [p.best for p in more] == work.alone[:asked]
+    assert [p.on_trial for p in more] == [False] * min(ALONE, asked) + [True] * (asked - ALONE)
+    assert all(p.alone and p.behind == BEHIND for p in more)
+
+
+@pytest.mark.parametrize(
+    ("change", "asked"),
+    [
+        ({"finds": {4: (True, 0.9)}}, 4),  # a name
+        ({"finds": {3: (False, 0.2)}}, 4),  # adjusted numbers that explain it
+        ({"finds": {4: (False, 0.9)}}, 6),
+        ({"late": 3}, 2),
+        ({"late": 1}, 0),
+        ({"few": True}, 2),
+    ],
+)
+def test_no_further_effect_is_tried_alone_than_it_takes(monkeypatch, change, asked):
+    work = Started(monkeypatch, 0.9, True, False, 9.0)
+    vars(work).update(change)
+    assert len(work.run().trials) == 1 + asked
+
+
+def test_what_was_proposed_before_is_not_tried_alone(monkeypatch):
+    work = Started(monkeypatch, 0.9, True, False, 9.0)
+    again = work.trial(Proposal(None, work.alone[0]), False, 0.9, 9.0)
+    work.begun = Simulated(None, (*work.begun.trials, again))
+    assert [t.proposal.best for t in work.run().trials[1:]] == work.alone
+
+
+def test_ctrl_c_keeps_the_trials_that_were_made(monkeypatch):
+    work = Started(monkeypatch, 0.9, True, False, 9.0)
+    made = work.tried
+
+    def stopped(proposal: Proposal, *_: object) -> SimpleNamespace:
+        if work.count == 3:
+            raise KeyboardInterrupt
+        return made(proposal)
+
+    monkeypatch.setattr(stage, "_trial", stopped)
+    done = work.run()
+    assert done.stopped
+    assert [t.proposal.best for t in done.trials[1:]] == work.alone[:2]
+
+
+def test_a_fit_in_which_a_mass_is_adjusted_is_not_taken_for_one_in_which_it_is_found():
+    friction, mass = (SimpleNamespace(effect=SimpleNamespace(name=n), where="hip") for n in ("friction", "link_mass"))
+    assert key_of(Hypothesis((friction, mass))) != key_of(Hypothesis((friction,), (mass,)))
