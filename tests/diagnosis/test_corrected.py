@@ -8,14 +8,17 @@ import pytest
 from diagnosis.plants import pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
-from torchrl_athletic.diagnosis.corrected_xml import DRIVE, NATIVE, PASSIVE, corrected_xml
+from torchrl_athletic.diagnosis.corrected_xml import corrected_xml
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate
-from torchrl_athletic.effects import CATALOGUE, JointAddress, Plant
+from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, JointAddress, Plant
 from torchrl_athletic.robots import from_mjcf
 from torchrl_athletic.robots.benches import two_link_arm
 
 EFFECTS = {e.name: e for e in (*CATALOGUE, *FIT_TRIMS)}
+NATIVE = {name for name, e in EFFECTS.items() if e.mjcf == "model"}
+DRIVE = ("torque_scale", "torque_offset", "torque_saturation", "actuation_lag", "actuation_delay")
+PASSIVE = ("torque_ripple", "hysteresis")
 NATIVE_TERMS = {
     "coulomb_friction": [0.1, 0.0],
     "viscous_friction": [0.12],

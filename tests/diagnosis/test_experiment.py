@@ -22,10 +22,11 @@ from torchrl_athletic.diagnosis.motions import RATE, Limits, Motion
 from torchrl_athletic.diagnosis.prepare import PAYLOAD, prepare
 from torchrl_athletic.diagnosis.proposal import Proposal, answer_set
 from torchrl_athletic.diagnosis.result import Finding, Rival
-from torchrl_athletic.diagnosis.screen import TRIMS, Bank, candidates_for, trims_for
+from torchrl_athletic.diagnosis.screen import Bank, candidates_for, trims_for
 from torchrl_athletic.diagnosis.search import Judge, Scored, search
 from torchrl_athletic.diagnosis.separation import DRAWS, ENOUGH, Products, Rivals, thinned
 from torchrl_athletic.effects import (
+    TRIMS,
     ActuationDelay,
     ActuationLag,
     EncoderOffset,

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from torchrl_athletic.diagnosis import gates
 from torchrl_athletic.diagnosis.calibration import DECISIVE, EQUALS, SENSELESS, Grounds, probability, rival_probability
+from torchrl_athletic.diagnosis.compare import NEAR_FLOOR, far_joints
 from torchrl_athletic.diagnosis.gates import (
     EXPLAINED,
-    NEAR_FLOOR,
     PARTLY,
     summarise,
     verdict_of,
@@ -182,9 +182,9 @@ def test_a_joint_is_far_beyond_eight_floors_and_a_tenth_of_what_it_was(after, be
         "wrist": {"before": 9.0, "after": 1.0, "floor": 1.0},
     }
     near = Score(1, 1, 1, 0, {"elbow": {"before": before, "after": 1.0, "floor": 1.0}})
-    assert ("elbow" in gates._far([Score(1, 1, 1, 0, rows), near])) is expected  # in one of the splits is enough
-    assert "wrist" not in gates._far([Score(1, 1, 1, 0, rows), near])
-    assert gates._far([]) == frozenset()
+    assert ("elbow" in far_joints([Score(1, 1, 1, 0, rows), near])) is expected  # in one of the splits is enough
+    assert "wrist" not in far_joints([Score(1, 1, 1, 0, rows), near])
+    assert far_joints([]) == frozenset()
 
 
 def test_beside_a_simulation_that_is_far_off_no_name_has_more_than_one_half():

@@ -9,9 +9,7 @@ from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis.screen import (
-    FIT_TRIMS,
     TORQUE_FLOOR,
-    TRIMS,
     Bank,
     bounded_least_squares,
     candidates_for,
@@ -22,6 +20,8 @@ from torchrl_athletic.diagnosis.screen import (
 )
 from torchrl_athletic.effects import (
     CATALOGUE,
+    FIT_TRIMS,
+    TRIMS,
     ActuationDelay,
     ClockOffset,
     ClockShift,
@@ -225,7 +225,7 @@ def test_trims_lie_within_a_share_of_the_given_numbers(take):
     assert {t.joint_name for t in trims} == {*NAMES, None}
     for trim in trims:
         for p in trim.parameters:
-            reach = 0.5 * STEP if trim.effect.name == "clock_shift" else FIT_TRIMS[trim.effect] * p.scale
+            reach = 0.5 * STEP if trim.effect.name == "clock_shift" else trim.effect.tolerance * p.scale
             assert p.upper - p.nominal == pytest.approx(reach)
             assert p.nominal - p.lower == pytest.approx(reach)
 

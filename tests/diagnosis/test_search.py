@@ -377,7 +377,7 @@ def test_where_both_are_good_to_the_noise_a_twentieth_of_the_joints_evidence_kee
     shoulder = strength * a + 0.4 * b + 0.2 * bearing
     take = signals(noise / noise.std(0) + np.stack([shoulder, 9 * elsewhere], -1))  # the elbow's evidence is the most
     plain, rich = Given("dry", a), Given("warming", np.stack([a, b], -1), excludes=("dry",))
-    plain.family = "friction"  # type: ignore[misc]
+    plain.misfit = 0.02  # type: ignore[misc]
     rich.special_cases = frozenset({"dry"})  # type: ignore[misc]
     weigh = judge(take, candidate(plain), candidate(rich), candidate(Given("elsewhere", elsewhere), 1))
     dry, warming, elbow = weigh.bank.atoms
@@ -401,7 +401,7 @@ def test_friction_that_differs_by_direction_is_no_bearing_that_differs_from_its_
     take, wide = on_shoulder(30 * friction, rng.normal(size=(N, 2))), {"lower": -1e3, "upper": 1e3}
     plain = Given("dry", ahead + back, **wide)
     rich = Given("by_direction", np.stack([ahead, back], -1), excludes=("dry",), **wide)
-    plain.family = "friction"  # type: ignore[misc]
+    plain.misfit = 0.02  # type: ignore[misc]
     rich.special_cases, rich.sets_apart = frozenset({"dry"}), (("p0", "p1"),)  # type: ignore[misc]
     weigh = judge(take, candidate(plain), candidate(rich))
     simple, more = (weigh.score([atom]) for atom in weigh.bank.atoms)
@@ -610,8 +610,10 @@ def test_a_number_that_somebody_wrote_is_doubted_later_than_one_that_nobody_wrot
     rng = np.random.default_rng(0)
     column = smooth(rng, N)
     take = on_shoulder(5 * column, rng.normal(size=(N, 2)))
-    weigh = judge(take, candidate(Given("link_mass", column)), candidate(Given("reflected_inertia", column)))
-    assert names(search(weigh)[0]) == {("reflected_inertia", "shoulder")}
+    written, unwritten = Given("mass", column), Given("rotor", column)
+    written.odds = 1 / 3  # type: ignore[misc]
+    weigh = judge(take, candidate(written), candidate(unwritten))
+    assert names(search(weigh)[0]) == {("rotor", "shoulder")}
     mass, rotor = (weigh.score([atom]).evidence for atom in weigh.bank.atoms)
     assert mass - rotor == pytest.approx(2 * np.log(3))
 
@@ -696,7 +698,7 @@ def test_what_a_bearing_is_beyond_a_formula_makes_no_rival_of_a_richer_law():
     rng = np.random.default_rng(0)
     a, b = smooth(rng, (2, N))
     plain = Given("plain", a, -1e3, 1e3)
-    plain.family = "friction"  # type: ignore[misc]
+    plain.misfit = 0.02  # type: ignore[misc]
     for beyond, expected in ((4.0, {"plain"}), (40.0, {"plain", "rich"})):  # parts of 100 that no formula has
         take = on_shoulder(100 * a + beyond * b, rng.normal(size=(N, 2)))
         weigh = judge(take, candidate(plain), candidate(special(np.stack([a, b], -1), "plain")))

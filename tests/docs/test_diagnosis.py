@@ -12,10 +12,9 @@ import pytest
 from torchrl_athletic.diagnosis import Answer, Finding, Location, Rival, Score
 from torchrl_athletic.diagnosis.calibration import Grounds
 from torchrl_athletic.diagnosis.corrected import SCHEMA
-from torchrl_athletic.diagnosis.corrected_xml import DRIVE, NATIVE
 from torchrl_athletic.diagnosis.result import SCHEMA as ANSWER_SCHEMA
-from torchrl_athletic.diagnosis.screen import FIT_TRIMS, TRIMS
-from torchrl_athletic.diagnosis.search import DECISIVE, MISFIT, TERM
+from torchrl_athletic.diagnosis.search import DECISIVE, TERM
+from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, TRIMS
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "diagnosis.md").read_text(encoding="utf-8")
@@ -68,7 +67,8 @@ def test_what_a_probability_rests_on_is_listed():
 
 
 def test_what_a_true_term_may_leave_is_said_by_class():
-    assert MISFIT == {"friction": 0.02, "presliding": 0.02, "change": 0.02, "transmission": 0.03}
+    special = {"friction": 0.02, "presliding": 0.02, "change": 0.02, "transmission": 0.03}
+    assert {e.name for e in CATALOGUE if e.misfit != special.get(e.family, 0.005)} == set()
     text = " ".join(PAGE[PAGE.index("## Propose") : PAGE.index("### Trims")].split())
     assert "a term of friction, presliding or change on the joint it must explain 2 %" in text
     assert "beside a transmission 3 %, beside others half a percent" in text
@@ -100,8 +100,8 @@ def test_schemas_and_what_mjcf_can_say():
         "gravity_tilt": "gravity",
         "joint_spring": "spring",
     }
-    assert set(words) == NATIVE
-    assert set(DRIVE) == {f"torque_{word}" for word in ("scale", "offset", "saturation")} | {
-        f"actuation_{word}" for word in ("lag", "delay")
-    }
+    every = (*CATALOGUE, *FIT_TRIMS)
+    assert set(words) == {e.name for e in every if e.mjcf == "model"}
+    drive = {f"torque_{word}" for word in ("scale", "offset", "saturation")} | {"actuation_lag", "actuation_delay"}
+    assert {e.name for e in every if e.mjcf == "actuator"} == drive
     assert all(word in FILES for word in (*words.values(), "offset", "limit of its torque", "scale", "lag", "`delay`"))

@@ -55,7 +55,9 @@ def corrected_xml(xml: str, simulation: Simulation, commands: Commands | None = 
     links: dict[str, str] = {}
     if drive:
         links = write_gears(spec, plant, simulation.joint_names)
-        said |= {(effect, name) for name in links for effect in GEARS}
+        parts = (*simulation.hypothesis.terms, *simulation.hypothesis.trims)
+        said |= {c.key for c in parts if c.effect.mjcf == "gear" and c.joint_name in links}
+        said |= {c.key for c in parts if c.effect.write(spec, c.where, simulation.values_of(c))}
         for j, name in enumerate(simulation.joint_names):
             passive = _write_passive(spec, plant, j, (name, links.get(name)), _drive_of(simulation, name))
             said |= {(effect, name) for effect in passive}
@@ -64,35 +66,12 @@ def corrected_xml(xml: str, simulation: Simulation, commands: Commands | None = 
         f"\n  {'in part only' if _plant(simulation, c).fields else 'not expressed'} here, see corrected.json: "
         f"{c.effect.name} of {c.where}"
         for c in (*simulation.hypothesis.terms, *simulation.hypothesis.trims)
-        if c.effect.name not in NATIVE and c.key not in said
+        if c.effect.mjcf != "model" and c.key not in said
     )
     note += "".join(
         f"\n  {motor} is the motor's joint, which the encoder reads; {link} the link's" for motor, link in links.items()
     )
     return f"<!-- corrected by torchrl_athletic{note.replace('--', '- -')} -->\n{spec.to_xml()}"
-
-
-NATIVE = frozenset(
-    {
-        "coulomb_friction",
-        "gravity_tilt",
-        "joint_spring",
-        "link_com",
-        "link_com_shift",
-        "link_inertia",
-        "link_mass",
-        "payload",
-        "reflected_inertia",
-        "viscous_friction",
-    }
-)
-"""Effects that MJCF can say of any model."""
-DRIVE = ("torque_scale", "torque_offset", "torque_saturation", "actuation_lag", "actuation_delay")
-"""Effects that it can say of an actuator."""
-PASSIVE = ("torque_ripple", "hysteresis")
-"""Effects that it can say of a motor that takes no input."""
-GEARS = ("compliance", "backlash")
-"""Effects that it can say with a hinge for the motor and one for the link."""
 
 
 def _plant(simulation: Simulation, only: Candidate | None = None) -> Plant:
@@ -129,7 +108,7 @@ def _write_joint(joint: Any, plant: Plant, j: int, degrees: bool) -> None:
 def _drive_of(simulation: Simulation, joint: str) -> dict[str, Array]:
     """Effect -> values, of those that actuators of a joint may say."""
     h = simulation.hypothesis
-    own = (c for c in (*h.terms, *h.trims) if c.joint_name == joint and c.effect.name in (*DRIVE, *PASSIVE))
+    own = (c for c in (*h.terms, *h.trims) if c.joint_name == joint and c.effect.mjcf in ("actuator", "passive"))
     return {c.effect.name: h.values_of(c, simulation.values) for c in own}
 
 

@@ -40,7 +40,8 @@ def decide(simulated: Simulated) -> Decided:
     options = (*(t.proposal for t in trials), *simulated.untried)
     others = others_than(chosen, options, needed)
     trial = replace(trials[chosen], proposal=replace(trials[chosen].proposal, simulated=told, others=others))
-    decided = Decided(located, drive, trial, torque_is_open(trial))
+    joints = next((t for t in trials if t.proposal.joints), None)
+    decided = Decided(located, drive, trial, joints, torque_is_open(trial))
     stated = {c.key for c in trial.fitted.hypothesis.terms}
     sets = {
         term.candidate.key: answer_set(part, term)

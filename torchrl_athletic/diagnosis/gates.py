@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.calibration import Grounds, probability, rival_probability, widened
-from torchrl_athletic.diagnosis.compare import follows, open_share
+from torchrl_athletic.diagnosis.compare import NEAR_FLOOR, far_joints, follows, open_share
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
 from torchrl_athletic.diagnosis.proposal import Proposal, StandIn
@@ -30,12 +30,6 @@ LIKELY = 0.5
 """An explanation may not rest on a finding that, together with its rivals, is less probable than this."""
 PARTLY = 0.80
 """Above this share nothing worth the name is explained."""
-NEAR_FLOOR = 8.0
-"""Window error over the floor up to which a model without predictable missing torque is called complete, and one with
-findings explained: whatever was gross before, what is left beyond it shows that a law is another."""
-KEPT = 0.1
-"""Share of the given model's window error that a right law may leave, however many times the floor that is, since
-bearings are no formulas. Beyond it and beyond :data:`NEAR_FLOOR`, no name has more than one half."""
 SHOWN = 1.5
 """Window error of the given model over the floor below which the simulation shows nothing of a gear."""
 ALIKE = 0.05
@@ -60,7 +54,7 @@ def judge_findings(
     """
     still_open = max((open_share(s) for s in scores), default=1.0)
     stated = {c.key: c for c in fitted.hypothesis.terms}
-    above, far = _above_floor(scores), _far(scores)
+    above, far = _above_floor(scores), far_joints(scores)
     h = fitted.hypothesis
     senseless = {
         c.key
@@ -232,23 +226,13 @@ def _above_floor(scores: Collection[Score]) -> Mapping[str, float]:
     return {name: max(e["before"] / max(e["floor"], 1e-12) for e in of) for name, of in errors.items()}
 
 
-def _far(scores: Collection[Score]) -> frozenset[str]:
-    """Joints that the corrected model does not follow, in fitted recordings or in those kept aside."""
-    return frozenset(
-        name
-        for s in scores
-        for name, e in s.per_joint.items()
-        if e["after"] > NEAR_FLOOR * max(e["floor"], 1e-12) and e["after"] > KEPT * e["before"]
-    )
-
-
 def _is_noise(candidate: Candidate, above: Mapping[str, float]) -> bool:
     """Whether a gear gives way on a joint that the given model follows as it is.
 
     What a gear predicts is made of measured accelerations, so that their noise can look like a gear.
     """
     name = candidate.joint_name or ""
-    return candidate.effect.family == "transmission" and above.get(name, np.inf) < SHOWN
+    return candidate.effect.of_accelerations and above.get(name, np.inf) < SHOWN
 
 
 def _within(parameter: Parameter, ends: tuple[float, float]) -> tuple[float, float]:

@@ -27,6 +27,8 @@ class Proposal:
     leaves: a law that holds the first as a special case, and an effect that is asked about late."""
     alone: bool = False
     """Whether it is an effect that was asked about alone, whatever the torques say."""
+    joints: bool = False
+    """Whether it is what the fit of the standard joints needs."""
     simulated: Mapping[frozenset[Key], float] = field(default_factory=dict)
     """Combination -> twice the log odds that the simulation gives against it, for those that were fitted."""
     others: tuple[Scored, ...] = ()

@@ -6,20 +6,16 @@ from collections.abc import Callable, Collection, Sequence
 
 from torchrl_athletic.diagnosis.prepare import drive_signals, prepare
 from torchrl_athletic.diagnosis.proposal import Proposal
-from torchrl_athletic.diagnosis.screen import OWN_JOINT, TRIMS, Bank, Candidate, Key, candidates_for, trims_for
+from torchrl_athletic.diagnosis.screen import Bank, Candidate, Key, candidates_for, trims_for
 from torchrl_athletic.diagnosis.search import Judge, Scored, keys, noisy_joints, richer, rivals, search
 from torchrl_athletic.diagnosis.stages import Located, Proposed, Run
-from torchrl_athletic.effects import Effect, Signals
+from torchrl_athletic.effects import TRIMS, Effect, Signals
 
 CLOSE = 10.0
 """Evidence within which combinations are left to the simulation to decide."""
 MOST_FITS = 4
 ASKED = 6.0
 """Evidence behind which a rival is not asked about in the simulation: a twentieth of the odds."""
-DRIVE_EFFECTS = ("actuation_delay", "actuation_lag", "torque_scale", "torque_offset")
-"""What can happen between a command and a measured torque."""
-BEFORE_THE_MOTOR = frozenset({"actuation_delay", "actuation_lag", "torque_saturation", "speed_torque_limit"})
-"""What a measured torque has behind it."""
 
 
 def propose(located: Located, run: Run) -> Proposed:
@@ -31,12 +27,12 @@ def propose(located: Located, run: Run) -> Proposed:
         s.recording.torque_semantics == "current_derived" and s.recording.torque_command is not None for s in signals
     )
     if cut:
-        of_drive = [e for e in catalogue if e.name in DRIVE_EFFECTS]
+        of_drive = [e for e in catalogue if e.between_torques]
         drive = _searched(drive_signals(ready.train), of_drive, ())[0]
         measured = prepare(given.recordings, given.model, "measured", signals[0].kernel, given.joined, given.xml)
         signals = measured.signals
     if cut or given.drive == "measured":  # what was measured has passed the drive's lags and limits
-        catalogue = tuple(e for e in catalogue if e.name not in BEFORE_THE_MOTOR)
+        catalogue = tuple(e for e in catalogue if not e.before_sensor)
     taken = keys(drive.best.fit.terms) if drive else frozenset[Key]()
     options = _searched(signals, catalogue, trims_for(signals, TRIMS), taken, run.progress.update)
     return Proposed(located, drive, tuple(options))
@@ -54,7 +50,7 @@ def _searched(
     is_open = judge.is_open(judge.bare)
     if is_open.any():
         candidates = [c for c in candidates_for(signals, catalogue) if c.key not in taken]
-        bank.extend(c for c in candidates if is_open[c.joint] or c.effect.family not in OWN_JOINT)
+        bank.extend(c for c in candidates if is_open[c.joint] or not c.effect.own_joint)
     found = search(judge, progress)
     if noisy := noisy_joints(judge):
         judge = Judge(bank, noisy)

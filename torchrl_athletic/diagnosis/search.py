@@ -34,10 +34,6 @@ RIVAL_PRICE = 2.0
 """Price of a parameter among rivals (Akaike 1974): whatever fits as well may be true, also if it has a number more."""
 MATERIAL = 0.10
 """Share of what is still open on its joints that a term must close."""
-MISFIT = {"friction": 0.02, "presliding": 0.02, "change": 0.02, "transmission": 0.03}
-"""Share of the torque of a right name of a class that it may get wrong, its law being simpler than nature's."""
-EXACT = 0.005
-"""The same of the other classes."""
 ACCURACY = 0.01
 """Error of a right law, of the torque that is missing without it: below, evidence speaks of tangents and time steps."""
 RICHER = 0.25
@@ -61,8 +57,6 @@ PROMISING = 10
 """Candidates beside a combination that are weighed in full."""
 REFINED = 4
 """Rivals of a term, the nearest, whose nonlinear parameters are found as finely as its own."""
-UNLIKELY = frozenset({"link_mass", "link_com", "torque_scale", "clock_offset"})
-"""Effects with a third of the others' odds."""
 FINEST = 0.02
 """Relative step below which the simulation's fit finds a nonlinear parameter better."""
 STEADY = 0.1
@@ -189,7 +183,7 @@ class Judge:
         bare, total = float(self.excess(self.bare)[joint]), float(self.total[joint].sum())
         misfit = max(
             (
-                MISFIT.get(term.candidate.effect.family, EXACT) * min(float(energy[joint]) / total, bare)
+                term.candidate.effect.misfit * min(float(energy[joint]) / total, bare)
                 for term, energy in zip(before.terms, before.energy, strict=True)
                 if term.candidate.joint == joint
             ),
@@ -306,6 +300,25 @@ def singles(judge: Judge) -> tuple[list[Scored], list[Scored]]:
     closed = {s: judge.closes(nothing.fit, s.fit) for s in alone if not s.fit.at_bound}
     material = sorted((s for s in closed if closed[s] > MATERIAL), key=lambda s: -closed[s])
     return material, sorted((s for s in closed if closed[s] <= MATERIAL), key=lambda s: s.evidence)
+
+
+def suggestions(judge: Judge, scored: Scored) -> list[Scored]:
+    """A combination with one effect more, or with a law in the place of simpler ones; what promises most first.
+
+    Nothing is asked of them but that no value stops at a bound: whether one is worth having, the simulation knows.
+    """
+    terms, chosen = scored.fit.terms, keys(scored.fit.terms)
+    more = _promising(judge, scored, _shortlist(judge, scored, most=len(terms) + 1))
+    trials = [judge.score([*terms, atom]) for atom in more]
+    for candidate in {a.candidate: None for a in judge.bank.atoms if a.candidate.key not in chosen}:
+        parts = tuple(t for t in terms if not candidate.allows(t.candidate))
+        if parts and candidate.joint_name is not None:
+            trials.append(_merged(judge, terms, parts, candidate, len(terms) + 1))
+    best: dict[frozenset[Key], Scored] = {}
+    for trial in sorted(trials, key=lambda s: s.evidence):
+        if not trial.fit.at_bound and not keys(trial.fit.terms) <= chosen:
+            best.setdefault(keys(trial.fit.terms), trial)
+    return list(best.values())
 
 
 def noise_level(bank: Bank) -> Array:
@@ -548,12 +561,18 @@ def _merge(judge: Judge, scored: Scored) -> Scored:
         scored = best
 
 
-def _merged(judge: Judge, terms: Sequence[Atom], parts: Sequence[Atom], whole: Candidate | None) -> Scored:
+def _merged(
+    judge: Judge,
+    terms: Sequence[Atom],
+    parts: Sequence[Atom],
+    whole: Candidate | None,
+    most: int = MOST_PER_JOINT,
+) -> Scored:
     """The combination with the best single term instead of some: one of their joint, or the given one."""
     kept = judge.score([t for t in terms if t not in parts])
     atoms = [
         a
-        for a in _shortlist(judge, kept)
+        for a in _shortlist(judge, kept, most=most)
         if (a.candidate.joint_name == parts[0].candidate.joint_name if whole is None else a.candidate is whole)
     ]
     trials = [judge.score([*kept.fit.terms, atom]) for atom in _promising(judge, kept, atoms, 3)]
@@ -690,13 +709,16 @@ def _prune(judge: Judge, scored: Scored) -> Scored:
     return scored
 
 
-def _shortlist(judge: Judge, parent: Scored, among: Callable[[Atom], bool] = lambda atom: True) -> list[Atom]:
+def _shortlist(
+    judge: Judge, parent: Scored, among: Callable[[Atom], bool] = lambda atom: True, most: int = MOST_PER_JOINT
+) -> list[Atom]:
     """What may stand beside a combination: of each nonlinear candidate the grid points that promise most.
 
     Args:
         judge: Of the bank.
         parent: The combination.
         among: Which atoms are asked about; points that are not take no places from those that are.
+        most: Effects of a joint.
     """
     bank, chosen = judge.bank, [a.candidate for a in parent.fit.terms]
     total = judge.total.sum(1)
@@ -710,7 +732,7 @@ def _shortlist(judge: Judge, parent: Scored, among: Callable[[Atom], bool] = lam
         for a in bank.atoms
         if (a in promising or (a not in gained and among(a)))
         and all(a.candidate.allows(c) for c in chosen)
-        and sum(c.joint == a.candidate.joint for c in chosen) < MOST_PER_JOINT
+        and sum(c.joint == a.candidate.joint for c in chosen) < most
     ]
 
 
@@ -724,8 +746,8 @@ def _relieves(before: Fit, after: Fit) -> bool:
 
 
 def _doubt(atom: Atom) -> float:
-    """Prior: a number that somebody wrote is less likely wrong than one that nobody wrote, a clock than a motor."""
-    return 2 * np.log(3.0) if atom.candidate.effect.name in UNLIKELY else 0.0
+    """Prior: evidence against the name, whatever the recordings say."""
+    return -2 * np.log(atom.candidate.effect.odds)
 
 
 def _is_richer(one: Atom, other: Atom) -> bool:

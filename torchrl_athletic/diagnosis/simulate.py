@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.compare import follows, open_share, score
+from torchrl_athletic.diagnosis.compare import far_joints, follows, open_share, score
 from torchrl_athletic.diagnosis.decide import decided_by, torque_is_open
+from torchrl_athletic.diagnosis.extend import Extended, extended, in_torques, standard_fit
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, idle_terms, without
 from torchrl_athletic.diagnosis.proposal import Proposal
-from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate, Key, is_trim, trims_for
+from torchrl_athletic.diagnosis.result import Score
+from torchrl_athletic.diagnosis.screen import Candidate, Key, is_trim, trims_for
 from torchrl_athletic.diagnosis.search import keys, singles
 from torchrl_athletic.diagnosis.stages import Given, Proposed, Ready, Run, Simulated, Trial
+from torchrl_athletic.effects import FIT_TRIMS, TRIMS
 
 Array = NDArray[np.float64]
 
@@ -34,7 +37,7 @@ WORTH = 0.1
 def simulate(proposed: Proposed, run: Run) -> Simulated:
     """Fit and score what was proposed, and more where that leaves most of the motion; Ctrl-C keeps what there is."""
     done = Simulated(proposed, untried=proposed.options)
-    for stage in (_tried_all, _asked_alone):
+    for stage in (_tried_all, _with_joints, _asked_alone):
         done = stage(done, run)
     return done
 
@@ -49,6 +52,37 @@ def _tried_all(done: Simulated, run: Run) -> Simulated:
             return replace(done, stopped=True)
         done = replace(done, trials=(*done.trials, trial), untried=done.untried[1:])
         run.progress.update(len(done.trials) / count)
+    return done
+
+
+def _with_joints(done: Simulated, run: Run) -> Simulated:
+    """The same with the standard joints, and with what folds ask for beyond them.
+
+    They are fitted unless a combination follows the recordings already: nothing is left then that they could explain.
+    Where no combination follows them at all, they are as good an explanation as any; elsewhere the simulation has to be
+    decisively better with them, since they hold most simple laws as special cases.
+    """
+    if not done.trials or done.stopped or run.late():
+        return done
+    ready, best = done.proposed.located.ready, done.trials[decided_by(done.trials)[0]]
+    if follows(best.scores["train"], FOLLOWS):
+        return done
+    settings: dict[str, Any] = {"on_trial": True, "behind": BEHIND}
+    if far_joints([best.scores["train"]]):
+        settings = {}
+    judge = done.trials[0].proposal.judge
+    try:
+        standard = standard_fit(ready, run)
+        if standard is None or not standard.hypothesis.terms:
+            return done
+        known = [Extended(standard, in_torques(judge, standard))]
+        more = extended(judge, standard, ready.train.takes, ready.given.rng("extend"), run.late)
+        for k, found in enumerate([*known, *([more] if more is not None else [])]):
+            proposal = Proposal(judge, found.torques, **settings, joints=not k)
+            trial = scored(proposal, _without_small(found.fitted, ready.given), ready)
+            done = replace(done, trials=(*done.trials, trial))
+    except KeyboardInterrupt:
+        return replace(done, stopped=True)
     return done
 
 
@@ -120,14 +154,22 @@ def _without_small(fitted: Fitted, given: Given) -> Fitted:
 
 def scored(proposal: Proposal, fitted: Fitted, ready: Ready) -> Trial:
     """A fit with its errors; to choose by them, the windows of the fitted recordings are kept."""
-    results = {
-        split: score(
-            p.takes, fitted.hypothesis, fitted.values, p.position_noise, ready.given.rng(split), p.repeatability
-        )
-        for split, p in ready.splits().items()
-    }
+    results = _results(fitted, ready)
     _, _, errors, began = results["train"]  # what was kept aside scores the answer, it does not choose it
     return Trial(proposal, fitted, {split: r[0] for split, r in results.items()}, errors, began)
+
+
+def scores_of(fitted: Fitted, ready: Ready) -> dict[str, Score]:
+    """Errors of a fit, of 'train' and 'heldout'."""
+    return {split: r[0] for split, r in _results(fitted, ready).items()}
+
+
+def _results(fitted: Fitted, ready: Ready) -> dict[str, tuple[Score, Array, Array, Array]]:
+    rng, h, x = ready.given.rng, fitted.hypothesis, fitted.values
+    return {
+        split: score(p.takes, h, x, p.position_noise, rng(split), p.repeatability)
+        for split, p in ready.splits().items()
+    }
 
 
 def _hypothesis(option: Proposal, drive: Proposal | None, adjusted: Collection[Key]) -> tuple[Hypothesis, Array]:
@@ -173,7 +215,7 @@ def _adjusted(option: Proposal) -> set[Key]:
 def _moved(trim: Candidate, value: Array | None) -> bool:
     """Whether the torque domain asked for a trim; one that it was not asked about may move in the simulation."""
     if value is None:
-        return trim.effect.name == "torque_scale"
+        return trim.effect not in TRIMS
     reach = np.array([p.upper - p.nominal for p in trim.parameters])
     return bool((np.abs(value - [p.nominal for p in trim.parameters]) > WORTH * reach).any())
 

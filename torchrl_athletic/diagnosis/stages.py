@@ -137,6 +137,8 @@ class Decided:
     drive: Proposal | None = None
     trial: Trial | None = None
     """The chosen one; none if nothing was simulated."""
+    joints: Trial | None = None
+    """The standard joints, where they were fitted."""
     is_open: bool = False
     """Whether some joint misses torque that noise does not explain, with all numbers within their tolerances."""
     sets: Mapping[Key, Sequence[StandIn]] = field(default_factory=dict)

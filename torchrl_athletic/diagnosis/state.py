@@ -17,8 +17,8 @@ from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.locate import regime_maps
 from torchrl_athletic.diagnosis.remainder import remarks_on
 from torchrl_athletic.diagnosis.result import Answer, Finding, RegimeMap, Score
-from torchrl_athletic.diagnosis.simulate import scored
-from torchrl_athletic.diagnosis.stages import Decided, Given, Ready, Trial
+from torchrl_athletic.diagnosis.simulate import scores_of
+from torchrl_athletic.diagnosis.stages import Decided, Given, Ready
 from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.recordings import Recording
@@ -47,8 +47,8 @@ class Correction:
     fitted: Fitted | None
     """None for the given model."""
     scores: Mapping[str, Score]
-    sentence: str = ""
-    """What was taken back, and why."""
+    sentences: tuple[str, ...] = ()
+    """What of the names it has not, and why."""
 
 
 def state(decided: Decided, stopped_in: str = "") -> Stated:
@@ -65,7 +65,7 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
     harmful = harms(scores.get("train"))
     correction = Correction(None, scores)
     if trial is not None and verdict != "nothing_missing" and not harmful:
-        correction = _kept(trial, ready)
+        correction = _kept(_best_followed(decided), ready)
     nominal = as_given(given)
     corrected = nominal
     if correction.fitted is not None:
@@ -75,8 +75,7 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
     summary = summarise(verdict, findings, decided.located.locations, last, "heldout" in scores, share)
     if harmful:
         summary += ("What fits best makes the simulation worse, so that the corrected model is the given one.",)
-    if correction.sentence:
-        summary += (correction.sentence,)
+    summary += correction.sentences
     if stopped_in and trial is None:
         summary = ("Stopped before anything was named; where the error is stands below.",)
     summary += tuple(
@@ -112,17 +111,43 @@ def _findings(decided: Decided) -> tuple[Finding, ...]:
     return with_alternatives(findings, given.joint_names, applying, _damped(given.recordings))
 
 
-def _kept(trial: Trial, ready: Ready) -> Correction:
-    """The trial without what makes a joint worse on recordings that were kept aside."""
-    if ready.held is None or "heldout" not in trial.scores:
-        return Correction(trial.fitted, trial.scores)
-    given, fitted = ready.given, trial.fitted
-    floor = np.array([joint["floor"] for joint in trial.scores["heldout"].per_joint.values()])
+def _best_followed(decided: Decided) -> Correction:
+    """The chosen trial; or the standard joints, where recordings that were kept aside are followed better with those.
+
+    The names stay: they are the fitted recordings' alone.
+    """
+    trial, joints = decided.trial, decided.joints
+    assert trial is not None
+    chosen = Correction(trial.fitted, trial.scores)
+    if joints is None or trial.proposal.joints:
+        return chosen
+    split = "heldout" if "heldout" in trial.scores else "train"
+    with_names, aside = trial.scores[split].after, joints.scores[split].after
+    if with_names <= aside:
+        return chosen
+    kind = "recordings that were kept aside" if split == "heldout" else "the fitted recordings"
+    return Correction(
+        joints.fitted,
+        joints.scores,
+        (
+            f"The corrected simulation has the standard joints instead of what is named: {kind} are followed to "
+            f"{100 * aside / with_names:.0f} % of the error.",
+        ),
+    )
+
+
+def _kept(correction: Correction, ready: Ready) -> Correction:
+    """The same without what makes a joint worse on recordings that were kept aside."""
+    given, fitted, scores = ready.given, correction.fitted, correction.scores
+    if ready.held is None or "heldout" not in scores or fitted is None:
+        return correction
+    floor = np.array([joint["floor"] for joint in scores["heldout"].per_joint.values()])
     gone = vetoed(fitted.hypothesis, fitted.values, ready.held.takes, given.rng("heldout"), floor)
     if not gone:
-        return Correction(fitted, trial.scores)
+        return correction
     fitted = without(fitted, gone)
-    return Correction(fitted, scored(trial.proposal, fitted, ready).scores, veto_sentence(gone, given.joint_names))
+    said = (*correction.sentences, veto_sentence(gone, given.joint_names))
+    return Correction(fitted, scores_of(fitted, ready), said)
 
 
 def as_given(given: Given) -> Simulation:
