@@ -223,13 +223,17 @@ def test_the_summary_says_the_most_important_first():
     assert "none were kept aside" in summarise("explained", [FINDING], WHERE, score(0.0), False, 0.04)[2]
 
 
-def test_the_summary_says_that_nothing_is_likely_whether_or_not_there_are_rivals():
-    for rivals in ((), (Rival("backlash", "elbow", 0.1, ""),)):
-        vague = dataclasses.replace(FINDING, probability=0.2, rivals=rivals)
-        assert any(
-            "None of this is likely" in line for line in summarise("unexplained", [vague], WHERE, None, True, 1.0)
-        )
-    assert not any("None of this" in line for line in summarise("explained", [FINDING], WHERE, None, True, 0.0))
+@pytest.mark.parametrize("rivals", [(), (Rival("backlash", "elbow", 0.1, "hang a weight on elbow"),)])
+@pytest.mark.parametrize("of_class", [0.3, 0.9])
+def test_what_is_not_likely_is_not_identified_and_the_summary_says_what_would(rivals, of_class):
+    vague = dataclasses.replace(
+        FINDING, probability=0.2, rivals=rivals, class_name="friction", class_probability=of_class
+    )
+    first, would, *_ = summarise("unexplained", [vague], WHERE, None, True, 1.0)
+    assert FINDING.sentence not in first
+    assert first.startswith("Likely missing at elbow: friction (90 %)" if of_class > 0.5 else "Not identified at elbow")
+    assert would.startswith("What would identify it: " + ("hang a weight on elbow." if rivals else "each joint alone"))
+    assert not any("identif" in line for line in summarise("explained", [FINDING], WHERE, None, True, 0.0))
 
 
 def test_the_summary_of_no_finding_tells_nothing_missing_from_unexplained():

@@ -109,6 +109,27 @@ def probability(grounds: Grounds, effect: str = "") -> float:
     return float(min(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))), grounds.most))
 
 
+def class_probability(law: float, alike: float, closed: float) -> float:
+    """That physics of a finding's class is missing at its joint, whatever the law: learnt on real benches.
+
+    What the correction leaves open may be of another class, so that its probability is no larger than what is closed.
+
+    Args:
+        law: Probability of the finding.
+        alike: The same with its rivals of the same class and joint.
+        closed: Share of the simulation's error energy above the floor that the correction closes, 0..1.
+
+    Example:
+        >>> class_probability(law=0.4, alike=0.4, closed=0.9) > class_probability(law=0.4, alike=0.4, closed=0.5) == 0.5
+        True
+        >>> class_probability(law=0.9, alike=0.9, closed=0.5)
+        0.9
+    """
+    weights, p = learnt("class"), float(np.clip(alike, 1e-3, 1 - 1e-3))
+    odds = weights["level"] + weights["steepness"] * np.log(p / (1 - p))
+    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed)))
+
+
 def rival_probability(likely: float, own: float, share: float) -> float:
     """That another effect is true in a finding's place.
 

@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.calibration import Grounds, probability, rival_probability, widened
+from torchrl_athletic.diagnosis.calibration import Grounds, class_probability, probability, rival_probability, widened
 from torchrl_athletic.diagnosis.compare import NEAR_FLOOR, far_joints, follows, open_share
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
@@ -21,6 +21,7 @@ from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival
 from torchrl_athletic.diagnosis.screen import Atom, Candidate, Key
 from torchrl_athletic.diagnosis.search import INVARIANT, scatter
 from torchrl_athletic.effects import Effect, Parameter
+from torchrl_athletic.effects.effect import CLASSES
 
 Array = NDArray[np.float64]
 
@@ -36,6 +37,9 @@ ALIKE = 0.05
 """Relative difference below which two numbers of a law are the same."""
 LEAST_SHARE = 0.03
 """Of the evidence; rivals below are not printed."""
+
+
+ANY_EXPERIMENT = "each joint alone, slowly both ways and fast, with and without a known payload"
 
 
 def judge_findings(
@@ -107,9 +111,8 @@ def summarise(
         out.append("Nothing is missing: the model follows the recordings as closely as the sensors' noise allows.")
     elif not findings:
         out.append("The model and the robot differ, and no effect of the catalogue explains how.")
-    out += [f.sentence for f in findings]
-    if findings and all(f.probability < LIKELY for f in findings):
-        out.append("None of this is likely: look for physics that the catalogue does not have yet.")
+    out += [f.sentence for f in findings if f.probability > LIKELY]
+    out += not_identified([f for f in findings if f.probability <= LIKELY])
     where = [x for x in locations if x.regime != "everywhere"][:1]
     if verdict != "nothing_missing" and locations:
         text = f"{100 * locations[0].share_of_error:.0f} % of the error arises at {locations[0].joint}"
@@ -129,6 +132,28 @@ def summarise(
             f"{100 * share:.0f} % of its energy above the sensors' floor stays unexplained."
         )
     return tuple(out)
+
+
+def not_identified(findings: Sequence[Finding]) -> list[str]:
+    """What fits best where no law is likely, a sentence for each class and joint, and what would identify it."""
+    first: dict[tuple[str, str | None], Finding] = {}
+    for f in findings:
+        first.setdefault((f.class_name, f.joint), f)
+    out = []
+    for (kind, joint), f in first.items():
+        at, law = joint or "the robot", f"{f.effect.replace('_', ' ')} fits best, at {100 * f.probability:.0f} %"
+        if f.class_probability > LIKELY:
+            what = CLASSES.get(kind, kind.replace("_", " "))
+            sure = f"{100 * f.class_probability:.0f} %"
+            out.append(f"Likely missing at {at}: {what} ({sure}). Its law is not identified; {law}.")
+        else:
+            out.append(f"Not identified at {at}; {law}.")
+    asked = list(dict.fromkeys(r.separating_experiment for f in first.values() for r in f.rivals))
+    if asked:
+        out.append(f"What would identify it: {asked[0]}.")
+    elif out:
+        out.append(f"What would identify it: {ANY_EXPERIMENT}.")
+    return out
 
 
 def _finding(
@@ -163,6 +188,7 @@ def _finding(
     likely = probability(grounds, candidate.effect.name)
     effect, joint = candidate.effect, candidate.where
     named = {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)}
+    others = [option for option in rated if option.atom.candidate.key != candidate.key]
     rivals = [
         Rival(
             option.atom.candidate.effect.name,
@@ -170,9 +196,11 @@ def _finding(
             rival_probability(likely, own, option.share),
             effect.experiment(option.atom.candidate.effect.name, joint),
         )
-        for option in rated
-        if option.atom.candidate.key != candidate.key and option.share > LEAST_SHARE
+        for option in others
+        if option.share > LEAST_SHARE
     ]
+    alike = sum(rival_probability(likely, own, o.share) for o in others if _is_alike(o.atom.candidate, candidate))
+    of_class = likely if grounds.senseless else class_probability(likely, likely + alike, 1.0 - still_open)
     explained = bank.prediction(part.best.fit, term)
     return Finding(
         effect=effect.name,
@@ -187,7 +215,15 @@ def _finding(
         rivals=tuple(rivals),
         energy_share=grounds.energy,
         grounds=grounds.to_json(),
+        class_name=effect.family,
+        class_probability=of_class,
+        law_probability=likely / of_class if of_class > 0 else 0.0,
     )
+
+
+def _is_alike(one: Candidate, other: Candidate) -> bool:
+    """Whether two effects are of one class, on the same joint."""
+    return one.effect.family == other.effect.family and one.joint_name == other.joint_name
 
 
 def _certainty(candidate: Candidate, values: Array, samples: Array) -> float:

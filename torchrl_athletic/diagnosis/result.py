@@ -64,6 +64,12 @@ class Finding:
     """What the probability rests on (see :class:`~torchrl_athletic.diagnosis.calibration.Grounds`)."""
     alternatives: tuple[tuple[Name, ...], ...] = ()
     """Other names of the same physics, which no recording can tell from this one; each may take several together."""
+    class_name: str = ""
+    """Class of the effect: 'friction', 'inertia', ..."""
+    class_probability: float = 0.0
+    """That physics of this class is missing at the joint, whatever its law."""
+    law_probability: float = 0.0
+    """That it is this law, given the class: ``probability`` over ``class_probability``."""
 
 
 @dataclass(frozen=True)

@@ -302,25 +302,6 @@ def singles(judge: Judge) -> tuple[list[Scored], list[Scored]]:
     return material, sorted((s for s in closed if closed[s] <= MATERIAL), key=lambda s: s.evidence)
 
 
-def suggestions(judge: Judge, scored: Scored) -> list[Scored]:
-    """A combination with one effect more, or with a law in the place of simpler ones; what promises most first.
-
-    Nothing is asked of them but that no value stops at a bound: whether one is worth having, the simulation knows.
-    """
-    terms, chosen = scored.fit.terms, keys(scored.fit.terms)
-    more = _promising(judge, scored, _shortlist(judge, scored, most=len(terms) + 1))
-    trials = [judge.score([*terms, atom]) for atom in more]
-    for candidate in {a.candidate: None for a in judge.bank.atoms if a.candidate.key not in chosen}:
-        parts = tuple(t for t in terms if not candidate.allows(t.candidate))
-        if parts and candidate.joint_name is not None:
-            trials.append(_merged(judge, terms, parts, candidate, len(terms) + 1))
-    best: dict[frozenset[Key], Scored] = {}
-    for trial in sorted(trials, key=lambda s: s.evidence):
-        if not trial.fit.at_bound and not keys(trial.fit.terms) <= chosen:
-            best.setdefault(keys(trial.fit.terms), trial)
-    return list(best.values())
-
-
 def noise_level(bank: Bank) -> Array:
     """Mean square of the normalised missing torque where nothing is missing: sensor noise, and what smoothing bends.
 
@@ -561,18 +542,12 @@ def _merge(judge: Judge, scored: Scored) -> Scored:
         scored = best
 
 
-def _merged(
-    judge: Judge,
-    terms: Sequence[Atom],
-    parts: Sequence[Atom],
-    whole: Candidate | None,
-    most: int = MOST_PER_JOINT,
-) -> Scored:
+def _merged(judge: Judge, terms: Sequence[Atom], parts: Sequence[Atom], whole: Candidate | None) -> Scored:
     """The combination with the best single term instead of some: one of their joint, or the given one."""
     kept = judge.score([t for t in terms if t not in parts])
     atoms = [
         a
-        for a in _shortlist(judge, kept, most=most)
+        for a in _shortlist(judge, kept)
         if (a.candidate.joint_name == parts[0].candidate.joint_name if whole is None else a.candidate is whole)
     ]
     trials = [judge.score([*kept.fit.terms, atom]) for atom in _promising(judge, kept, atoms, 3)]
@@ -709,16 +684,13 @@ def _prune(judge: Judge, scored: Scored) -> Scored:
     return scored
 
 
-def _shortlist(
-    judge: Judge, parent: Scored, among: Callable[[Atom], bool] = lambda atom: True, most: int = MOST_PER_JOINT
-) -> list[Atom]:
+def _shortlist(judge: Judge, parent: Scored, among: Callable[[Atom], bool] = lambda atom: True) -> list[Atom]:
     """What may stand beside a combination: of each nonlinear candidate the grid points that promise most.
 
     Args:
         judge: Of the bank.
         parent: The combination.
         among: Which atoms are asked about; points that are not take no places from those that are.
-        most: Effects of a joint.
     """
     bank, chosen = judge.bank, [a.candidate for a in parent.fit.terms]
     total = judge.total.sum(1)
@@ -732,7 +704,7 @@ def _shortlist(
         for a in bank.atoms
         if (a in promising or (a not in gained and among(a)))
         and all(a.candidate.allows(c) for c in chosen)
-        and sum(c.joint == a.candidate.joint for c in chosen) < most
+        and sum(c.joint == a.candidate.joint for c in chosen) < MOST_PER_JOINT
     ]
 
 

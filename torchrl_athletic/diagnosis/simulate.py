@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.compare import far_joints, follows, open_share, score
 from torchrl_athletic.diagnosis.decide import decided_by, torque_is_open
-from torchrl_athletic.diagnosis.extend import Extended, extended, in_torques, standard_fit
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, idle_terms, without
+from torchrl_athletic.diagnosis.joints import in_torques, standard_joints_of
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate, Key, is_trim, trims_for
@@ -56,34 +56,27 @@ def _tried_all(done: Simulated, run: Run) -> Simulated:
 
 
 def _with_joints(done: Simulated, run: Run) -> Simulated:
-    """The same with the standard joints, and with what folds ask for beyond them.
+    """The same with the fit of the standard joints, which folds of the recordings made.
 
-    They are fitted unless a combination follows the recordings already: nothing is left then that they could explain.
-    Where no combination follows them at all, they are as good an explanation as any; elsewhere the simulation has to be
-    decisively better with them, since they hold most simple laws as special cases.
+    It is asked for unless a combination follows the recordings already: nothing is left then that it could explain.
+    Where no combination follows them at all, it is as good an explanation as any; elsewhere the simulation has to be
+    decisively better with it, since it holds most simple laws as special cases.
     """
     if not done.trials or done.stopped or run.late():
         return done
     ready, best = done.proposed.located.ready, done.trials[decided_by(done.trials)[0]]
     if follows(best.scores["train"], FOLLOWS):
         return done
-    settings: dict[str, Any] = {"on_trial": True, "behind": BEHIND}
-    if far_joints([best.scores["train"]]):
-        settings = {}
-    judge = done.trials[0].proposal.judge
+    judge, far = done.trials[0].proposal.judge, bool(far_joints([best.scores["train"]]))
     try:
-        standard = standard_fit(ready, run)
-        if standard is None or not standard.hypothesis.terms:
+        fitted = standard_joints_of(ready.given, run)
+        if fitted is None:
             return done
-        known = [Extended(standard, in_torques(judge, standard))]
-        more = extended(judge, standard, ready.train.takes, ready.given.rng("extend"), run.late)
-        for k, found in enumerate([*known, *([more] if more is not None else [])]):
-            proposal = Proposal(judge, found.torques, **settings, joints=not k)
-            trial = scored(proposal, _without_small(found.fitted, ready.given), ready)
-            done = replace(done, trials=(*done.trials, trial))
+        proposal = Proposal(judge, in_torques(judge, fitted), 0.0 if far else BEHIND, on_trial=not far, joints=True)
+        trial = scored(proposal, _without_small(fitted, ready.given), ready)
     except KeyboardInterrupt:
         return replace(done, stopped=True)
-    return done
+    return replace(done, trials=(*done.trials, trial))
 
 
 def _asked_alone(done: Simulated, run: Run) -> Simulated:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import ClassVar, Literal
 
 import mujoco
@@ -15,6 +16,23 @@ from torchrl_athletic.effects.plant import Plant
 from torchrl_athletic.effects.signals import JointAddress, Signals
 
 Array = NDArray[np.float64]
+
+
+CLASSES: Mapping[str, str] = MappingProxyType(
+    {
+        "friction": "friction",
+        "presliding": "friction that winds up before it slides",
+        "transmission": "a gear that gives way",
+        "inertia": "another inertia, mass or direction of gravity",
+        "timing": "a late drive",
+        "torque": "a torque that differs from the commanded one",
+        "elastic": "a spring or a stop",
+        "sensing": "a sensor or a clock that is off",
+        "control": "gains that differ from the logged ones",
+        "change": "something that changes with time",
+    }
+)
+"""Classes of effects, in words."""
 
 
 @dataclass(frozen=True)

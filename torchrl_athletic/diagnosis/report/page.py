@@ -49,6 +49,7 @@ from torchrl_athletic.diagnosis.report.words import (
     joints_and_regimes,
     lead,
     next_takes,
+    of_class,
     place,
     same_as,
     stopped_early,
@@ -137,6 +138,7 @@ def render(
         chosen=CHOSEN,
         grounds=grounds_words,
         same_as=same_as,
+        of_class=of_class,
     )
     units = joint_units(answer, maps)
     return environment.from_string((here / "page.html").read_text("utf-8")).render(

@@ -19,6 +19,7 @@ from torchrl_athletic.diagnosis.report.words import (
     joints_and_regimes,
     lead,
     next_takes,
+    of_class,
     place,
     quality_counts,
     same_as,
@@ -73,6 +74,8 @@ def _findings(answer: Answer) -> Iterator[str]:
         yield _row("missing", "sure")
     for finding in answer.findings:
         yield _row(f"{title(finding.effect)}, {place(finding.joint)}", percent(finding.probability))
+        if of_class(finding):
+            yield _row(f"  {of_class(finding)}", percent(finding.class_probability))
         yield from _parameters(finding)
         if finding.sentence not in lead(answer):
             yield _wrapped(finding.sentence, "    ", "    ")

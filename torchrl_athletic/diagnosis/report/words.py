@@ -9,6 +9,7 @@ from typing import Any
 
 from torchrl_athletic.diagnosis.report.quantity import percent
 from torchrl_athletic.diagnosis.result import Answer, Finding, Location, Name, Rival
+from torchrl_athletic.effects.effect import CLASSES
 
 _VERDICTS = {
     "nothing_missing": ("Nothing is missing", "The simulation explains the recordings as well as sensor noise allows."),
@@ -38,8 +39,9 @@ def lead(answer: Answer) -> list[str]:
     told = [f.sentence for f in answer.findings if f.sentence in answer.summary]
     rest = [s for s in answer.summary if s not in told]
     if len(told) > 1:
-        named = [f"{words(f.effect)} ({place(f.joint)}, {percent(f.probability)})" for f in answer.findings]
-        told = [f"{_count(len(named))} effects are missing: {', '.join(named[:-1])} and {named[-1]}."]
+        likely = [f for f in answer.findings if f.sentence in told]
+        named = [f"{words(f.effect)} ({place(f.joint)}, {percent(f.probability)})" for f in likely]
+        told = [f"{_count(len(named))} effects are likely missing: {', '.join(named[:-1])} and {named[-1]}."]
     return ([*told, *rest] or [verdict_words(answer)[1]])[:3]
 
 
@@ -99,6 +101,19 @@ def grounds_words(finding: Finding) -> list[str]:
             "more than one half."
         )
     return words
+
+
+def of_class(finding: Finding) -> str:
+    """What is said of a finding's class, where that says more than the finding; else empty.
+
+    Example:
+        >>> f = Finding("stribeck_friction", "hip", 0.4, "", {}, "", class_name="friction", class_probability=0.9)
+        >>> of_class(f)
+        'friction there, by whichever law'
+    """
+    if not finding.class_name or finding.class_probability < finding.probability + 0.01:
+        return ""
+    return f"{CLASSES.get(finding.class_name, words(finding.class_name))} there, by whichever law"
 
 
 def same_as(finding: Finding | Rival, answer: Answer) -> list[str]:
