@@ -40,8 +40,8 @@ def decide(simulated: Simulated) -> Decided:
     options = (*(t.proposal for t in trials), *simulated.untried)
     others = others_than(chosen, options, needed)
     trial = replace(trials[chosen], proposal=replace(trials[chosen].proposal, simulated=told, others=others))
-    joints = next((t for t in trials if t.proposal.joints), None)
-    decided = Decided(located, drive, trial, joints, torque_is_open(trial))
+    beside = tuple(t for k, t in enumerate(trials) if (t.proposal.joints or not k) and k != chosen)
+    decided = Decided(located, drive, trial, beside, torque_is_open(trial))
     stated = {c.key for c in trial.fitted.hypothesis.terms}
     sets = {
         term.candidate.key: answer_set(part, term)

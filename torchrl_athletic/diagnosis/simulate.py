@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.compare import far_joints, follows, open_share, score
+from torchrl_athletic.diagnosis.compare import follows, open_share, score
 from torchrl_athletic.diagnosis.decide import decided_by, torque_is_open
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, idle_terms, without
 from torchrl_athletic.diagnosis.joints import in_torques, standard_joints_of
@@ -59,20 +59,19 @@ def _with_joints(done: Simulated, run: Run) -> Simulated:
     """The same with the fit of the standard joints, which folds of the recordings made.
 
     It is asked for unless a combination follows the recordings already: nothing is left then that it could explain.
-    Where no combination follows them at all, it is as good an explanation as any; elsewhere the simulation has to be
-    decisively better with it, since it holds most simple laws as special cases.
+    The simulation has to be decisively better with it, since it holds most simple laws as special cases.
     """
     if not done.trials or done.stopped or run.late():
         return done
     ready, best = done.proposed.located.ready, done.trials[decided_by(done.trials)[0]]
     if follows(best.scores["train"], FOLLOWS):
         return done
-    judge, far = done.trials[0].proposal.judge, bool(far_joints([best.scores["train"]]))
+    judge = done.trials[0].proposal.judge
     try:
         fitted = standard_joints_of(ready.given, run)
         if fitted is None:
             return done
-        proposal = Proposal(judge, in_torques(judge, fitted), 0.0 if far else BEHIND, on_trial=not far, joints=True)
+        proposal = Proposal(judge, in_torques(judge, fitted), BEHIND, on_trial=True, joints=True)
         trial = scored(proposal, _without_small(fitted, ready.given), ready)
     except KeyboardInterrupt:
         return replace(done, stopped=True)

@@ -137,8 +137,8 @@ class Decided:
     drive: Proposal | None = None
     trial: Trial | None = None
     """The chosen one; none if nothing was simulated."""
-    joints: Trial | None = None
-    """The standard joints, where they were fitted."""
+    beside: tuple[Trial, ...] = ()
+    """Others that may follow better: what the torques speak for most, and the standard joints."""
     is_open: bool = False
     """Whether some joint misses torque that noise does not explain, with all numbers within their tolerances."""
     sets: Mapping[Key, Sequence[StandIn]] = field(default_factory=dict)

@@ -19,7 +19,7 @@ from torchrl_athletic.diagnosis.remainder import remarks_on
 from torchrl_athletic.diagnosis.result import Answer, Finding, RegimeMap, Score
 from torchrl_athletic.diagnosis.simulate import scores_of
 from torchrl_athletic.diagnosis.stages import Decided, Given, Ready
-from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
+from torchrl_athletic.diagnosis.veto import NOISE, WORSE, veto_sentence, vetoed
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.recordings import Recording
 
@@ -112,28 +112,21 @@ def _findings(decided: Decided) -> tuple[Finding, ...]:
 
 
 def _best_followed(decided: Decided) -> Correction:
-    """The chosen trial; or the standard joints, where recordings that were kept aside are followed better with those.
+    """The chosen trial, or another with which recordings that were kept aside are followed better.
 
     The names stay: they are the fitted recordings' alone.
     """
-    trial, joints = decided.trial, decided.joints
+    trial = decided.trial
     assert trial is not None
-    chosen = Correction(trial.fitted, trial.scores)
-    if joints is None or trial.proposal.joints:
-        return chosen
     split = "heldout" if "heldout" in trial.scores else "train"
-    with_names, aside = trial.scores[split].after, joints.scores[split].after
-    if with_names <= aside:
-        return chosen
+    best = min((trial, *decided.beside), key=lambda t: t.scores[split].after)
+    own, other = trial.scores[split], best.scores[split]
+    if own.after <= max(WORSE * other.after, NOISE * own.floor):
+        return Correction(trial.fitted, trial.scores)
+    what = "the standard joints" if best.proposal.joints else "what the torques alone speak for"
     kind = "recordings that were kept aside" if split == "heldout" else "the fitted recordings"
-    return Correction(
-        joints.fitted,
-        joints.scores,
-        (
-            f"The corrected simulation has the standard joints instead of what is named: {kind} are followed to "
-            f"{100 * aside / with_names:.0f} % of the error.",
-        ),
-    )
+    said = f"The corrected simulation has {what} instead of what is named: {kind} are followed"
+    return Correction(best.fitted, best.scores, (f"{said} with {100 * other.after / own.after:.0f} % of the error.",))
 
 
 def _kept(correction: Correction, ready: Ready) -> Correction:
