@@ -103,5 +103,6 @@ def test_schemas_and_what_mjcf_can_say():
     every = (*CATALOGUE, *FIT_TRIMS)
     assert set(words) == {e.name for e in every if e.mjcf == "model"}
     drive = {f"torque_{word}" for word in ("scale", "offset", "saturation")} | {"actuation_lag", "actuation_delay"}
+    drive.add("gain_mismatch")
     assert {e.name for e in every if e.mjcf == "actuator"} == drive
     assert all(word in FILES for word in (*words.values(), "offset", "limit of its torque", "scale", "lag", "`delay`"))

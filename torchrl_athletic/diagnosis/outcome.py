@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
-from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml
+from torchrl_athletic.diagnosis.corrected_xml import Commands, Gains, Written, written
 from torchrl_athletic.diagnosis.experiment import Experiment, next_experiment, write
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.folder import locked
@@ -63,6 +63,11 @@ class Diagnosis:
         return None if len(kinds) != 1 else "torques" if kinds.pop() else "targets"
 
     @cached_property
+    def mjcf(self) -> Written:
+        """What ``corrected.xml`` says."""
+        return written(self.xml, self.corrected, self._commands, gains=logged_gains(self.recordings))
+
+    @cached_property
     def overlays(self) -> tuple[Overlay, ...]:
         """Recorded and simulated positions of some recordings."""
         return tuple(
@@ -87,7 +92,7 @@ class Diagnosis:
 
     def _save(self, output: Path) -> None:
         write_json(output / "corrected.json", {**self.corrected.to_json(), "model_xml": self.xml})
-        write_atomically(output / "corrected.xml", corrected_xml(self.xml, self.corrected, self._commands))
+        write_atomically(output / "corrected.xml", self.mjcf.xml)
         write(self.experiment, output)
         plan, payload = (self.experiment.sentence, self.experiment.payload) if self.experiment else ("", 0.0)
         write_report(self.answer, self.maps, self.overlays, output / "report.html", self.nominal.model, plan, payload)
@@ -112,6 +117,21 @@ class Diagnosis:
         return cls(answer, nominal, corrected, xml)
 
 
+def logged_gains(recordings: Sequence[Recording]) -> Gains | None:
+    """Joint -> kp and kd, where all recordings followed their targets with the same."""
+    if not recordings:
+        return None
+    first = recordings[0]
+    for r in recordings:
+        if r.kp is None or r.kd is None or first.kp is None or first.kd is None:
+            return None
+        if not (np.array_equal(r.kp, first.kp) and np.array_equal(r.kd, first.kd)):
+            return None
+    assert first.kp is not None
+    assert first.kd is not None
+    return {n: (float(p), float(d)) for n, p, d in zip(first.joint_names, first.kp, first.kd, strict=True)}
+
+
 def deliver(stated: Stated, output: Path | None) -> Diagnosis:
     """The diagnosis; in a folder, too, if there is one. An incomplete one comes without pictures of recordings."""
     given = stated.decided.located.ready.given
@@ -132,6 +152,9 @@ def deliver(stated: Stated, output: Path | None) -> Diagnosis:
             evidence=stated.decided.evidence,
             highest_frequency=given.highest_frequency,
         )
+        if warning := diagnosis.mjcf.warning:
+            answer = replace(diagnosis.answer, remarks=(*diagnosis.answer.remarks, warning))
+            diagnosis = replace(diagnosis, answer=answer)
     if output is not None:
         _ = diagnosis.overlays, diagnosis.experiment  # the dear part, while Ctrl-C still leaves a shorter report
         diagnosis.save(output)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, without
 from torchrl_athletic.diagnosis.gates import judge_findings, summarise, verdict_of
 from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.locate import regime_maps
+from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.remainder import remarks_on
 from torchrl_athletic.diagnosis.result import Answer, Finding, RegimeMap, Score
 from torchrl_athletic.diagnosis.simulate import scores_of
@@ -154,7 +156,21 @@ def _quality(ready: Ready) -> dict[str, Any]:
     report = ready.train.report()
     if ready.held is not None:
         report["recordings"] += ready.held.report()["recordings"]
-    return {**report, "units": units, "drive": ready.given.drive, "warnings": []}
+    changes = model_changes((*ready.given.recordings, *ready.given.heldout))
+    return {**report, "units": units, "drive": ready.given.drive, "model_changes": changes, "warnings": []}
+
+
+def model_changes(recordings: Sequence[Recording]) -> list[str]:
+    """What the recordings' own metadata changes of the given model, in sentences."""
+    carried: dict[float, list[str]] = {}
+    for r in recordings:
+        if mass := float(r.metadata.get(PAYLOAD, 0.0)):
+            carried.setdefault(mass, []).append(Path(r.source).name)
+    return [
+        f"The metadata of {', '.join(names)} say {PAYLOAD}: in {'its' if len(names) == 1 else 'their'} simulations "
+        f"{mass:g} kg hang on the far end of the last link."
+        for mass, names in carried.items()
+    ]
 
 
 def _remarks(decided: Decided, corrected: Simulation) -> tuple[str, ...]:

@@ -43,6 +43,7 @@ from torchrl_athletic.diagnosis.report.telling import (
 )
 from torchrl_athletic.diagnosis.report.words import (
     IF_KNOWN,
+    banners,
     besides,
     go_on,
     grounds_words,
@@ -52,7 +53,6 @@ from torchrl_athletic.diagnosis.report.words import (
     of_class,
     place,
     same_as,
-    stopped_early,
     title,
     unexplained,
     verdict_words,
@@ -146,7 +146,7 @@ def render(
         units=units,
         css=_markup((here / "page.css").read_text("utf-8")),
         verdict=verdict_words(answer),
-        stopped=stopped_early(answer),
+        banners=banners(answer),
         unexplained=unexplained(answer),
         lead=lead(answer),
         besides=besides(answer),

@@ -15,6 +15,7 @@ from torchrl_athletic.diagnosis.report.quantity import (
 )
 from torchrl_athletic.diagnosis.report.words import (
     IF_KNOWN,
+    banners,
     besides,
     joints_and_regimes,
     lead,
@@ -23,7 +24,6 @@ from torchrl_athletic.diagnosis.report.words import (
     place,
     quality_counts,
     same_as,
-    stopped_early,
     title,
     unexplained,
     verdict_words,
@@ -57,7 +57,7 @@ def terminal_summary(answer: Answer, experiment: str = "") -> str:
     """
     blocks = [
         _wrapped(f"{answer.model}: {verdict_words(answer)[0].lower()}."),
-        *(_wrapped(sentence) for sentence in stopped_early(answer)),
+        *(_wrapped(sentence) for sentence in banners(answer)),
         "\n".join([*map(_wrapped, lead(answer)), _wrapped(f"What would change this? {would_change(answer)}")]),
         "\n".join(_findings(answer)),
         "\n".join(_fit(answer)),

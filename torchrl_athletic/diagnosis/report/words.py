@@ -198,6 +198,11 @@ def stopped_early(answer: Answer) -> list[str]:
     ]
 
 
+def banners(answer: Answer) -> list[str]:
+    """What has to be known before anything else: a model that the recordings changed, and a run that was stopped."""
+    return [*map(str, answer.quality.get("model_changes", ())), *stopped_early(answer)]
+
+
 def unexplained(answer: Answer) -> list[str]:
     """How much of the error has no name, where a part of it has none and the simulation has measured it."""
     if answer.verdict == "nothing_missing" or not answer.fit or answer.unexplained_share <= 0:
