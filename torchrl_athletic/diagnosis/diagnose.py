@@ -19,6 +19,7 @@ from torchrl_athletic.diagnosis.outcome import Diagnosis, deliver
 from torchrl_athletic.diagnosis.prepare import Drive, prepare
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.propose import propose
+from torchrl_athletic.diagnosis.resources import OutOfTime, alarm, room_for_data, thinned
 from torchrl_athletic.diagnosis.screen import Bank
 from torchrl_athletic.diagnosis.simulate import simulate
 from torchrl_athletic.diagnosis.stages import Decided, Given, Located, Ready, Run, Simulated
@@ -28,6 +29,10 @@ from torchrl_athletic.effects.base import Base, free_joint, held_base
 from torchrl_athletic.recordings import Recording, RecordingError
 
 CHECKPOINT = "progress.json"
+TO_FIND = 0.85
+"""Share of the time budget after which what was found is stated."""
+TO_TELL = 0.97
+"""Share of it after which it is told without pictures."""
 
 
 def diagnose(
@@ -41,6 +46,7 @@ def diagnose(
     base: Base = "recorded",
     seed: int = 0,
     time_budget: float | None = None,
+    memory: float | None = None,
     highest_frequency: float | None = None,
     output: str | Path | None = None,
     progress: Progress | None = None,
@@ -58,14 +64,16 @@ def diagnose(
         base: Of a floating robot: ``"recorded"`` takes its pose from the recordings, ``"fixed"`` holds it where the
             model has it.
         seed: Of the bootstrap and of the choice of windows.
-        time_budget: Wall-clock time after which no further combination is fitted [s].
+        time_budget: Wall-clock time of the whole [s]. No further combination is fitted once 60 % of it are spent, and
+            what was found is stated once 85 % are; without a signal of time, as in another thread, after the stage.
+        memory: That it may take [GB]; half of what is free if None. Of longer logs, stretches are used.
         highest_frequency: Of the experiment that is planned for rivals [Hz]; as high as the logs allow if None.
         output: Folder for the report. Without it nothing is written, and nothing can be resumed.
         progress: Bar to move.
 
     Returns:
-        The diagnosis; ``answer.complete`` is False if a KeyboardInterrupt stopped it, and what was found by then
-        stands in it.
+        The diagnosis; ``answer.complete`` is False if a KeyboardInterrupt or the end of the time stopped it, and what
+        was found by then stands in it.
 
     Raises:
         RecordingError: If the recordings cannot be used, or do not fit the model.
@@ -86,10 +94,25 @@ def diagnose(
         raise ValueError(f"highest_frequency is {highest_frequency} Hz. Give more than 0, or leave it out.")
     compiled, xml, name = load_model(model)
     order = recordings[0].joint_names if recordings else ()
-    takes = ((*recordings, *joined), heldout)
+    every = thinned((*recordings, *joined, *heldout), room_for_data(memory))
+    fits = len(recordings) + len(joined)
+    takes = every.recordings[:fits], every.recordings[fits:]
     fitted, aside = (tuple(_stood(r.ordered(order), compiled, base) for r in group) for group in takes)
     given = _with_digest(
-        Given(compiled, xml, name, fitted, aside, tuple(catalogue), drive, base, seed, len(joined), highest_frequency)
+        Given(
+            compiled,
+            xml,
+            name,
+            fitted,
+            aside,
+            tuple(catalogue),
+            drive,
+            base,
+            seed,
+            len(joined),
+            highest_frequency,
+            (every.warning,) if every.warning else (),
+        )
     )
     folder = None if output is None else Path(output)
     with locked(folder) if folder is not None else nullcontext():
@@ -101,31 +124,48 @@ def diagnose(
 
 
 def _diagnosed(given: Given, run: Run, output: Path | None) -> Diagnosis:
-    """All stages in order; Ctrl-C ends them, and what was found by then is stated."""
+    """All stages in order. Ctrl-C, the end of the time or of the memory stop them, and what was found is stated."""
     found: Located | Simulated | Decided | None = None
     try:
         run.progress.stage("prepare")
         ready = _prepare(given, run)
         run.progress.stage("locate")
         found = located = _locate(ready)
-        run.progress.stage("propose")
-        proposed = propose(located, run)
-        run.progress.stage("simulate")
-        found = simulated = simulate(proposed, run)
-        if simulated.stopped:
-            raise KeyboardInterrupt
-        run.progress.stage("decide")
-        found = decided = decide(simulated)
-        run.progress.stage("state")
-        stated = state(decided)
-        run.progress.stage("deliver")
-        diagnosis = deliver(stated, output)
-    except KeyboardInterrupt:
+        with alarm(run.left(TO_FIND)):
+            run.progress.stage("propose")
+            proposed = propose(located, run)
+            run.progress.stage("simulate")
+            found = simulated = simulate(proposed, run)
+            if simulated.stopped:
+                raise KeyboardInterrupt
+            run.progress.stage("decide")
+            found = decided = decide(simulated)
+            run.progress.stage("state")
+            stated = state(decided)
+        with alarm(run.left(TO_TELL)):
+            run.progress.stage("deliver")
+            diagnosis = deliver(stated, output)
+    except (KeyboardInterrupt, MemoryError):
         if found is None:
             raise
-        return deliver(state(_decided(found), stopped_in=run.progress.now), output)
+        return _stopped(found, run, output)
     run.progress.update(1.0)
     return diagnosis
+
+
+def _stopped(found: Located | Simulated | Decided, run: Run, output: Path | None) -> Diagnosis:
+    """What a stopped run has found; where the error is, if there is no time or memory for more."""
+    try:
+        with alarm(run.left(TO_TELL)):
+            stated = state(_decided(found), stopped_in=run.progress.now)
+    except (OutOfTime, MemoryError):
+        located = found if isinstance(found, Located) else _located(found)
+        stated = state(Decided(located), stopped_in=run.progress.now)
+    return deliver(stated, output)
+
+
+def _located(found: Simulated | Decided) -> Located:
+    return found.located if isinstance(found, Decided) else found.proposed.located
 
 
 def _prepare(given: Given, run: Run) -> Ready:

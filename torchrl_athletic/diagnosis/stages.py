@@ -41,6 +41,8 @@ class Given:
     """How many of the recordings, the last ones, are of experiments."""
     highest_frequency: float | None = None
     """Of a planned experiment [Hz]."""
+    warnings: tuple[str, ...] = ()
+    """What was left out of the recordings before."""
     inputs: str = ""
     """Digest of all this."""
 
@@ -67,7 +69,12 @@ class Run:
 
     def late(self) -> bool:
         """Whether no further combination is to be fitted."""
-        return self.time_budget is not None and time.monotonic() - self.started > 0.6 * self.time_budget
+        left = self.left(0.6)
+        return left is not None and left <= 0
+
+    def left(self, share: float = 1.0) -> float | None:
+        """Time until a share of the budget is spent [s]; None without one."""
+        return None if self.time_budget is None else share * self.time_budget - (time.monotonic() - self.started)
 
 
 @dataclass(frozen=True, eq=False)

@@ -157,7 +157,13 @@ def _quality(ready: Ready) -> dict[str, Any]:
     if ready.held is not None:
         report["recordings"] += ready.held.report()["recordings"]
     changes = model_changes((*ready.given.recordings, *ready.given.heldout))
-    return {**report, "units": units, "drive": ready.given.drive, "model_changes": changes, "warnings": []}
+    return {
+        **report,
+        "units": units,
+        "drive": ready.given.drive,
+        "model_changes": changes,
+        "warnings": [*ready.given.warnings],
+    }
 
 
 def model_changes(recordings: Sequence[Recording]) -> list[str]:
