@@ -109,15 +109,17 @@ def probability(grounds: Grounds, effect: str = "") -> float:
     return float(min(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))), grounds.most))
 
 
-def class_probability(law: float, alike: float, closed: float) -> float:
+def class_probability(law: float, alike: float, closed: float, energy: float = 1.0) -> float:
     """That physics of a finding's class is missing at its joint, whatever the law: learnt on real benches.
 
-    What the correction leaves open may be of another class, so that its probability is no larger than what is closed.
+    What the correction leaves open may be of another class, and what accounts for little of the missing torque may
+    stand in for a little of another one's: its probability is no larger than what is closed, and accounted for.
 
     Args:
         law: Probability of the finding.
         alike: The same with its rivals of the same class and joint.
         closed: Share of the simulation's error energy above the floor that the correction closes, 0..1.
+        energy: Share of the joint's missing torque that the finding accounts for, 0..1.
 
     Example:
         >>> class_probability(law=0.4, alike=0.4, closed=0.9) > class_probability(law=0.4, alike=0.4, closed=0.5) == 0.5
@@ -127,7 +129,7 @@ def class_probability(law: float, alike: float, closed: float) -> float:
     """
     weights, p = learnt("class"), float(np.clip(alike, 1e-3, 1 - 1e-3))
     odds = weights["level"] + weights["steepness"] * np.log(p / (1 - p))
-    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed)))
+    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, energy)))
 
 
 def rival_probability(likely: float, own: float, share: float) -> float:

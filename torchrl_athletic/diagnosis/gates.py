@@ -200,7 +200,9 @@ def _finding(
         if option.share > LEAST_SHARE
     ]
     alike = sum(rival_probability(likely, own, o.share) for o in others if _is_alike(o.atom.candidate, candidate))
-    of_class = likely if grounds.senseless else class_probability(likely, likely + alike, 1.0 - still_open)
+    of_class = likely
+    if not grounds.senseless:
+        of_class = class_probability(likely, likely + alike, 1.0 - still_open, grounds.energy)
     explained = bank.prediction(part.best.fit, term)
     return Finding(
         effect=effect.name,
