@@ -129,3 +129,10 @@ def test_a_late_effect_has_to_be_decisively_better_and_to_close_much(left, bette
     errors = np.random.default_rng(0).normal(10.0, 1.0, (2, 400, 1)) * np.array([1.0, better])[:, None, None]
     found, _, taken = decided(options, errors, [leaving(0.95), leaving(left)], 0.5 * np.arange(400))
     assert (found, taken) == (chosen, [True, bool(chosen)])
+
+
+def test_a_trial_that_gives_no_names_is_never_chosen_and_speaks_against_no_other():
+    errors = np.random.default_rng(0).normal(10.0, 1.0, (2, 400, 1)) * np.array([1.0, 0.1])[:, None, None]
+    options = [Proposal(None, None), Proposal(None, None, np.inf, on_trial=True, joints=True)]
+    found, against, taken = decided(options, errors, [leaving(0.9), leaving(0.01)], 0.5 * np.arange(400))
+    assert (found, against[0], taken) == (0, 0.0, [True, False])

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from torchrl_athletic.diagnosis import gates
 from torchrl_athletic.diagnosis.calibration import DECISIVE, EQUALS, SENSELESS, Grounds, probability, rival_probability
-from torchrl_athletic.diagnosis.compare import NEAR_FLOOR, far_joints
+from torchrl_athletic.diagnosis.compare import EXPLAINED, NEAR_FLOOR, far_joints
 from torchrl_athletic.diagnosis.gates import (
-    EXPLAINED,
     PARTLY,
     summarise,
     verdict_of,

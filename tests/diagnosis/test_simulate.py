@@ -1,14 +1,16 @@
 """Which combinations are tried in the simulation, and when effects are asked about alone."""
 
 import importlib
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
-from torchrl_athletic.diagnosis.simulate import ALONE, BEHIND, _asked_alone, key_of
+from torchrl_athletic.diagnosis.simulate import ALONE, BEHIND, _asked_alone, _with_joints, key_of
 from torchrl_athletic.diagnosis.stages import Simulated
 
 stage = importlib.import_module("torchrl_athletic.diagnosis.simulate")
@@ -112,6 +114,28 @@ def test_ctrl_c_keeps_the_trials_that_were_made(monkeypatch):
     done = work.run()
     assert done.stopped
     assert [t.proposal.best for t in done.trials[1:]] == work.alone[:2]
+
+
+@pytest.mark.parametrize(
+    ("left", "over", "evidence", "behind"),
+    [
+        (0.5, 9.0, 3.0, BEHIND),  # it may be the names if the simulation is decisively better
+        (0.01, 9.0, 3.0, np.inf),  # nothing is left to be named
+        (0.5, 9.0, np.inf, np.inf),  # a number of it stops at a bound
+        (0.5, 2.0, 3.0, None),  # what follows needs no other
+    ],
+)
+def test_the_standard_joints_are_tried_where_nothing_follows(monkeypatch, left, over, evidence, behind):
+    work = Started(monkeypatch, left, True, True, over)
+    monkeypatch.setattr(stage, "standard_joints_of", lambda given, run: work.begun.trials[0].fitted)
+    monkeypatch.setattr(stage, "in_torques", lambda judge, fitted: SimpleNamespace(evidence=evidence))
+    monkeypatch.setattr(stage, "_without_small", lambda fitted, given: fitted)
+    monkeypatch.setattr(stage, "scored", lambda proposal, fitted, ready: SimpleNamespace(proposal=proposal))
+    located = SimpleNamespace(ready=SimpleNamespace(given=None))
+    begun = replace(work.begun, proposed=SimpleNamespace(located=located))
+    added = [t.proposal for t in _with_joints(begun, SimpleNamespace(late=lambda: False)).trials[1:]]
+    assert [p.behind for p in added] == ([] if behind is None else [behind])
+    assert all(p.joints and p.on_trial for p in added)
 
 
 def test_a_fit_in_which_a_mass_is_adjusted_is_not_taken_for_one_in_which_it_is_found():

@@ -21,6 +21,8 @@ MOST_WINDOWS = 400
 BETWEEN = 60.0
 """Time that is put between recordings, and between the pieces of one that drop-outs have cut [s]."""
 
+EXPLAINED = 0.05
+"""Share of the error energy above the floor that may be left by an explanation."""
 NEAR_FLOOR = 8.0
 """Window error over the floor up to which a model without predictable missing torque is called complete, and one with
 findings explained: whatever was gross before, what is left beyond it shows that a law is another."""

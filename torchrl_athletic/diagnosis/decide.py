@@ -76,7 +76,8 @@ def decided_by(trials: Sequence[Trial]) -> tuple[int, Array, list[bool]]:
     logs = [np.log(np.maximum(e, floor)).sum(1) for e, floor in zip(errors, floors, strict=True)]
     left = [open_share(s) for s in scores]
     taken = [
-        not option.on_trial or (_against(logs[0] - e) >= CLOSE and share <= (1 - RICHER) * left[0])
+        bool(np.isfinite(option.behind))
+        and (not option.on_trial or (_against(logs[0] - e) >= CLOSE and share <= (1 - RICHER) * left[0]))
         for option, e, share in zip(options, logs, left, strict=True)
     ]
     least = min((k for k, t in enumerate(taken) if t), key=lambda k: left[k])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.calibration import Grounds, class_probability, probability, rival_probability, widened
-from torchrl_athletic.diagnosis.compare import NEAR_FLOOR, far_joints, follows, open_share
+from torchrl_athletic.diagnosis.compare import EXPLAINED, NEAR_FLOOR, far_joints, follows, open_share
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
 from torchrl_athletic.diagnosis.proposal import Proposal, StandIn
@@ -25,8 +25,6 @@ from torchrl_athletic.effects.effect import CLASSES
 
 Array = NDArray[np.float64]
 
-EXPLAINED = 0.05
-"""Share of the error energy above the floor that may be left by an explanation."""
 LIKELY = 0.5
 """An explanation may not rest on a finding that, together with its rivals, is less probable than this."""
 PARTLY = 0.80

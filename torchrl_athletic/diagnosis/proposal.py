@@ -21,7 +21,7 @@ class Proposal:
     judge: Judge
     best: Scored
     behind: float = 0.0
-    """Evidence that the recordings' torques give against it, beside the first."""
+    """Evidence that the recordings' torques give against it, beside the first; infinite for one that gives no names."""
     on_trial: bool = False
     """Whether the simulation has to be decisively better with it than with the first, and to close much of what that
     leaves: a law that holds the first as a special case, and an effect that is asked about late."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.compare import follows, open_share, score
+from torchrl_athletic.diagnosis.compare import EXPLAINED, follows, open_share, score
 from torchrl_athletic.diagnosis.decide import decided_by, torque_is_open
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, idle_terms, without
 from torchrl_athletic.diagnosis.joints import in_torques, standard_joints_of
@@ -59,7 +59,8 @@ def _with_joints(done: Simulated, run: Run) -> Simulated:
     """The same with the fit of the standard joints, which folds of the recordings made.
 
     It is asked for unless a combination follows the recordings already: nothing is left then that it could explain.
-    The simulation has to be decisively better with it, since it holds most simple laws as special cases.
+    The simulation has to be decisively better with it, since it holds most simple laws as special cases. It gives no
+    names where another combination explains the error, or where one of its numbers stops at a bound.
     """
     if not done.trials or done.stopped or run.late():
         return done
@@ -71,7 +72,9 @@ def _with_joints(done: Simulated, run: Run) -> Simulated:
         fitted = standard_joints_of(ready.given, run)
         if fitted is None:
             return done
-        proposal = Proposal(judge, in_torques(judge, fitted), BEHIND, on_trial=True, joints=True)
+        torques = in_torques(judge, fitted)
+        names = open_share(best.scores["train"]) > EXPLAINED and np.isfinite(torques.evidence)
+        proposal = Proposal(judge, torques, BEHIND if names else np.inf, on_trial=True, joints=True)
         trial = scored(proposal, _without_small(fitted, ready.given), ready)
     except KeyboardInterrupt:
         return replace(done, stopped=True)
