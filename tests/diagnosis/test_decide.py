@@ -8,8 +8,8 @@ import pytest
 from torchrl_athletic.diagnosis.decide import decided_by, others_than
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
-from torchrl_athletic.diagnosis.simulate import BEHIND
 from torchrl_athletic.diagnosis.stages import Trial
+from torchrl_athletic.diagnosis.thresholds import DECISION
 
 
 def leaving(share, joints=1):
@@ -72,7 +72,7 @@ def seldom(lost, turned=(), times=50.0, left=(0.99, 0.01), size=1.0):
     if turned:
         stop[tuple(np.transpose(turned))] *= times
     spring = plain * np.exp(-0.3 * (1 + rng.normal(size=(400, 1))))
-    options = [Proposal(None, None), Proposal(None, None, 3.0), Proposal(None, None, BEHIND)]
+    options = [Proposal(None, None), Proposal(None, None, 3.0), Proposal(None, None, DECISION.behind)]
     scores = [leaving(left[0], 3), leaving(left[0], 3), leaving(left[1], 3)]
     return decided(options, [plain, spring, stop], scores, 0.5 * np.arange(400))[0]
 
@@ -125,7 +125,7 @@ def test_what_the_simulation_refutes_does_not_need_or_was_asked_about_alone_is_n
 
 @pytest.mark.parametrize(("left", "better", "chosen"), [(0.6, 0.7, 1), (0.9, 0.7, 0), (0.6, 0.99, 0)])
 def test_a_late_effect_has_to_be_decisively_better_and_to_close_much(left, better, chosen):
-    options = [Proposal(None, None), Proposal(None, None, BEHIND, on_trial=True, alone=True)]
+    options = [Proposal(None, None), Proposal(None, None, DECISION.behind, on_trial=True, alone=True)]
     errors = np.random.default_rng(0).normal(10.0, 1.0, (2, 400, 1)) * np.array([1.0, better])[:, None, None]
     found, _, taken = decided(options, errors, [leaving(0.95), leaving(left)], 0.5 * np.arange(400))
     assert (found, taken) == (chosen, [True, bool(chosen)])

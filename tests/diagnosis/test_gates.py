@@ -10,15 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torchrl_athletic.diagnosis import gates
-from torchrl_athletic.diagnosis.calibration import DECISIVE, EQUALS, SENSELESS, Grounds, probability, rival_probability
-from torchrl_athletic.diagnosis.compare import EXPLAINED, NEAR_FLOOR, far_joints
-from torchrl_athletic.diagnosis.gates import (
-    PARTLY,
-    summarise,
-    verdict_of,
-)
+from torchrl_athletic.diagnosis.calibration import Grounds, probability, rival_probability
+from torchrl_athletic.diagnosis.compare import far_joints
+from torchrl_athletic.diagnosis.gates import summarise, verdict_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score
 from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.diagnosis.thresholds import STATEMENT
 from torchrl_athletic.effects import (
     AsymmetricFriction,
     Backlash,
@@ -54,21 +51,27 @@ def verdict(findings=(FINDING,), train=0.0, heldout=None, torque_left=0.0, is_op
     ("case", "expected"),
     [
         (dict(train=0.0), "explained"),
-        (dict(train=EXPLAINED - 0.01), "explained"),
-        (dict(train=EXPLAINED + 0.01), "partly_explained"),
-        (dict(train=PARTLY - 0.01), "partly_explained"),
-        (dict(train=PARTLY + 0.01), "unexplained"),
+        (dict(train=STATEMENT.explained - 0.01), "explained"),
+        (dict(train=STATEMENT.explained + 0.01), "partly_explained"),
+        (dict(train=STATEMENT.partly - 0.01), "partly_explained"),
+        (dict(train=STATEMENT.partly + 0.01), "unexplained"),
         (dict(train=0.01, before=70.0), "explained"),
         (dict(train=0.01, before=90.0), "partly_explained"),  # little of much is left, and still nine times the noise
-        (dict(train=0.0, heldout=EXPLAINED + 0.01), "partly_explained"),  # the worse of the two decides
+        (dict(train=0.0, heldout=STATEMENT.explained + 0.01), "partly_explained"),  # the worse of the two decides
         (dict(train=0.0, heldout=0.9), "unexplained"),
         (dict(train=0.5, heldout=0.0), "partly_explained"),
-        (dict(train=0.0, torque_left=2 * EXPLAINED - 0.01), "explained"),
-        (dict(train=0.0, torque_left=2 * EXPLAINED + 0.01), "partly_explained"),  # the torque must be explained as well
+        (dict(train=0.0, torque_left=2 * STATEMENT.explained - 0.01), "explained"),
+        (
+            dict(train=0.0, torque_left=2 * STATEMENT.explained + 0.01),
+            "partly_explained",
+        ),  # the torque must be explained as well
         (dict(findings=(), before=1.0, is_open=False), "nothing_missing"),
-        (dict(findings=(), before=NEAR_FLOOR - 0.1, is_open=False), "nothing_missing"),
-        (dict(findings=(), train=1.0, before=NEAR_FLOOR + 0.1, is_open=False), "unexplained"),
-        (dict(findings=(), train=0.0, before=NEAR_FLOOR + 0.1, is_open=False), "nothing_missing"),  # trims suffice
+        (dict(findings=(), before=STATEMENT.near_floor - 0.1, is_open=False), "nothing_missing"),
+        (dict(findings=(), train=1.0, before=STATEMENT.near_floor + 0.1, is_open=False), "unexplained"),
+        (
+            dict(findings=(), train=0.0, before=STATEMENT.near_floor + 0.1, is_open=False),
+            "nothing_missing",
+        ),  # trims suffice
         (
             dict(findings=(), before=1.0, is_open=True),
             "unexplained",
@@ -142,7 +145,11 @@ def test_a_spring_without_stiffness_says_that_nothing_of_a_spring_is_seen():
     grounds = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30, plain=True)
     assert "nothing is seen" in gates._sentence(spring, named, grounds)
     assert "nothing is seen" not in gates._sentence(spring, named, dataclasses.replace(grounds, plain=False))
-    assert probability(grounds, "joint_spring") == EQUALS < probability(dataclasses.replace(grounds, plain=False))
+    assert (
+        probability(grounds, "joint_spring")
+        == STATEMENT.equals
+        < probability(dataclasses.replace(grounds, plain=False))
+    )
 
 
 @pytest.mark.parametrize(("spread", "expected"), [(0.001, False), (0.003, False), (0.009, True)])
@@ -158,7 +165,7 @@ def test_play_whose_stated_interval_reaches_zero_may_be_a_soft_gear(spread, expe
 def test_what_makes_no_sense_is_hardly_believed_and_nobody_beside_it_by_more_than_half():
     sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
     odd, beside = (dataclasses.replace(sure, **{how: True}) for how in ("senseless", "leans"))
-    assert probability(odd) == SENSELESS < probability(beside) == EQUALS < probability(sure)
+    assert probability(odd) == STATEMENT.senseless < probability(beside) == STATEMENT.equals < probability(sure)
     of = tuple(Parameter(n, "N·m", 0.0, 0.0, 9.0, 0.1) for n in ("coulomb", "stribeck", "stribeck_speed"))
     law = Candidate(StribeckFriction(), 0, "elbow", of)
     assert law.effect.is_physical(of, np.array([0.5, 0.5, 0.1]))
@@ -170,9 +177,9 @@ def test_what_makes_no_sense_is_hardly_believed_and_nobody_beside_it_by_more_tha
 @pytest.mark.parametrize(
     ("after", "before", "expected"),
     [
-        (NEAR_FLOOR + 0.1, 20.0, True),
-        (NEAR_FLOOR - 0.1, 20.0, False),  # near the floor: drives' filters leave as much
-        (NEAR_FLOOR + 0.1, 200.0, False),  # a bearing that is no formula leaves a little of much
+        (STATEMENT.near_floor + 0.1, 20.0, True),
+        (STATEMENT.near_floor - 0.1, 20.0, False),  # near the floor: drives' filters leave as much
+        (STATEMENT.near_floor + 0.1, 200.0, False),  # a bearing that is no formula leaves a little of much
     ],
 )
 def test_a_joint_is_far_beyond_eight_floors_and_a_tenth_of_what_it_was(after, before, expected):
@@ -189,7 +196,7 @@ def test_a_joint_is_far_beyond_eight_floors_and_a_tenth_of_what_it_was(after, be
 def test_beside_a_simulation_that_is_far_off_no_name_has_more_than_one_half():
     sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
     off = dataclasses.replace(sure, far=True)
-    assert probability(off) == EQUALS < probability(sure)
+    assert probability(off) == STATEMENT.equals < probability(sure)
     dry = Candidate(CoulombFriction(), 1, "elbow", CoulombFriction().parameters(arm(), address(), 1))
     named = {"torque": 0.5, "turnover": 0.0}
     assert "some law is another" in gates._sentence(dry, named, off)
@@ -198,8 +205,8 @@ def test_beside_a_simulation_that_is_far_off_no_name_has_more_than_one_half():
 
 def test_no_name_with_rivals_left_is_stated_above_one_half():
     sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
-    assert probability(dataclasses.replace(sure, share=0.7)) == EQUALS
-    assert probability(dataclasses.replace(sure, share=DECISIVE)) > EQUALS
+    assert probability(dataclasses.replace(sure, share=0.7)) == STATEMENT.equals
+    assert probability(dataclasses.replace(sure, share=STATEMENT.refutes)) > STATEMENT.equals
 
 
 @given(likely=st.floats(0, 1), shares=st.lists(st.floats(1e-6, 1), min_size=2, max_size=6))

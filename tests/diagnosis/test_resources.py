@@ -8,16 +8,8 @@ import pytest
 from diagnosis.plants import pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import diagnose
-from torchrl_athletic.diagnosis.resources import (
-    GIGABYTE,
-    PER_SAMPLE,
-    PER_SECOND,
-    STRETCH,
-    OutOfTime,
-    alarm,
-    free_memory,
-    thinned,
-)
+from torchrl_athletic.diagnosis.resources import GIGABYTE, OutOfTime, alarm, free_memory, thinned
+from torchrl_athletic.diagnosis.thresholds import SPENDING
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import Recording, split_at_gaps
 
@@ -30,7 +22,7 @@ def long_log(seconds: float, rate: float) -> Recording:
 
 
 def need(r: Recording) -> float:
-    return r.num_joints * (PER_SECOND * r.duration + PER_SAMPLE * r.num_samples)
+    return r.num_joints * (SPENDING.per_second * r.duration + SPENDING.per_sample * r.num_samples)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5])
@@ -42,10 +34,10 @@ def test_of_a_log_that_does_not_fit_stretches_from_its_whole_length_are_used(sha
     assert found.share == pytest.approx(share, rel=0.15)
     assert f"{100 * found.share:.0f} % are used" in found.warning
     assert sum(need(p) for p in pieces) < 1.05 * share * need(log)
-    assert all(p.duration >= STRETCH - 0.1 for p in pieces)
+    assert all(p.duration >= SPENDING.stretch - 0.1 for p in pieces)
     assert pieces[0].time[0] == 0.0
     assert kept.time[-1] > 3600.0 - 1.0
-    assert max(np.diff([p.time[0] for p in pieces])) < 2.2 * STRETCH / share
+    assert max(np.diff([p.time[0] for p in pieces])) < 2.2 * SPENDING.stretch / share
 
 
 def test_what_fits_stays_as_it_is():

@@ -10,8 +10,9 @@ import pytest
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
-from torchrl_athletic.diagnosis.simulate import ALONE, BEHIND, _asked_alone, _with_joints, key_of
+from torchrl_athletic.diagnosis.simulate import _asked_alone, _with_joints, key_of
 from torchrl_athletic.diagnosis.stages import Simulated
+from torchrl_athletic.diagnosis.thresholds import DECISION
 
 stage = importlib.import_module("torchrl_athletic.diagnosis.simulate")
 
@@ -58,12 +59,12 @@ class Started:
 @pytest.mark.parametrize(
     ("left", "is_open", "named", "over", "asked"),
     [
-        (0.9, True, True, 9.0, ALONE),
+        (0.9, True, True, 9.0, DECISION.alone),
         (0.9, True, False, 9.0, 6),  # as long as nothing is named and most is open
-        (0.9, True, False, 2.0, ALONE),  # so near the floor the simulation could tell nothing of so many
+        (0.9, True, False, 2.0, DECISION.alone),  # so near the floor the simulation could tell nothing of so many
         (0.3, True, True, 9.0, 0),
         (0.9, False, True, 9.0, 0),
-        (0.0, False, False, 3.0, ALONE),  # trims took the torque, and the motion is not followed all the same
+        (0.0, False, False, 3.0, DECISION.alone),  # trims took the torque, and the motion is not followed all the same
         (0.0, False, False, 2.0, 0),
         (0.0, False, True, 3.0, 0),
     ],
@@ -73,8 +74,8 @@ def test_effects_are_tried_alone_where_most_of_the_motion_stays_open(monkeypatch
     first, *more = [t.proposal for t in work.run().trials]
     assert first is work.begun.trials[0].proposal
     assert [p.best for p in more] == work.alone[:asked]
-    assert [p.on_trial for p in more] == [False] * min(ALONE, asked) + [True] * (asked - ALONE)
-    assert all(p.alone and p.behind == BEHIND for p in more)
+    assert [p.on_trial for p in more] == [False] * min(DECISION.alone, asked) + [True] * (asked - DECISION.alone)
+    assert all(p.alone and p.behind == DECISION.behind for p in more)
 
 
 @pytest.mark.parametrize(
@@ -119,7 +120,7 @@ def test_ctrl_c_keeps_the_trials_that_were_made(monkeypatch):
 @pytest.mark.parametrize(
     ("left", "over", "evidence", "behind"),
     [
-        (0.5, 9.0, 3.0, BEHIND),  # it may be the names if the simulation is decisively better
+        (0.5, 9.0, 3.0, DECISION.behind),  # it may be the names if the simulation is decisively better
         (0.01, 9.0, 3.0, np.inf),  # nothing is left to be named
         (0.5, 9.0, np.inf, np.inf),  # a number of it stops at a bound
         (0.5, 2.0, 3.0, None),  # what follows needs no other

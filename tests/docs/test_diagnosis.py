@@ -3,17 +3,17 @@
 import importlib
 import importlib.util
 import re
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from torchrl_athletic.diagnosis import Answer, Finding, Location, Rival, Score
+from torchrl_athletic.diagnosis import Answer, Finding, Location, Rival, Score, thresholds
 from torchrl_athletic.diagnosis.calibration import Grounds
 from torchrl_athletic.diagnosis.corrected import SCHEMA
 from torchrl_athletic.diagnosis.result import SCHEMA as ANSWER_SCHEMA
-from torchrl_athletic.diagnosis.search import DECISIVE, TERM
+from torchrl_athletic.diagnosis.thresholds import SEARCH
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, TRIMS
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -31,26 +31,29 @@ def hook():
 
 
 def test_thresholds_are_the_codes(hook):
-    rows = re.findall(r"^\| `([\w.]+)\.([A-Z_]+)` \| ([^|]+) \| [^|]{10,} \|$", hook.on_page_markdown(PAGE), re.M)
+    page = hook.on_page_markdown(PAGE)
+    rows = re.findall(r"^\| `([a-z.]+)\.(\w+)` \| ([^|]+) \| ([^|]*) \| ([^|]*) \| [^|]{10,} \|$", page, re.M)
     assert len(rows) > 60
-    for module, name, value in rows:
-        constant = getattr(importlib.import_module(f"torchrl_athletic.{module}"), name)
-        np.testing.assert_allclose(np.atleast_1d(constant), [float(number) for number in value.split(",")])
+    for section, name, value, unit, kind in rows:
+        if name.isupper():
+            module = importlib.import_module(f"torchrl_athletic.{section}")
+            given = getattr(module, name)
+        else:
+            given = getattr(getattr(thresholds, section.upper()), name)
+            assert unit.strip()
+            assert kind.strip() in KINDS
+        np.testing.assert_allclose(np.atleast_1d(given), [float(number) for number in value.split(",")], rtol=1e-5)
 
 
-def test_every_threshold_of_the_gates_and_the_search_is_explained(hook):
-    table = hook.on_page_markdown(PAGE)
-    for module in ("diagnosis.gates", "diagnosis.search"):
-        source = Path(importlib.import_module(f"torchrl_athletic.{module}").__file__).read_text(encoding="utf-8")
-        set_by_hand = re.findall(r"^([A-Z_]+) = [\d.]+$", source, re.M)
-        missing = {name for name in set_by_hand if f"`{module}.{name}`" not in table}
-        assert missing <= {"FOLDS", "BEAM", "MOST_PER_JOINT"}
+KINDS = {"statistical", "physical", "tuned", "budget", "measured", "contract"}
 
 
-def test_thresholds_of_experiments_have_a_table(hook):
-    page = hook.on_page_markdown((DOCS / "experiments.md").read_text(encoding="utf-8"))
-    assert "| `diagnosis.experiment.APART` | 3 |" in page
-    assert "<!--" not in page
+def test_every_threshold_stands_in_a_table(hook):
+    pages = hook.on_page_markdown(PAGE) + hook.on_page_markdown((DOCS / "experiments.md").read_text(encoding="utf-8"))
+    sections = [kind for kind in vars(thresholds).values() if isinstance(kind, type) and is_dataclass(kind)]
+    assert len(sections) >= 7
+    missing = [f"{s.__name__}.{f.name}" for s in sections for f in fields(s)]
+    assert [name for name in missing if f"`{name[0].lower()}{name[1:]}`" not in pages] == []
 
 
 def test_trims_of_naming_and_of_the_fit():
@@ -73,11 +76,11 @@ def test_what_a_true_term_may_leave_is_said_by_class():
     assert "a term of friction, presliding or change on the joint it must explain 2 %" in text
     assert "beside a transmission 3 %, beside others half a percent" in text
     assert "odds of twenty for each term" in text
-    assert np.exp(TERM / 2) == pytest.approx(20)
+    assert np.exp(SEARCH.term / 2) == pytest.approx(20)
 
 
 def test_decisive_evidence_is_odds_of_150_to_1():
-    assert round(np.exp(DECISIVE / 2) / 10) * 10 == 150
+    assert round(np.exp(SEARCH.decisive / 2) / 10) * 10 == 150
 
 
 @pytest.mark.parametrize("kind", [Answer, Finding, Location, Rival, Score], ids=lambda kind: kind.__name__)

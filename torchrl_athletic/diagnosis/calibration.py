@@ -10,15 +10,7 @@ from importlib.resources import files
 
 import numpy as np
 
-DECISIVE = 0.75
-"""Share of the evidence from which rivals count as refuted: odds below three to one are "not worth more than a bare
-mention" (Kass, Raftery 1995, doi:10.1080/01621459.1995.10476572)."""
-EQUALS = 0.5
-"""The most that a finding may have beside rivals that are not refuted, whoever is ahead. The same holds for a law of
-which what sets it apart from simpler ones is not seen, for one beside another that makes no sense, and where the
-simulation with it is still far from the recordings."""
-SENSELESS = 0.2
-"""The most of a finding that makes no sense as it stands: a motor at the end of what may be, a gear seen in noise."""
+from torchrl_athletic.diagnosis.thresholds import STATEMENT
 
 
 @dataclass(frozen=True)
@@ -57,9 +49,9 @@ class Grounds:
     def most(self) -> float:
         """The probability that it may have at most."""
         if self.senseless:
-            return SENSELESS
-        doubtful = self.plain or self.leans or self.far or self.share < DECISIVE
-        return EQUALS if doubtful else self.share
+            return STATEMENT.senseless
+        doubtful = self.plain or self.leans or self.far or self.share < STATEMENT.refutes
+        return STATEMENT.equals if doubtful else self.share
 
     def features(self) -> dict[str, float]:
         """Numbers of order one, in which the log odds are linear."""

@@ -12,23 +12,14 @@ from scipy.ndimage import gaussian_filter1d
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis, draw_windows
 from torchrl_athletic.diagnosis.replay import Take, Windows, simulate, window_rmse
 from torchrl_athletic.diagnosis.result import Score
+from torchrl_athletic.diagnosis.thresholds import SIMULATION, STATEMENT
 from torchrl_athletic.effects.signals import kernel_for
 
 Array = NDArray[np.float64]
 
-MOST_WINDOWS = 400
-"""Windows that a score is stated over, as many as 200 s have; more are thinned at random."""
-BETWEEN = 60.0
-"""Time that is put between recordings, and between the pieces of one that drop-outs have cut [s]."""
 
-EXPLAINED = 0.05
-"""Share of the error energy above the floor that may be left by an explanation."""
-NEAR_FLOOR = 8.0
-"""Window error over the floor up to which a model without predictable missing torque is called complete, and one with
-findings explained: whatever was gross before, what is left beyond it shows that a law is another."""
-KEPT = 0.1
-"""Share of the given model's window error that a right law may leave, however many times the floor that is, since
-bearings are no formulas. Beyond it and beyond :data:`NEAR_FLOOR`, no name has more than one half."""
+MOST_WINDOWS = SIMULATION.windows
+"""Windows that a score is stated over."""
 
 
 def score(
@@ -74,7 +65,7 @@ def started(windows: Sequence[Windows]) -> Array:
         parts = np.searchsorted(w.take.begins, w.start, side="right") - 1
         for part, first in enumerate(w.take.begins):
             times.append(end + w.take.time[w.start[parts == part]] - w.take.time[first])
-            end += BETWEEN + w.take.parts[part].recording.duration
+            end += SIMULATION.between + w.take.parts[part].recording.duration
     return np.concatenate(times)
 
 
@@ -161,5 +152,5 @@ def far_joints(scores: Collection[Score]) -> frozenset[str]:
         name
         for s in scores
         for name, e in s.per_joint.items()
-        if e["after"] > NEAR_FLOOR * max(e["floor"], 1e-12) and e["after"] > KEPT * e["before"]
+        if e["after"] > STATEMENT.near_floor * max(e["floor"], 1e-12) and e["after"] > STATEMENT.kept * e["before"]
     )

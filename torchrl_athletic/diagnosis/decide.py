@@ -10,23 +10,12 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.compare import open_share
 from torchrl_athletic.diagnosis.proposal import Proposal, answer_set
-from torchrl_athletic.diagnosis.propose import CLOSE
 from torchrl_athletic.diagnosis.screen import Key
-from torchrl_athletic.diagnosis.search import RICHER, Scored, keys
+from torchrl_athletic.diagnosis.search import Scored, keys
 from torchrl_athletic.diagnosis.stages import Decided, Simulated, Trial
+from torchrl_athletic.diagnosis.thresholds import DECISION, SEARCH
 
 Array = NDArray[np.float64]
-
-FOLLOWS = 2.5
-"""Error of a window over another's, or over the floor, from which on the one misses what the other follows."""
-LOST = 0.5
-"""Share of the error energy that what is refuted so leaves."""
-CLEAR = 0.1
-"""Share of the error energy that one may leave to refute those that leave :data:`LOST`, few as its windows may be."""
-APART = 2.0
-"""Between windows that see two occasions: one blow may be felt that long [s]."""
-ALIKE = 0.05
-"""Difference of the logarithm of the windows' error below which two fits are equally good."""
 
 
 def decide(simulated: Simulated) -> Decided:
@@ -77,17 +66,19 @@ def decided_by(trials: Sequence[Trial]) -> tuple[int, Array, list[bool]]:
     left = [open_share(s) for s in scores]
     taken = [
         bool(np.isfinite(option.behind))
-        and (not option.on_trial or (_against(logs[0] - e) >= CLOSE and share <= (1 - RICHER) * left[0]))
+        and (
+            not option.on_trial or (_against(logs[0] - e) >= SEARCH.decisive and share <= (1 - SEARCH.richer) * left[0])
+        )
         for option, e, share in zip(options, logs, left, strict=True)
     ]
     least = min((k for k, t in enumerate(taken) if t), key=lambda k: left[k])
-    if left[least] <= CLEAR:  # a stop that is reached twice says nothing in the mean of all windows
+    if left[least] <= DECISION.clear:  # a stop that is reached twice says nothing in the mean of all windows
         for k, error in enumerate(errors):
             floor = np.maximum(floors[k], floors[least])
-            if left[k] >= LOST and _misses(error, errors[least], floor, began):
+            if left[k] >= DECISION.lost and _misses(error, errors[least], floor, began):
                 taken[k] = False
     best = min((e for e, t in zip(logs, taken, strict=True) if t), key=lambda e: float(e.mean()))
-    against = np.array([_against(e - best) if t else CLOSE for e, t in zip(logs, taken, strict=True)])
+    against = np.array([_against(e - best) if t else SEARCH.decisive for e, t in zip(logs, taken, strict=True)])
     behind = np.array([o.behind if t else np.inf for o, t in zip(options, taken, strict=True)])
     return int(np.argmin(against + behind)), against, taken
 
@@ -122,10 +113,10 @@ def _misses(worse: Array, better: Array, floor: Array, began: Array) -> bool:
         floor: Of the error, shape (J,).
         began: When each window starts [s]. Shape (W,).
     """
-    if (better > FOLLOWS * np.maximum(worse, floor)).any():
+    if (better > DECISION.follows * np.maximum(worse, floor)).any():
         return False
-    lost = (worse > FOLLOWS * np.maximum(better, floor)) & (better <= FOLLOWS * floor)
-    return any((np.diff(began[joint]) > APART).any() for joint in lost.T)
+    lost = (worse > DECISION.follows * np.maximum(better, floor)) & (better <= DECISION.follows * floor)
+    return any((np.diff(began[joint]) > DECISION.occasions).any() for joint in lost.T)
 
 
 def _against(worse: Array) -> float:
@@ -134,5 +125,5 @@ def _against(worse: Array) -> float:
     The square of their paired z-score, beyond the few per cent by which optimisers that stop sooner differ.
     """
     error = float(worse.std() / np.sqrt(max(len(worse), 1)))
-    beyond = max(float(worse.mean()) - ALIKE, 0.0)
-    return float(np.clip((beyond / error) ** 2, 0.0, CLOSE)) if error > 0 else 0.0
+    beyond = max(float(worse.mean()) - DECISION.equally_good, 0.0)
+    return float(np.clip((beyond / error) ** 2, 0.0, SEARCH.decisive)) if error > 0 else 0.0

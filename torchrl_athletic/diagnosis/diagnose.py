@@ -24,15 +24,12 @@ from torchrl_athletic.diagnosis.screen import Bank
 from torchrl_athletic.diagnosis.simulate import simulate
 from torchrl_athletic.diagnosis.stages import Decided, Given, Located, Ready, Run, Simulated
 from torchrl_athletic.diagnosis.state import state
+from torchrl_athletic.diagnosis.thresholds import SPENDING
 from torchrl_athletic.effects import CATALOGUE, Effect
 from torchrl_athletic.effects.base import Base, free_joint, held_base
 from torchrl_athletic.recordings import Recording, RecordingError
 
 CHECKPOINT = "progress.json"
-TO_FIND = 0.85
-"""Share of the time budget after which what was found is stated."""
-TO_TELL = 0.97
-"""Share of it after which it is told without pictures."""
 
 
 def diagnose(
@@ -131,7 +128,7 @@ def _diagnosed(given: Given, run: Run, output: Path | None) -> Diagnosis:
         ready = _prepare(given, run)
         run.progress.stage("locate")
         found = located = _locate(ready)
-        with alarm(run.left(TO_FIND)):
+        with alarm(run.left(SPENDING.to_find)):
             run.progress.stage("propose")
             proposed = propose(located, run)
             run.progress.stage("simulate")
@@ -142,7 +139,7 @@ def _diagnosed(given: Given, run: Run, output: Path | None) -> Diagnosis:
             found = decided = decide(simulated)
             run.progress.stage("state")
             stated = state(decided)
-        with alarm(run.left(TO_TELL)):
+        with alarm(run.left(SPENDING.to_tell)):
             run.progress.stage("deliver")
             diagnosis = deliver(stated, output)
     except (KeyboardInterrupt, MemoryError):
@@ -156,7 +153,7 @@ def _diagnosed(given: Given, run: Run, output: Path | None) -> Diagnosis:
 def _stopped(found: Located | Simulated | Decided, run: Run, output: Path | None) -> Diagnosis:
     """What a stopped run has found; where the error is, if there is no time or memory for more."""
     try:
-        with alarm(run.left(TO_TELL)):
+        with alarm(run.left(SPENDING.to_tell)):
             stated = state(_decided(found), stopped_in=run.progress.now)
     except (OutOfTime, MemoryError):
         located = found if isinstance(found, Located) else _located(found)

@@ -13,28 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.calibration import Grounds, class_probability, probability, rival_probability, widened
-from torchrl_athletic.diagnosis.compare import EXPLAINED, NEAR_FLOOR, far_joints, follows, open_share
+from torchrl_athletic.diagnosis.compare import far_joints, follows, open_share
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
 from torchrl_athletic.diagnosis.proposal import Proposal, StandIn
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score, Verdict
 from torchrl_athletic.diagnosis.screen import Atom, Candidate, Key
-from torchrl_athletic.diagnosis.search import INVARIANT, scatter
+from torchrl_athletic.diagnosis.search import scatter
+from torchrl_athletic.diagnosis.thresholds import SEARCH, STATEMENT
 from torchrl_athletic.effects import Effect, Parameter
 from torchrl_athletic.effects.effect import CLASSES
 
 Array = NDArray[np.float64]
-
-LIKELY = 0.5
-"""An explanation may not rest on a finding that, together with its rivals, is less probable than this."""
-PARTLY = 0.80
-"""Above this share nothing worth the name is explained."""
-SHOWN = 1.5
-"""Window error of the given model over the floor below which the simulation shows nothing of a gear."""
-ALIKE = 0.05
-"""Relative difference below which two numbers of a law are the same."""
-LEAST_SHARE = 0.03
-"""Of the evidence; rivals below are not printed."""
 
 
 ANY_EXPERIMENT = "each joint alone, slowly both ways and fast, with and without a known payload"
@@ -79,15 +69,15 @@ def verdict_of(
     deciding = [s for s in (heldout, train) if s is not None]
     if not deciding:
         return ("partly_explained" if findings else "unexplained"), float(bool(is_open))
-    share, near = max(open_share(s) for s in deciding), all(follows(s, NEAR_FLOOR) for s in deciding)
+    share, near = max(open_share(s) for s in deciding), all(follows(s, STATEMENT.near_floor) for s in deciding)
     if not findings:
         nothing = not is_open and near  # within the tolerances of the trims
         return ("nothing_missing", 0.0) if nothing else ("unexplained", share)
     torque_left = max((float(part.left().max(initial=0.0)) for part in evidence), default=0.0)
-    likely = all(_of_all(f) > LIKELY and not f.grounds.get("senseless") for f in findings)
-    if near and share <= EXPLAINED and torque_left <= 2 * EXPLAINED and likely:
+    likely = all(_of_all(f) > STATEMENT.likely and not f.grounds.get("senseless") for f in findings)
+    if near and share <= STATEMENT.explained and torque_left <= 2 * STATEMENT.explained and likely:
         return "explained", share
-    return ("partly_explained" if share <= PARTLY else "unexplained"), share
+    return ("partly_explained" if share <= STATEMENT.partly else "unexplained"), share
 
 
 def _of_all(finding: Finding) -> float:
@@ -109,8 +99,8 @@ def summarise(
         out.append("Nothing is missing: the model follows the recordings as closely as the sensors' noise allows.")
     elif not findings:
         out.append("The model and the robot differ, and no effect of the catalogue explains how.")
-    out += [f.sentence for f in findings if f.probability > LIKELY]
-    out += not_identified([f for f in findings if f.probability <= LIKELY])
+    out += [f.sentence for f in findings if f.probability > STATEMENT.likely]
+    out += not_identified([f for f in findings if f.probability <= STATEMENT.likely])
     where = [x for x in locations if x.regime != "everywhere"][:1]
     if verdict != "nothing_missing" and locations:
         text = f"{100 * locations[0].share_of_error:.0f} % of the error arises at {locations[0].joint}"
@@ -140,7 +130,7 @@ def not_identified(findings: Sequence[Finding]) -> list[str]:
     out = []
     for (kind, joint), f in first.items():
         at, law = joint or "the robot", f"{f.effect.replace('_', ' ')} fits best, at {100 * f.probability:.0f} %"
-        if f.class_probability > LIKELY:
+        if f.class_probability > STATEMENT.likely:
             what = CLASSES.get(kind, kind.replace("_", " "))
             sure = f"{100 * f.class_probability:.0f} %"
             out.append(f"Likely missing at {at}: {what} ({sure}). Its law is not identified; {law}.")
@@ -195,7 +185,7 @@ def _finding(
             effect.experiment(option.atom.candidate.effect.name, joint),
         )
         for option in others
-        if option.share > LEAST_SHARE
+        if option.share > STATEMENT.least_share
     ]
     alike = sum(rival_probability(likely, own, o.share) for o in others if _is_alike(o.atom.candidate, candidate))
     of_class = likely
@@ -244,11 +234,11 @@ def _is_plain(candidate: Candidate, values: Array, samples: Array) -> bool:
         if isinstance(what, str):  # by the interval that is stated with it
             ends = widened(float(of[what][0]), *np.quantile(of[what][1], [0.025, 0.975]))
             low, high = np.array(ends) - given[what]
-            least = ALIKE * beside_it[what]
+            least = STATEMENT.same_number * beside_it[what]
         else:
             (one, drawn), (other, beside) = of[what[0]], of[what[1]]
             low, high = np.quantile(drawn - beside, [0.025, 0.975])
-            least = ALIKE * max(abs(one), abs(other))
+            least = STATEMENT.same_number * max(abs(one), abs(other))
         return bool(low > least or high < -least)
 
     contrasts = candidate.effect.sets_apart
@@ -268,7 +258,7 @@ def _is_noise(candidate: Candidate, above: Mapping[str, float]) -> bool:
     What a gear predicts is made of measured accelerations, so that their noise can look like a gear.
     """
     name = candidate.joint_name or ""
-    return candidate.effect.of_accelerations and above.get(name, np.inf) < SHOWN
+    return candidate.effect.of_accelerations and above.get(name, np.inf) < STATEMENT.shown
 
 
 def _within(parameter: Parameter, ends: tuple[float, float]) -> tuple[float, float]:
@@ -279,7 +269,7 @@ def _within(parameter: Parameter, ends: tuple[float, float]) -> tuple[float, flo
 
 def _sentence(candidate: Candidate, named: Mapping[str, float], grounds: Grounds) -> str:
     effect, joint = candidate.effect, candidate.where
-    if grounds.scatter > INVARIANT:
+    if grounds.scatter > SEARCH.invariant:
         return _stand_in(effect, joint)
     said = effect.sentence(joint, named, candidate.parameters)
     if grounds.senseless:

@@ -13,12 +13,11 @@ from torchrl_athletic.diagnosis.fitting import Fit, fit
 from torchrl_athletic.diagnosis.screen import Atom, Candidate
 from torchrl_athletic.diagnosis.search import Judge, Scored
 from torchrl_athletic.diagnosis.stages import Given, Run
+from torchrl_athletic.diagnosis.thresholds import SIMULATION
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, Effect, Parameter
 
 Array = NDArray[np.float64]
 
-SAMPLES = 200
-"""Draws from the intervals of a fit."""
 NORMAL = 3.92
 """Width of a normal distribution's 95 % interval, in standard deviations."""
 
@@ -62,7 +61,7 @@ def _with_draws(found: Fit, given: Given) -> Fitted:
     ends = {(p.joint, p.effect, p.name): p.ci95 for p in found.parameters}
     place = [(c, p) for c in h.terms for p in c.parameters]
     sigma = np.array([np.ptp(ends.get((c.where, c.effect.name, p.name), (0.0, 0.0))) / NORMAL for c, p in place])
-    samples = values + sigma * rng.standard_normal((SAMPLES, len(values)))
+    samples = values + sigma * rng.standard_normal((SIMULATION.samples, len(values)))
     if len(values):
         samples = np.clip(samples, *h.bounds)
     named = {e.name for e in given.catalogue}
@@ -98,5 +97,5 @@ def _decode(content: dict[str, Any], known: dict[str, Effect]) -> Fitted:
         for e in content["parts"]
     ]
     h = Hypothesis(tuple(c for c, trim in parts if not trim), tuple(c for c, trim in parts if trim))
-    samples = np.array(content["samples"]).reshape(SAMPLES, len(content["values"]))
+    samples = np.array(content["samples"]).reshape(SIMULATION.samples, len(content["values"]))
     return Fitted(h, np.array(content["values"]), samples, 0.0)

@@ -9,13 +9,8 @@ from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.screen import Bank, Candidate, Key, candidates_for, trims_for
 from torchrl_athletic.diagnosis.search import Judge, Scored, keys, noisy_joints, richer, rivals, search
 from torchrl_athletic.diagnosis.stages import Located, Proposed, Run
+from torchrl_athletic.diagnosis.thresholds import DECISION, SEARCH
 from torchrl_athletic.effects import TRIMS, Effect, Signals
-
-CLOSE = 10.0
-"""Evidence within which combinations are left to the simulation to decide."""
-MOST_FITS = 4
-ASKED = 6.0
-"""Evidence behind which a rival is not asked about in the simulation: a twentieth of the odds."""
 
 
 def propose(located: Located, run: Run) -> Proposed:
@@ -62,9 +57,9 @@ def _options(judge: Judge, found: Sequence[Scored]) -> list[Proposal]:
     """What the simulation decides about: the best combination, a richer law that it gave up, what rivals it closely."""
     first, rich = found[0], richer(judge, found[0])
     out = [Proposal(judge, first)] + ([Proposal(judge, rich, 0.0, on_trial=True)] if rich is not None else [])
-    near = [Proposal(judge, s, behind) for s, behind in rivals(judge, first, ASKED)]
+    near = [Proposal(judge, s, behind) for s, behind in rivals(judge, first, DECISION.asked)]
     near += [Proposal(judge, s, s.evidence - first.evidence) for s in found[1:]]
     for option in sorted(near, key=lambda e: e.behind):
         if all(keys(option.best.fit.terms) != keys(e.best.fit.terms) for e in out):
             out.append(option)
-    return [option for option in out if option.behind <= CLOSE][:MOST_FITS]
+    return [option for option in out if option.behind <= SEARCH.decisive][: DECISION.most_fits]

@@ -13,23 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from torchrl_athletic.diagnosis.thresholds import SPENDING
 from torchrl_athletic.recordings import Recording
 
 GIGABYTE = 2.0**30
-FIXED = 0.7 * GIGABYTE
-"""Memory of a diagnosis of a short log, libraries included [B]; measured."""
-PER_SECOND = 0.4e6
-"""Memory for each second of each joint: predictions of all effects on the grid of the torque domain [B]; measured."""
-PER_SAMPLE = 600.0
-"""Memory for each sample of each joint, as recorded and as replayed [B]; measured."""
-STRETCH = 20.0
-"""Length of the stretches that are kept of a log that is too long [s]: two slow periods of most motions."""
-LEAST = 0.1 * GIGABYTE
-"""Memory for data that is taken in any case [B]."""
-SHORTEST = 5.0
-"""Least that is kept of a recording, if it is so long [s]."""
-SHARE = 0.5
-"""Of the free memory that is taken unless told otherwise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +33,8 @@ class Thinned:
         if self.share >= 1.0:
             return ""
         return (
-            f"Of these recordings {100 * self.share:.0f} % are used, in stretches of {STRETCH:.0f} s spread evenly: "
-            "all of them would not fit into the memory that --memory allows."
+            f"Of these recordings {100 * self.share:.0f} % are used, in stretches of {SPENDING.stretch:.0f} s spread "
+            "evenly: all of them would not fit into the memory that --memory allows."
         )
 
 
@@ -58,7 +45,9 @@ def thinned(recordings: Sequence[Recording], room: float) -> Thinned:
         recordings: Any.
         room: Memory [B].
     """
-    need = sum(r.num_joints * (PER_SECOND * r.duration + PER_SAMPLE * r.num_samples) for r in recordings)
+    need = sum(
+        r.num_joints * (SPENDING.per_second * r.duration + SPENDING.per_sample * r.num_samples) for r in recordings
+    )
     if need <= room:
         return Thinned(tuple(recordings), 1.0)
     kept = tuple(_stretches(r, room / need) for r in recordings)
@@ -69,8 +58,8 @@ def thinned(recordings: Sequence[Recording], room: float) -> Thinned:
 def _stretches(recording: Recording, share: float) -> Recording:
     """A share of a recording; the gaps between its stretches are gaps to all that follows."""
     time = recording.time - recording.time[0]
-    count = max(1, int(share * time[-1] / STRETCH))
-    length = STRETCH if count > 1 else min(max(share * time[-1], SHORTEST), STRETCH)
+    count = max(1, int(share * time[-1] / SPENDING.stretch))
+    length = SPENDING.stretch if count > 1 else min(max(share * time[-1], SPENDING.shortest), SPENDING.stretch)
     starts = np.linspace(0.0, time[-1] - length, count) if count > 1 else np.zeros(1)
     kept = ((time[:, None] >= starts) & (time[:, None] <= starts + length)).any(1)
     return recording.where(kept)
@@ -78,8 +67,8 @@ def _stretches(recording: Recording, share: float) -> Recording:
 
 def room_for_data(memory: float | None) -> float:
     """Memory that a run may take for recordings [B], of what is asked for in GB, or of half of what is free."""
-    whole = SHARE * free_memory() if memory is None else memory * GIGABYTE
-    return max(whole - FIXED, LEAST)
+    whole = SPENDING.share * free_memory() if memory is None else memory * GIGABYTE
+    return max(whole - SPENDING.fixed, SPENDING.least)
 
 
 def free_memory() -> float:

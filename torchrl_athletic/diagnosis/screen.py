@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from torchrl_athletic.diagnosis.products import Library, Products, gains
+from torchrl_athletic.diagnosis.thresholds import TORQUES
 from torchrl_athletic.effects import (
     CATALOGUE,
     Effect,
@@ -29,17 +30,8 @@ from torchrl_athletic.effects.effect import torque_scale
 
 Array = NDArray[np.float64]
 
-BLOCK = 1.0
-"""Length of a block of samples that is resampled together [s]."""
-STRETCH = 2.0
-"""Least length of a stretch with an error level of its own [s]."""
-MOST_STRETCHES = 48
 KERNEL_CORRELATION = 2 * np.sqrt(np.pi)
 """Correlation time of white noise behind the Gaussian test function, in widths."""
-DIVERGED = 1e15
-"""Prediction of a unit of a coefficient, over the noise, beyond which an equation of motion has run away."""
-TORQUE_FLOOR = 1e-3
-"""Missing torque that nobody needs explained, as a share of the joint's typical torque."""
 
 
 Key: TypeAlias = tuple[str, str | None]
@@ -248,7 +240,7 @@ class Bank:
             reach = [1.0 if k < 0 else _reach(effect, parameters[k]) for k in linear]
             # otherwise even the bound would hide in the noise
             shown = tuple(i for i in range(whole.shape[2]) if np.abs(whole[:, :, i]).max() * reach[i] > 1.0)
-            if shown and np.abs(whole).max() < DIVERGED:
+            if shown and np.abs(whole).max() < TORQUES.diverged:
                 atom = Atom(candidate, dict(fixed), tuple(linear[i] for i in shown), shown)
                 self.atoms.append(atom)
                 yield atom, whole[:, :, list(shown)]
@@ -295,7 +287,7 @@ class Bank:
         """Block of each row. Shape (sum of N,)."""
         labels, first = [], 0
         for s in self.takes:
-            own = ((s.time - s.time[0]) / BLOCK).astype(np.intp)
+            own = ((s.time - s.time[0]) / TORQUES.block).astype(np.intp)
             labels.append(own + first)
             first += int(own[-1]) + 1
         return np.concatenate(labels)
@@ -303,7 +295,7 @@ class Bank:
     @cached_property
     def stretch(self) -> NDArray[np.intp]:
         """Stretch of each row: parts of a take, a few seconds long, each with its own level of error. Shape (rows,)."""
-        seconds = max(STRETCH, sum(float(np.ptp(s.time)) for s in self.takes) / MOST_STRETCHES)
+        seconds = max(TORQUES.stretch, sum(float(np.ptp(s.time)) for s in self.takes) / TORQUES.most_stretches)
         labels, first = [], 0
         for s in self.takes:
             count = max(1, round(float(np.ptp(s.time)) / seconds))
@@ -480,7 +472,7 @@ def row_noise(takes: Sequence[Signals]) -> Array:
     noise = np.sqrt([np.mean(squares, axis=0) for squares in alike])
     typical = np.sqrt(np.mean(np.concatenate([s.command**2 + s.load**2 for s in takes]), axis=0))
     limit = np.array([torque_scale(takes[0].nominal, takes[0].address, j) for j in range(takes[0].num_joints)])
-    return np.hypot(noise, TORQUE_FLOOR * np.maximum(np.minimum(limit, 10 * typical), typical))
+    return np.hypot(noise, TORQUES.torque_floor * np.maximum(np.minimum(limit, 10 * typical), typical))
 
 
 def correlation_time(x: Array) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.compare import EXPLAINED, follows, open_share, score
+from torchrl_athletic.diagnosis.compare import follows, open_share, score
 from torchrl_athletic.diagnosis.decide import decided_by, torque_is_open
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, idle_terms, without
 from torchrl_athletic.diagnosis.joints import in_torques, standard_joints_of
@@ -18,20 +18,10 @@ from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate, Key, is_trim, trims_for
 from torchrl_athletic.diagnosis.search import keys, singles
 from torchrl_athletic.diagnosis.stages import Given, Proposed, Ready, Run, Simulated, Trial
+from torchrl_athletic.diagnosis.thresholds import DECISION, STATEMENT
 from torchrl_athletic.effects import FIT_TRIMS, TRIMS
 
 Array = NDArray[np.float64]
-
-LOST = 0.5
-"""Share of the error energy that the best may leave before each effect is asked about alone."""
-FOLLOWS = 2.5
-"""Window error over the floor that trims alone may leave before the same."""
-ALONE = 2
-"""How many of these at a time."""
-BEHIND = 9.0
-"""Evidence against them: only a simulation that is decisively better speaks for one."""
-WORTH = 0.1
-"""Share of its tolerance that a trim must use in the torque domain to be adjusted in the simulation."""
 
 
 def simulate(proposed: Proposed, run: Run) -> Simulated:
@@ -65,7 +55,7 @@ def _with_joints(done: Simulated, run: Run) -> Simulated:
     if not done.trials or done.stopped or run.late():
         return done
     ready, best = done.proposed.located.ready, done.trials[decided_by(done.trials)[0]]
-    if follows(best.scores["train"], FOLLOWS):
+    if follows(best.scores["train"], DECISION.follows):
         return done
     judge = done.trials[0].proposal.judge
     try:
@@ -73,8 +63,8 @@ def _with_joints(done: Simulated, run: Run) -> Simulated:
         if fitted is None:
             return done
         torques = in_torques(judge, fitted)
-        names = open_share(best.scores["train"]) > EXPLAINED and np.isfinite(torques.evidence)
-        proposal = Proposal(judge, torques, BEHIND if names else np.inf, on_trial=True, joints=True)
+        names = open_share(best.scores["train"]) > STATEMENT.explained and np.isfinite(torques.evidence)
+        proposal = Proposal(judge, torques, DECISION.behind if names else np.inf, on_trial=True, joints=True)
         trial = scored(proposal, _without_small(fitted, ready.given), ready)
     except KeyboardInterrupt:
         return replace(done, stopped=True)
@@ -100,24 +90,26 @@ def _asked_alone(done: Simulated, run: Run) -> Simulated:
     known = {keys(p.best.fit.terms) for p in (*(t.proposal for t in done.trials), *done.untried)}
     material, others = singles(judge)
     alone = [s for s in material or others if keys(s.fit.terms) not in known]
-    done = asked(done, [Proposal(judge, s, BEHIND, alone=True) for s in alone[:ALONE]])
-    later = [Proposal(judge, s, BEHIND, on_trial=True, alone=True) for s in alone[ALONE:] if material]
+    done = asked(done, [Proposal(judge, s, DECISION.behind, alone=True) for s in alone[: DECISION.alone]])
+    later = [
+        Proposal(judge, s, DECISION.behind, on_trial=True, alone=True) for s in alone[DECISION.alone :] if material
+    ]
     while later and not done.stopped and _is_lost(done) and _is_unnamed(done) and not run.late():
-        done = asked(done, later[:ALONE])
-        later = later[ALONE:]
+        done = asked(done, later[: DECISION.alone])
+        later = later[DECISION.alone :]
     return done
 
 
 def _is_lost(done: Simulated) -> bool:
     """Whether most of the motion is still open, and torque that noise does not explain."""
     trial = done.trials[decided_by(done.trials)[0]]
-    return open_share(trial.scores["train"]) >= LOST and torque_is_open(trial)
+    return open_share(trial.scores["train"]) >= DECISION.lost and torque_is_open(trial)
 
 
 def _is_unnamed(done: Simulated) -> bool:
     """Whether nothing is named and the simulation does not follow."""
     trial = done.trials[decided_by(done.trials)[0]]
-    return not trial.fitted.hypothesis.terms and not follows(trial.scores["train"], FOLLOWS)
+    return not trial.fitted.hypothesis.terms and not follows(trial.scores["train"], DECISION.follows)
 
 
 def _trial(proposal: Proposal, proposed: Proposed, run: Run) -> Trial:
@@ -212,7 +204,7 @@ def _moved(trim: Candidate, value: Array | None) -> bool:
     if value is None:
         return trim.effect not in TRIMS
     reach = np.array([p.upper - p.nominal for p in trim.parameters])
-    return bool((np.abs(value - [p.nominal for p in trim.parameters]) > WORTH * reach).any())
+    return bool((np.abs(value - [p.nominal for p in trim.parameters]) > DECISION.worth * reach).any())
 
 
 def key_of(hypothesis: Hypothesis) -> str:

@@ -21,14 +21,12 @@ from torchrl_athletic.diagnosis.remainder import remarks_on
 from torchrl_athletic.diagnosis.result import Answer, Finding, RegimeMap, Score
 from torchrl_athletic.diagnosis.simulate import scores_of
 from torchrl_athletic.diagnosis.stages import Decided, Given, Ready
+from torchrl_athletic.diagnosis.thresholds import STATEMENT
 from torchrl_athletic.diagnosis.veto import NOISE, WORSE, veto_sentence, vetoed
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.recordings import Recording
 
 Array = NDArray[np.float64]
-
-EXERCISED = 0.02
-"""Share of usable instants below which a joint counts as not exercised."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +81,7 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
     summary += tuple(
         f"{joint} hardly moves, so that nothing is known of it."
         for joint, used in ready.train.used_share().items()
-        if used < EXERCISED
+        if used < STATEMENT.exercised
     )
     answer = Answer(
         verdict=verdict,
