@@ -9,6 +9,7 @@ from typing import Any
 
 from torchrl_athletic.diagnosis.report.quantity import percent
 from torchrl_athletic.diagnosis.result import Answer, Finding, Location, Name, Rival
+from torchrl_athletic.diagnosis.thresholds import STATEMENT
 from torchrl_athletic.effects.effect import CLASSES
 
 _VERDICTS = {
@@ -104,14 +105,15 @@ def grounds_words(finding: Finding) -> list[str]:
 
 
 def of_class(finding: Finding) -> str:
-    """What is said of a finding's class, where that says more than the finding; else empty.
+    """What is said of the class of a finding that is not likely itself; empty where that says no more.
 
     Example:
         >>> f = Finding("stribeck_friction", "hip", 0.4, "", {}, "", class_name="friction", class_probability=0.9)
         >>> of_class(f)
         'friction there, by whichever law'
     """
-    if not finding.class_name or finding.class_probability < finding.probability + 0.01:
+    says_more = finding.probability <= STATEMENT.likely and finding.class_probability >= finding.probability + 0.01
+    if not finding.class_name or not says_more:
         return ""
     return f"{CLASSES.get(finding.class_name, words(finding.class_name))} there, by whichever law"
 
