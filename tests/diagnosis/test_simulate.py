@@ -133,7 +133,7 @@ def test_the_standard_joints_are_tried_where_nothing_follows(monkeypatch, left, 
     monkeypatch.setattr(stage, "_without_small", lambda fitted, given: fitted)
     monkeypatch.setattr(stage, "scored", lambda proposal, fitted, ready: SimpleNamespace(proposal=proposal))
     located = SimpleNamespace(ready=SimpleNamespace(given=None))
-    begun = replace(work.begun, proposed=SimpleNamespace(located=located))
+    begun = replace(work.begun, proposed=SimpleNamespace(located=located, drive=None))
     added = [t.proposal for t in _with_joints(begun, SimpleNamespace(late=lambda: False)).trials[1:]]
     assert [p.behind for p in added] == ([] if behind is None else [behind])
     assert all(p.joints and p.on_trial for p in added)

@@ -50,9 +50,10 @@ def _with_joints(done: Simulated, run: Run) -> Simulated:
 
     It is asked for unless a combination follows the recordings already: nothing is left then that it could explain.
     The simulation has to be decisively better with it, since it holds most simple laws as special cases. It gives no
-    names where another combination explains the error, or where one of its numbers stops at a bound.
+    names where another combination explains the error, or where one of its numbers stops at a bound. Where a measured
+    torque cuts the chain in two it is not asked for: it knows of no cut.
     """
-    if not done.trials or done.stopped or run.late():
+    if not done.trials or done.stopped or run.late() or done.proposed.drive is not None:
         return done
     ready, best = done.proposed.located.ready, done.trials[decided_by(done.trials)[0]]
     if follows(best.scores["train"], DECISION.follows):
