@@ -128,7 +128,7 @@ def _diagnosed(given: Given, run: Run, output: Path | None) -> Diagnosis:
         ready = _prepare(given, run)
         run.progress.stage("locate")
         found = located = _locate(ready)
-        with alarm(run.left(SPENDING.to_find)):
+        with alarm(run.left(SPENDING.to_find, SPENDING.telling)):
             run.progress.stage("propose")
             proposed = propose(located, run)
             run.progress.stage("simulate")

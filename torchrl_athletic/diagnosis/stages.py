@@ -72,9 +72,11 @@ class Run:
         left = self.left(0.6)
         return left is not None and left <= 0
 
-    def left(self, share: float = 1.0) -> float | None:
-        """Time until a share of the budget is spent [s]; None without one."""
-        return None if self.time_budget is None else share * self.time_budget - (time.monotonic() - self.started)
+    def left(self, share: float, kept: float = 0.0) -> float | None:
+        """Time until a share of the budget is spent, or all but some seconds [s]; None without a budget."""
+        if self.time_budget is None:
+            return None
+        return min(share * self.time_budget, self.time_budget - kept) - (time.monotonic() - self.started)
 
 
 @dataclass(frozen=True, eq=False)

@@ -266,6 +266,8 @@ class Spending:
     """Of the free memory that is taken unless told otherwise [1; budget]."""
     to_find: float = 0.85
     """Share of the time budget after which what was found is stated [1; budget]."""
+    telling: float = 4.0
+    """Time that is kept for saying it, however short the budget is [s; measured]."""
     to_tell: float = 0.97
     """Share of it after which it is told without pictures [1; budget]."""
 
