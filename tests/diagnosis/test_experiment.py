@@ -344,7 +344,7 @@ def test_a_repeated_plan_is_simulated_once_unless_something_changes_meanwhile():
     paths = planning._simulated(passed, once.model, scene)
     fastest = np.abs(np.diff(paths, axis=2)).max((0, 1, 2)) * (paths.shape[2] - 1) / recording.duration
     for share in (0.97, 1.03):
-        limits = replace(e.limits, velocity=share * fastest / (1 + planning.SLACK))
+        limits = replace(e.limits, velocity=share * fastest / (1 + PLAN.slack))
         assert planning._keeps(thrice, paths, passed.duration, limits) == (share > 1)
 
     drifting = SimpleNamespace(candidate=SimpleNamespace(effect=SimpleNamespace(family="change")))
