@@ -15,18 +15,22 @@ import platform
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
+import numpy as np
 import tyro
 from tqdm import tqdm
 
 sys.path.append(str(Path(__file__).parents[1]))
 
 from benchmarks.concealed.cases import prepare, record
-from torchrl_athletic.recordings import Recording, write_recording
+from torchrl_athletic.recordings import Recording, resample, write_recording
 from torchrl_athletic.recordings.demo import concealed_demo
 
+Row: TypeAlias = tuple[str, str, Sequence[Recording], Sequence[Recording], dict[str, float]]
 SEED = 20261121
 """One seed of the sealed cases that were scored before; their truths are known."""
 DIAGNOSE = """
@@ -37,13 +41,14 @@ from torchrl_athletic.recordings import read_recordings
 folder = Path(sys.argv[1])
 fit, aside = read_recordings(folder / "fit"), read_recordings(folder / "aside")
 begin, cpu = time.monotonic(), time.process_time()
-answer = diagnose((folder / "model.xml").read_text(), fit, aside).answer
+answer = diagnose((folder / "model.xml").read_text(), fit, aside, **json.loads(sys.argv[2])).answer
 print(json.dumps({
     "recorded": sum(r.duration for r in (*fit, *aside)),
     "seconds": time.monotonic() - begin,
     "cpu": time.process_time() - cpu,
     "megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     "said": ", ".join(f.effect for f in answer.findings[:3]) or answer.verdict,
+    "stage": answer.stage,
 }))
 """
 
@@ -56,12 +61,28 @@ class Config:
     """Indices of single concealed effects on six joints: dry friction under torques, a tilt under position targets."""
     shares: tuple[float, ...] = (0.5, 1.0)
     """Shares of every take of the first case."""
+    budgets: tuple[float, ...] = (10.0, 20.0)
+    """Budgets of time for the first case [s]."""
+    minutes: float = 20.0
+    """Length of a long log at 1 kHz, the demo's takes one after the other [min]."""
+    memory: float = 1.5
+    """That it may take [GB]."""
     output: Path = Path("benchmarks/results/diagnosis_time.md")
 
 
 def main(cfg: Config) -> None:
     made = concealed_demo(seed=1, duration=30.0)
-    rows = [("2 joints, the demo", made.model_xml, list(made.recordings), list(made.heldout))]
+    rows: list[Row] = [("2 joints, the demo", made.model_xml, list(made.recordings), list(made.heldout), {})]
+    long = [at_1_khz(r, cfg.minutes / len(made.recordings)) for r in made.recordings]
+    rows.append(
+        (
+            f"2 joints, 1 kHz, {cfg.memory:g} GB allowed",
+            made.model_xml,
+            long,
+            list(made.heldout),
+            {"memory": cfg.memory},
+        )
+    )
     for k, index in enumerate(cfg.cases):
         session = prepare("sealed", "single", index, SEED)
         case, takes = session.case, record(session)
@@ -70,10 +91,13 @@ def main(cfg: Config) -> None:
         )
         for share in cfg.shares if k == 0 else (1.0,):
             fit, aside = ([cut(r, share) for r in part] for part in takes)
-            rows.append((what, session.model_xml, fit, aside))
+            rows.append((what, session.model_xml, fit, aside, {}))
+        for budget in cfg.budgets if k == 0 else ():
+            told = f"the same, {budget:g} s allowed"
+            rows.append((told, session.model_xml, *takes, {"time_budget": budget}))
     lines = [
         *header(),
-        *(line(what, measure(xml, fit, aside)) for what, xml, fit, aside in tqdm(rows, unit="diagnosis")),
+        *(line(what, measure(xml, fit, aside, asked)) for what, xml, fit, aside, asked in tqdm(rows, unit="diagnosis")),
     ]
     cfg.output.parent.mkdir(parents=True, exist_ok=True)
     cfg.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -85,7 +109,21 @@ def cut(recording: Recording, share: float) -> Recording:
     return recording.slice(0, round(share * recording.num_samples))
 
 
-def measure(xml: str, fit: list[Recording], aside: list[Recording]) -> dict[str, float | str]:
+def at_1_khz(recording: Recording, minutes: float) -> Recording:
+    """A take over and over, to and fro, on a grid of 1 ms: only its size counts, since nothing moves backwards so."""
+    fine = resample(recording, 1e-3)
+    size, count = fine.num_samples, int(60e3 * minutes)
+    there = np.arange(count) % (2 * size - 2)
+    at = np.where(there < size, there, 2 * size - 2 - there)
+    time = np.arange(count, dtype=np.float64) / 1e3
+    return Recording(
+        time, fine.joint_names, fine.position[at], torque_command=fine.command[at], source=f"long {recording.source}"
+    )
+
+
+def measure(
+    xml: str, fit: Sequence[Recording], aside: Sequence[Recording], asked: dict[str, float]
+) -> dict[str, float | str]:
     """One diagnosis in a process of its own."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -94,7 +132,7 @@ def measure(xml: str, fit: list[Recording], aside: list[Recording]) -> dict[str,
             (folder / part).mkdir()
             for k, take in enumerate(takes):
                 write_recording(take, folder / part / f"{k}.npz")
-        command = [sys.executable, "-c", DIAGNOSE, name]
+        command = [sys.executable, "-c", DIAGNOSE, name, json.dumps(asked)]
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
         run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     row: dict[str, float | str] = json.loads(run.stdout.splitlines()[-1])
@@ -117,9 +155,10 @@ def header() -> list[str]:
 def line(what: str, row: dict[str, float | str]) -> str:
     """A line of the table."""
     recorded, cpu = float(row["recorded"]), float(row["cpu"])
+    said = row["said"] if row["stage"] == "deliver" else f"stopped in `{row['stage']}`: {row['said']}"
     return (
         f"| {what} | {recorded:.0f} s | {float(row['seconds']):.0f} s | {cpu:.0f} s | {cpu / recorded:.2f} s | "
-        f"{float(row['megabytes']):.0f} MB | {row['said']} |"
+        f"{float(row['megabytes']):.0f} MB | {said} |"
     )
 
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from torchrl_athletic.diagnosis.screen import FIT_TRIMS, TRIMS
-from torchrl_athletic.effects import CATALOGUE, Effect, JointAddress, Parameter, Plant
+from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, TRIMS, Effect, JointAddress, Parameter, Plant
 
 PAGE = Path(__file__).parent / "generated" / "catalogue.md"
 HINGE, SLIDE = (
@@ -41,15 +40,14 @@ def overview() -> str:
 def tolerances() -> str:
     """A row for each trim."""
     rows = [
-        f"| [{e.name}](#{e.name}) | {tolerance(e, share)} | {'naming and fit' if e in TRIMS else 'fit'} |"
-        for e, share in FIT_TRIMS.items()
+        f"| [{e.name}](#{e.name}) | {tolerance(e)} | {'naming and fit' if e in TRIMS else 'fit'} |" for e in FIT_TRIMS
     ]
     return "\n".join(["\n### Trims\n", "| trim | tolerance, either way | moves in |", "|---|---|---|", *rows, ""])
 
 
-def tolerance(effect: Effect, share: float) -> str:
+def tolerance(effect: Effect) -> str:
     """By how much a trim may move: percent of the given number, or of the link's size where that is zero."""
-    p = _parameters(effect, HINGE)[0]
+    p, share = _parameters(effect, HINGE)[0], effect.tolerance
     if p.nominal:
         return f"{100 * share * p.scale / p.nominal:.2g} %"
     if effect.name == "link_com_shift":

@@ -9,14 +9,20 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 PACKAGE = Path(__file__).parents[1] / "torchrl_athletic"
 THRESHOLDS = {
     "<!-- thresholds of a diagnosis -->": (
-        "recordings.quality recordings.resampling effects.signals effects.base diagnosis.prepare diagnosis.screen "
-        "diagnosis.search diagnosis.fit diagnosis.compare diagnosis.diagnose diagnosis.gates diagnosis.calibration "
+        "recordings.quality recordings.resampling effects.signals effects.base"
     ).split(),
-    "<!-- thresholds of experiments -->": ["diagnosis.separation", "diagnosis.motions", "diagnosis.experiment"],
+    "<!-- thresholds of experiments -->": [],
 }
+SECTIONS = {
+    "<!-- thresholds of a diagnosis -->": "Torques Search Simulation Decision Statement Spending".split(),
+    "<!-- thresholds of experiments -->": ["Plan"],
+}
+"""Classes of diagnosis/thresholds.py."""
 CLAUSES = "<!-- clauses of the contract -->"
 FLAGS = "<!-- flags of a diagnosis -->"
 
@@ -25,17 +31,33 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
     """Put a table in the place of each marker."""
     for marker, modules in THRESHOLDS.items():
         if marker in markdown:
-            markdown = markdown.replace(marker, thresholds(modules))
+            markdown = markdown.replace(marker, thresholds(modules, SECTIONS[marker]))
     for marker, table in ((CLAUSES, clauses), (FLAGS, flags)):
         if marker in markdown:
             markdown = markdown.replace(marker, table())
     return markdown
 
 
-def thresholds(modules: list[str]) -> str:
-    """A row for each constant that the modules set by hand and explain."""
-    rows = [f"| `{module}.{name}` | {value} | {why} |" for module in modules for name, value, why in constants(module)]
-    return "\n".join(["| constant | value | what it is |", "|---|---|---|", *rows])
+def thresholds(modules: list[str], sections: list[str]) -> str:
+    """A row for each number that is set by hand: of the diagnosis with unit and kind, of the other modules without."""
+    rows = [f"| `{name}` | {' | '.join(rest)} |" for name, *rest in numbers(sections)]
+    rows += [
+        f"| `{module}.{name}` | {value} | | | {why} |" for module in modules for name, value, why in constants(module)
+    ]
+    return "\n".join(["| number | value | unit | kind | what it is |", "|---|---|---|---|---|", *rows])
+
+
+def numbers(sections: list[str]) -> Iterator[tuple[str, str, str, str, str]]:
+    """Name with its section, value, unit, kind and docstring of each field of the thresholds."""
+    tree = ast.parse((PACKAGE / "diagnosis/thresholds.py").read_text(encoding="utf-8"))
+    for section in (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name in sections):
+        for field, after in pairwise(section.body):
+            match field, after:
+                case ast.AnnAssign(target=ast.Name(id=name), value=given), ast.Expr(value=ast.Constant(value=str(why))):
+                    told = re.fullmatch(r"(.*) \[([^;\]]+); ([^\]]+)\]\.?", _line(why))
+                    assert told is not None, f"{section.name}.{name} lacks its unit and kind"
+                    value = f"{eval(ast.unparse(given), {'np': np}):g}"  # a number, such as 2 * np.log(20)
+                    yield f"{section.name.lower()}.{name}", value, told[2], told[3], told[1]
 
 
 def clauses() -> str:

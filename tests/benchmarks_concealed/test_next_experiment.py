@@ -28,7 +28,7 @@ from benchmarks.concealed.next_experiment import (
 from benchmarks.concealed.plant import inverse
 from benchmarks.concealed.robots import SEALED, TUNING, with_point
 from benchmarks.concealed.score import Row
-from torchrl_athletic.diagnosis.experiment import RATE
+from torchrl_athletic.diagnosis.thresholds import PLAN
 
 
 @cache
@@ -42,7 +42,7 @@ def session_of(mode: str) -> Session:
 
 
 def command_file(session, folder, swing=0.3, payload=0.0):
-    time = np.arange(round(6 * RATE)) / RATE
+    time = np.arange(round(6 * PLAN.rate)) / PLAN.rate
     target = session.robot.centre + swing * np.sin(2 * np.pi * 0.25 * time)[:, None]
     kp, kd = (session.kp, session.kd) if session.case.mode == "position_target" else (np.array([20.0]), np.array([2.0]))
     path = folder / "next_experiment.npz"
@@ -57,7 +57,7 @@ def test_who_takes_torques_is_sent_those_of_the_files_loop(tmp_path):
     log = replayed(session, path, 1000)
     assert log.rate == pytest.approx(session.case.rate, rel=0.01)
     speed = np.gradient(log.position, log.time, axis=0)
-    held = target[np.clip(np.searchsorted(np.arange(len(target)) / RATE, log.time + 1e-4) - 1, 0, None)]
+    held = target[np.clip(np.searchsorted(np.arange(len(target)) / PLAN.rate, log.time + 1e-4) - 1, 0, None)]
     sent = np.linalg.lstsq(np.hstack([held - log.position, -speed]), log.torque_command[:, 0], rcond=None)[0]
     np.testing.assert_allclose(sent, [kp[0], kd[0]], rtol=0.15)  # the speed is a difference of noisy readings
     assert np.ptp(log.position) > 0.1  # it did move

@@ -343,7 +343,7 @@ def partial() -> Sample:
     answer = replace(
         s.answer,
         complete=False,
-        stage="fit",
+        stage="simulate",
         verdict="partly_explained",
         unexplained_share=0.31,
         findings=(replace(s.answer.findings[0], probability=0.7, rivals=()),),

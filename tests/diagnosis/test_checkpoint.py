@@ -10,9 +10,11 @@ from diagnosis.plants import pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
 from torchrl_athletic.diagnosis.checkpoint import Checkpoint, inputs_digest
+from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.effects import CATALOGUE
 
-work = importlib.import_module("torchrl_athletic.diagnosis.diagnose")  # the function has the module's name
+ROOM = "torchrl_athletic.diagnosis."
+work, propose, simulate = (importlib.import_module(ROOM + name) for name in ("diagnose", "propose", "simulate"))
 
 FEW = tuple(e for e in CATALOGUE if e.name in ("coulomb_friction", "viscous_friction"))
 MODEL = pendulum(joint='damping="0.05"')
@@ -37,19 +39,22 @@ def stop(*_args, **_kwargs):
     raise KeyboardInterrupt
 
 
-def counted(monkeypatch, name):
-    """Calls of a stage from now on."""
-    calls, inner = [], getattr(work, name)
-    monkeypatch.setattr(work, name, lambda *a, **k: calls.append(1) or inner(*a, **k))
+def counted(monkeypatch, module, name):
+    """Calls of a function from now on."""
+    calls, inner = [], getattr(module, name)
+    monkeypatch.setattr(module, name, lambda *a, **k: calls.append(1) or inner(*a, **k))
     return calls
 
 
-@pytest.mark.parametrize(("stage", "name"), [("screen", "_search"), ("fit", "fit"), ("compare", "score")])
+@pytest.mark.parametrize(
+    ("stage", "module", "name"),
+    [("propose", propose, "search"), ("simulate", simulate, "fit"), ("simulate", simulate, "score")],
+)
 def test_ctrl_c_leaves_a_partial_report_and_the_next_run_completes_it(
-    stage, name, recordings, undisturbed, monkeypatch, tmp_path
+    stage, module, name, recordings, undisturbed, monkeypatch, tmp_path
 ):
     with monkeypatch.context() as interrupted:
-        interrupted.setattr(work, name, stop)
+        interrupted.setattr(module, name, stop)
         partial = run(recordings, tmp_path)
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     assert content["complete"] is False
@@ -59,9 +64,9 @@ def test_ctrl_c_leaves_a_partial_report_and_the_next_run_completes_it(
     assert "<html" in (tmp_path / "report.html").read_text()
     assert (tmp_path / "corrected.xml").exists()
     assert not list(tmp_path.glob(".*"))  # nothing half written
-    fits = counted(monkeypatch, "fit")
+    fits = counted(monkeypatch, simulate, "fit")
     resumed = run(recordings, tmp_path)
-    assert bool(fits) == (stage != "compare")
+    assert bool(fits) == (name != "score")
     assert resumed.answer == undisturbed.answer
     assert resumed.answer.complete
     np.testing.assert_array_equal(resumed.corrected.values, undisturbed.corrected.values)
@@ -69,7 +74,7 @@ def test_ctrl_c_leaves_a_partial_report_and_the_next_run_completes_it(
 
 
 def test_ctrl_c_while_the_report_is_made_leaves_one_without_pictures(recordings, monkeypatch, tmp_path):
-    monkeypatch.setattr(work.Simulation, "rollout", stop)
+    monkeypatch.setattr(Simulation, "rollout", stop)
     partial = run(recordings, tmp_path)
     assert partial.overlays == ()
     assert not partial.answer.complete

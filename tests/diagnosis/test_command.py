@@ -12,7 +12,7 @@ import pytest
 import tyro
 from diagnosis.plants import pendulum, record, smooth_torque
 
-from torchrl_athletic.diagnosis import command
+from torchrl_athletic.diagnosis import command, fit_command
 from torchrl_athletic.diagnosis.command import Config, inputs, main
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.result import Answer
@@ -125,6 +125,16 @@ def test_takes_with_a_weight_join_once_and_those_of_two_rounds_may_bear_one_name
     assert sorted(r.metadata[PAYLOAD] for r in last) == [0.5, 0.7]
     first = next(r for r in last if r.metadata[PAYLOAD] == 0.5)
     np.testing.assert_array_equal(first.position, read_recordings([Path("train/a.npz")])[0].position)
+
+
+def test_a_fit_alone_gets_the_same_inputs_and_asks_for_no_names(folder, asked, monkeypatch):
+    fitted = []
+    monkeypatch.setattr(fit_command, "main", fitted.append)
+    main(parsed(*"--model robot.xml --recordings train --output there --drive measured --fit-only".split()))
+    assert asked == []
+    assert fitted == [
+        fit_command.FitConfig(Path("robot.xml"), (Path("train"),), output=Path("there"), drive="measured")
+    ]
 
 
 def test_without_arguments_the_demo_runs(asked, monkeypatch):

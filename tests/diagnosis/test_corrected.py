@@ -8,14 +8,17 @@ import pytest
 from diagnosis.plants import pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
-from torchrl_athletic.diagnosis.corrected_xml import DRIVE, NATIVE, PASSIVE, corrected_xml
+from torchrl_athletic.diagnosis.corrected_xml import corrected_xml, written
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate
-from torchrl_athletic.effects import CATALOGUE, JointAddress, Plant
+from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, JointAddress, Plant
 from torchrl_athletic.robots import from_mjcf
 from torchrl_athletic.robots.benches import two_link_arm
 
 EFFECTS = {e.name: e for e in (*CATALOGUE, *FIT_TRIMS)}
+NATIVE = {name for name, e in EFFECTS.items() if e.mjcf == "model"}
+DRIVE = ("torque_scale", "torque_offset", "torque_saturation", "actuation_lag", "actuation_delay")
+PASSIVE = ("torque_ripple", "hysteresis")
 NATIVE_TERMS = {
     "coulomb_friction": [0.1, 0.0],
     "viscous_friction": [0.12],
@@ -151,9 +154,19 @@ def test_a_motor_of_mjcf_moves_the_robot_as_the_corrected_drive_does(names):
     assert np.abs(moved - by_actuator(given, torque / 2, 0.3)).max() > 3e-2
 
 
-def test_a_servo_of_mjcf_takes_a_late_target_and_a_limit_but_no_scale_nor_lag():
+@pytest.mark.parametrize(
+    "terms",
+    [
+        {"actuation_delay": [0.03], "torque_saturation": [0.5]},
+        {"gain_mismatch": [1.4, 0.6]},
+        {"torque_scale": [0.7], "torque_saturation": [0.5]},
+        {"gain_mismatch": [0.5, 1.5], "actuation_delay": [0.02]},
+    ],
+    ids=lambda terms: "-".join(terms),
+)
+def test_a_servo_of_mjcf_takes_gains_a_scale_a_late_target_and_a_limit_but_no_lag(terms):
     given = pendulum().replace('<motor joint="pendulum"/>', SERVO)
-    simulation = corrected({"actuation_delay": [0.03], "torque_saturation": [0.5]}, xml=given)
+    simulation = corrected(terms, xml=given)
     target = 0.5 * smooth_torque(3.0)
     target[:10] = 0.0
     gains = {"kp": np.array([6.0]), "kd": np.array([0.4])}
@@ -163,10 +176,22 @@ def test_a_servo_of_mjcf_takes_a_late_target_and_a_limit_but_no_scale_nor_lag():
     np.testing.assert_allclose(moved, simulation.rollout(r, None), rtol=0, atol=3e-3)
     assert np.abs(moved - by_actuator(given, target, 0.0)).max() > 3e-2
     assert "not expressed" not in xml
-    both = corrected_xml(given, corrected({"torque_scale": [1.2], "actuation_lag": [0.02]}, xml=given), "targets")
-    assert "torque_scale of pendulum" in both
-    assert "actuation_lag of pendulum" in both
-    assert from_mjcf(both, torque_limit=5.0).kp == (6.0,)
+    late = corrected({"torque_scale": [1.5], "actuation_lag": [0.02]}, xml=given)
+    both = written(given, late, "targets")
+    assert both.left_out == ("actuation_lag of pendulum",)
+    assert "WARNING: corrected.xml alone is not the whole correction" in both.xml.splitlines()[1]
+    assert from_mjcf(both.xml, torque_limit=5.0).kp == (9.0,)
+
+
+def test_the_logged_gains_take_the_place_of_those_that_somebody_put_into_the_model():
+    given = pendulum().replace('<motor joint="pendulum"/>', SERVO)
+    simulation = corrected({"gain_mismatch": [2.0, 3.0]}, xml=given)
+    xml = corrected_xml(given, simulation, "targets", gains={"pendulum": (10.0, 0.1)})
+    model = mujoco.MjModel.from_xml_string(xml)
+    assert model.actuator_gainprm[0, 0] == pytest.approx(20.0)
+    assert model.actuator_biasprm[0, 1:3] == pytest.approx([-20.0, -0.3])
+    ratio = pendulum().replace('<motor joint="pendulum"/>', '<position joint="pendulum" kp="6" dampratio="1"/>')
+    assert written(ratio, corrected({"gain_mismatch": [2.0, 3.0]}, xml=ratio), "targets").left_out
 
 
 @pytest.mark.parametrize(

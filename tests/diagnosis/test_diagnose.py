@@ -1,10 +1,7 @@
 """The whole way from a model and recordings to ``diagnosis.json``, on one joint."""
 
-import importlib
 import json
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import jsonschema
 import mujoco
@@ -13,15 +10,10 @@ import pytest
 from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
-from torchrl_athletic.diagnosis.diagnose import BEHIND, ModelError, _decide, _others, load_model
-from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.gates import Evidence
+from torchrl_athletic.diagnosis.model import ModelError, load_model
 from torchrl_athletic.diagnosis.report.words import grounds_words
-from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import RecordingError
-
-stages = importlib.import_module("torchrl_athletic.diagnosis.diagnose")  # the function hides its module
 
 NUMBER = {"type": "number"}
 SHARE = {"type": "number", "minimum": 0, "maximum": 1}
@@ -29,12 +21,6 @@ INTERVAL = {"type": "array", "items": NUMBER, "minItems": 2, "maxItems": 2}
 TEXT = {"type": "string", "minLength": 1}
 JOINT = {"type": ["string", "null"]}
 ERRORS = {"before": NUMBER, "after": NUMBER, "floor": NUMBER}
-
-
-def leaving(share, joints=1):
-    """A score that leaves a share of the error energy above the floor."""
-    joint = {"before": np.sqrt(101.0), "after": np.sqrt(1.0 + 100.0 * share), "floor": 1.0}
-    return Score(1.0, 1.0, 1.0, 0.0, {f"joint{k}": joint for k in range(joints)})
 
 
 def an_object(properties, optional=()):
@@ -145,215 +131,6 @@ def test_what_was_saved_loads_as_it_was(diagnosis, output):
 def test_the_folder_holds_the_four_files_and_nothing_else(diagnosis, output):
     assert {p.name for p in output.iterdir()} == {"diagnosis.json", "report.html", "corrected.xml", "corrected.json"}
     mujoco.MjModel.from_xml_path(str(output / "corrected.xml"))
-
-
-@pytest.mark.parametrize(
-    ("better", "left", "behind", "is_richer", "expected"),
-    [
-        (0.0, 0.1, 2.0, False, 0),  # the torques decide between equals
-        (0.04, 0.1, 2.0, False, 0),  # and between what an optimiser makes equal
-        (0.10, 0.1, 2.0, False, 1),  # a little on every window is enough for a rival
-        (0.10, 0.08, 0.0, True, 0),  # not for a law that contains the first, and always gains a little
-        (0.10, 0.07, 0.0, True, 1),
-        (0.04, 0.07, 0.0, True, 0),
-    ],
-)
-def test_the_simulation_decides_between_what_the_torques_leave_open(better, left, behind, is_richer, expected):
-    errors = 10 * np.exp(0.01 * np.random.default_rng(0).normal(size=(2, 100, 1)))
-    options = [Evidence(None, None), Evidence(None, None, behind, is_richer)]
-    scores = [leaving(0.1), leaving(left)]
-    chosen, against, _ = _decide(options, [errors[0], errors[1] * np.exp(-better)], scores, 0.5 * np.arange(100))
-    assert chosen == expected
-    assert against[chosen] == 0 or expected == 0
-
-
-def test_a_richer_law_that_is_not_taken_does_not_keep_a_rival_from_being_preferred():
-    noise = 10 * np.exp(0.01 * np.random.default_rng(0).normal(size=(3, 100, 1)))
-    options = [Evidence(None, None), Evidence(None, None, 0.0, True), Evidence(None, None, 3.0)]
-    errors, began = list(noise * np.exp([[[0.0]], [[-0.5]], [[-0.2]]])), 0.5 * np.arange(100)
-    assert _decide(options, errors, [leaving(0.10), leaving(0.08), leaving(0.09)], began)[0] == 2
-    assert _decide(options, errors, [leaving(0.10), leaving(0.02), leaving(0.09)], began)[0] == 1
-
-
-def seldom(lost, turned=(), times=50.0, left=(0.99, 0.01), size=1.0):
-    """Which of three is chosen: nothing, a spring that follows better but where it counts, a stop that follows there.
-
-    Args:
-        lost: Windows and joints that nothing and spring miss.
-        turned: The same of the stop.
-        times: How far.
-        left: Share of the error energy that they leave, and that the stop leaves.
-        size: Of the errors, in units of the floor.
-    """
-    rng = np.random.default_rng(0)
-    plain = size * np.exp(0.2 * rng.normal(size=(400, 3)))  # what a start state adds is in all of them
-    stop = plain.copy()
-    plain[tuple(np.transpose(lost))] *= times
-    if turned:
-        stop[tuple(np.transpose(turned))] *= times
-    spring = plain * np.exp(-0.3 * (1 + rng.normal(size=(400, 1))))
-    options = [Evidence(None, None), Evidence(None, None, 3.0), Evidence(None, None, BEHIND)]
-    scores = [leaving(left[0], 3), leaving(left[0], 3), leaving(left[1], 3)]
-    return _decide(options, [plain, spring, stop], scores, 0.5 * np.arange(400))[0]
-
-
-TWICE = ((20, 1), (21, 1), (200, 1))
-
-
-def test_what_acts_on_two_occasions_is_taken_where_it_alone_explains_the_error():
-    assert seldom(TWICE) == 2
-
-
-@pytest.mark.parametrize(
-    "case",
-    [
-        {"lost": TWICE, "turned": ((300, 0),)},  # elsewhere it is the other way round
-        {"lost": ((20, 1), (21, 1), (23, 1))},  # one occasion may be a blow that nobody recorded
-        {"lost": ((20, 1), (200, 2))},  # two joints, one occasion each
-        {"lost": TWICE, "left": (0.99, 0.15)},  # it does not explain the error
-        {"lost": TWICE, "left": (0.40, 0.01)},  # the others do not leave it
-        {"lost": TWICE, "times": 2.0},  # what they leave is hardly more than the floor
-        {"lost": TWICE, "size": 0.01},  # it is below all floors
-        {"lost": TWICE, "times": 5.0, "size": 20.0},  # the stop does not follow either
-    ],
-)
-def test_what_acts_seldom_refutes_nothing_that_it_does_not_clearly_beat(case):
-    assert seldom(**case) != 2
-
-
-def test_a_richer_law_that_is_not_taken_refutes_nothing():
-    plain = np.ones((400, 1))
-    plain[[20, 200]] = 50.0
-    options = [Evidence(None, None), Evidence(None, None, 0.0, True)]
-    scores = [leaving(0.99), leaving(0.01)]
-    chosen, against, _ = _decide(options, [plain, np.ones((400, 1))], scores, 0.5 * np.arange(400))
-    assert (chosen, against[0]) == (0, 0)
-
-
-def test_what_the_simulation_refutes_does_not_need_or_was_asked_about_alone_is_no_other_explanation():
-    def option(*names: str, alone: bool = False) -> Evidence:
-        terms = [SimpleNamespace(candidate=SimpleNamespace(key=(name, "hip"))) for name in names]
-        return Evidence(None, SimpleNamespace(fit=SimpleNamespace(terms=terms)), alone=alone)
-
-    found, gains, refuted, idle, late = (option(n) for n in ("rotor", "gains", "richer", "offset", "spring"))
-    both, stop = option("gains", "rotor"), option("stop", alone=True)
-    options = (found, gains, refuted, idle, both, stop, late)
-    needed = [{("rotor", "hip")}, {("gains", "hip")}, set(), set(), {("gains", "hip")}, {("stop", "hip")}]
-    assert _others(options, needed, 0) == (gains.best, both.best, late.best)  # that was not fitted for lack of time
-    assert _others(options, needed, 5) == ()
-
-
-class Started:
-    """A diagnosis that has compared its first fit, which leaves ``left`` of the motion; six effects may act alone."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, left: float, is_open: bool, named: bool, over: float) -> None:
-        self.alone = [SimpleNamespace(fit=SimpleNamespace(terms=[k])) for k in range(6)]
-        self.few = False
-        """Whether none of them closes a material share of the torque."""
-        monkeypatch.setattr(stages, "singles", lambda judge: ([], self.alone) if self.few else (self.alone, []))
-        monkeypatch.setattr(stages, "keys", id)
-        monkeypatch.setattr(stages, "open_share", lambda score: score.before)
-        first = Evidence(None, SimpleNamespace(fit=SimpleNamespace(terms=[])))
-        self.options: tuple[Evidence, ...] = (first, first)  # of which time allowed one
-        self.fits, self.scores, self.chosen = [self.fit(named)], [self.score(left, over)], 0
-        self.finds: dict[int, tuple[bool, float]] = {}
-        """Number of an option -> whether the choice falls on it with a name, and what it leaves."""
-        self.late = 9
-        """Number of fits from which on it is late."""
-        self.is_open = is_open
-
-    @staticmethod
-    def fit(named: bool) -> Any:
-        return SimpleNamespace(hypothesis=SimpleNamespace(terms=(None,) * named))
-
-    @staticmethod
-    def score(left: float, over: float) -> dict[str, Score]:
-        return {"train": Score(left, 1.0, 1.0, 0.0, {"hip": {"before": over, "after": over, "floor": 1.0}})}
-
-    def _late(self) -> bool:
-        return len(self.fits) >= self.late
-
-    def _is_open(self, fitted: object) -> bool:
-        return self.is_open
-
-    def _fit(self) -> None:
-        for k in range(len(self.fits), len(self.options)):
-            named, _ = self.finds.get(k, (False, 0.0))
-            self.fits.append(self.fit(named))
-
-    def _compare(self) -> None:
-        for k in range(len(self.scores), len(self.fits)):
-            self.scores.append(self.score(self.finds.get(k, (False, 0.9))[1], 9.0))
-            self.chosen = k if k in self.finds else self.chosen
-
-    _start_over = stages._Work._start_over
-    _ask = stages._Work._ask
-    _is_lost = stages._Work._is_lost
-    _is_unnamed = stages._Work._is_unnamed
-
-
-@pytest.mark.parametrize(
-    ("left", "is_open", "named", "over", "asked"),
-    [
-        (0.9, True, True, 9.0, stages.ALONE),
-        (0.9, True, False, 9.0, 6),  # as long as nothing is named and most is open
-        (0.9, True, False, 2.0, stages.ALONE),  # so near the floor the simulation could tell nothing of so many
-        (0.3, True, True, 9.0, None),
-        (0.9, False, True, 9.0, None),
-        (0.0, False, False, 3.0, stages.ALONE),  # trims took the torque, and the motion is not followed all the same
-        (0.0, False, False, 2.0, None),
-        (0.0, False, True, 3.0, None),
-    ],
-)
-def test_effects_are_tried_alone_where_most_of_the_motion_stays_open(monkeypatch, left, is_open, named, over, asked):
-    work = Started(monkeypatch, left, is_open, named, over)
-    first = work.options[0]
-    work._start_over()
-    assert len(work.options) == (2 if asked is None else 1 + asked)
-    if asked is not None:  # options and fits stay in step, and nothing is against the first one
-        assert work.options[0] is first
-        assert [o.best for o in work.options[1:]] == work.alone[:asked]
-        assert [o.on_trial for o in work.options[1:]] == [False] * stages.ALONE + [True] * (asked - stages.ALONE)
-        assert all(o.alone and o.behind == stages.BEHIND for o in work.options[1:])
-
-
-@pytest.mark.parametrize(
-    ("change", "asked"),
-    [
-        ({"finds": {4: (True, 0.9)}}, 4),  # a name
-        ({"finds": {3: (False, 0.2)}}, 4),  # adjusted numbers that explain it
-        ({"finds": {4: (False, 0.9)}}, 6),
-        ({"late": 3}, 2),
-        ({"late": 1}, None),
-        ({"few": True}, 2),
-    ],
-)
-def test_no_further_effect_is_tried_alone_than_it_takes(monkeypatch, change, asked):
-    work = Started(monkeypatch, 0.9, True, False, 9.0)
-    vars(work).update(change)
-    work._start_over()
-    assert len(work.options) == (2 if asked is None else 1 + asked)
-
-
-def test_what_was_an_option_before_is_not_tried_alone(monkeypatch):
-    work = Started(monkeypatch, 0.9, True, False, 9.0)
-    work.options = (work.options[0], Evidence(None, work.alone[0]))
-    work.fits, work.scores = 2 * work.fits, 2 * work.scores
-    work._start_over()
-    assert [o.best for o in work.options[1:]] == work.alone
-
-
-@pytest.mark.parametrize(("left", "better", "chosen"), [(0.6, 0.7, 1), (0.9, 0.7, 0), (0.6, 0.99, 0)])
-def test_a_late_effect_has_to_be_decisively_better_and_to_close_much(left, better, chosen):
-    options = [Evidence(None, None), Evidence(None, None, BEHIND, on_trial=True, alone=True)]
-    errors = np.random.default_rng(0).normal(10.0, 1.0, (2, 400, 1)) * np.array([1.0, better])[:, None, None]
-    found, _, taken = _decide(options, errors, [leaving(0.95), leaving(left)], 0.5 * np.arange(400))
-    assert (found, taken) == (chosen, [True, bool(chosen)])
-
-
-def test_a_fit_in_which_a_mass_is_adjusted_is_not_taken_for_one_in_which_it_is_found():
-    friction, mass = (SimpleNamespace(effect=SimpleNamespace(name=n), where="hip") for n in ("friction", "link_mass"))
-    assert stages._key(Hypothesis((friction, mass))) != stages._key(Hypothesis((friction,), (mass,)))
 
 
 def test_a_folder_without_a_diagnosis_says_so(tmp_path):

@@ -17,14 +17,16 @@ from torchrl_athletic.diagnosis.experiment import (
     propose,
     write,
 )
-from torchrl_athletic.diagnosis.gates import LEAST_SHARE, Evidence, answer_set
-from torchrl_athletic.diagnosis.motions import RATE, Limits, Motion
+from torchrl_athletic.diagnosis.motions import Limits, Motion
 from torchrl_athletic.diagnosis.prepare import PAYLOAD, prepare
+from torchrl_athletic.diagnosis.proposal import Proposal, answer_set
 from torchrl_athletic.diagnosis.result import Finding, Rival
-from torchrl_athletic.diagnosis.screen import TRIMS, Bank, candidates_for, trims_for
+from torchrl_athletic.diagnosis.screen import Bank, candidates_for, trims_for
 from torchrl_athletic.diagnosis.search import Judge, Scored, search
-from torchrl_athletic.diagnosis.separation import DRAWS, ENOUGH, PairProducts, Rivals, thinned
+from torchrl_athletic.diagnosis.separation import PairProducts, Rivals, thinned
+from torchrl_athletic.diagnosis.thresholds import PLAN, STATEMENT
 from torchrl_athletic.effects import (
+    TRIMS,
     ActuationDelay,
     ActuationLag,
     EncoderOffset,
@@ -70,14 +72,14 @@ CASES = {
 
 def shaken(sines, seconds: float = 8.0) -> np.ndarray:
     """Torques that start softly. Shape (T, 1)."""
-    time = np.arange(round(seconds * RATE)) / RATE
+    time = np.arange(round(seconds * PLAN.rate)) / PLAN.rate
     wave = sum(size * np.sin(2 * np.pi * f * time) for size, f in sines)
     return (np.minimum(time, 1.0) * wave)[:, None]
 
 
 def recorded(robot: Robot, secret: HiddenEffect, command: np.ndarray, seed: int) -> Recording:
     machine = machine_with(robot, [secret])
-    q, _ = simulate(machine, np.arange(len(command)) / RATE, command, step=0.001)
+    q, _ = simulate(machine, np.arange(len(command)) / PLAN.rate, command, step=0.001)
     return logged(machine, q, seed, torque_command=command)
 
 
@@ -91,7 +93,7 @@ def executed(robot: Robot, secret: HiddenEffect, e: Experiment, seed: int) -> Re
 def logged(machine: Machine, q: np.ndarray, seed: int, **command: np.ndarray) -> Recording:
     read = q + [drive.offset for drive in machine.drives]
     read = read + 1e-4 * np.random.default_rng(seed).standard_normal(q.shape)
-    return Recording(np.arange(len(q)) / RATE, machine.robot.joint_names, read, **command, source=f"take_{seed}")
+    return Recording(np.arange(len(q)) / PLAN.rate, machine.robot.joint_names, read, **command, source=f"take_{seed}")
 
 
 def searched(robot: Robot, takes, catalogue, joined: int = 0) -> tuple[Judge, Scored]:
@@ -110,9 +112,9 @@ def rivals_of(judge: Judge, best: Scored) -> dict:
     return {o.atom.candidate.key: o.scored for o in options_of(judge, best)}
 
 
-def options_of(judge: Judge, best: Scored, least: float = LEAST_SHARE) -> list:
+def options_of(judge: Judge, best: Scored, least: float = STATEMENT.least_share) -> list:
     (term,) = best.fit.terms
-    return [o for o in answer_set(Evidence(judge, best), term) if o.share > least]
+    return [o for o in answer_set(Proposal(judge, best), term) if o.share > least]
 
 
 @lru_cache
@@ -144,15 +146,15 @@ def test_it_promises_what_repeating_cannot(case):
     *_, experiment = case
     assert experiment.before < 1.5
     assert experiment.repeated < 3.0
-    assert 5.0 < experiment.after <= ENOUGH
+    assert 5.0 < experiment.after <= PLAN.enough
 
 
 def test_the_robot_follows_the_reference_within_the_limits_from_rest_to_rest(case):
     robot, secret, *_, take, judge, _best, e = case
     limits = Limits.of(judge.bank.takes)
-    np.testing.assert_array_equal(e.time, np.arange(len(e.time)) / RATE)
+    np.testing.assert_array_equal(e.time, np.arange(len(e.time)) / PLAN.rate)
     np.testing.assert_allclose(e.reference[[0, -1]], take.position[[0, 0]], atol=1e-9)
-    speed = np.diff(e.reference, axis=0) * RATE
+    speed = np.diff(e.reference, axis=0) * PLAN.rate
     np.testing.assert_allclose(speed[[0, -1]], 0, atol=1e-9)
     assert (np.abs(speed) <= limits.velocity).all()
     assert (np.abs(e.torque) <= limits.torque).all()
@@ -163,7 +165,7 @@ def test_the_robot_follows_the_reference_within_the_limits_from_rest_to_rest(cas
 def test_the_predicted_torque_is_what_the_loop_then_sends():
     robot, secret, *_, e = solved("offset")
     q = executed(robot, secret, e, 3).position
-    sent = e.kp * (e.target - q) - e.kd * np.gradient(q, 1 / RATE, axis=0)
+    sent = e.kp * (e.target - q) - e.kd * np.gradient(q, 1 / PLAN.rate, axis=0)
     assert np.sqrt(np.mean((sent - e.torque) ** 2)) < 0.05 * np.sqrt(np.mean(e.torque**2))
 
 
@@ -285,7 +287,7 @@ def test_a_plan_that_a_rival_would_take_out_of_range_is_made_smaller(monkeypatch
     reach = tame.reference[0] + 1.5 * (tame.reference - tame.reference[0])
     slack = 0.03 * np.ptp(limits.position)
     assert ((reach > limits.position[:, 0] - slack) & (reach < limits.position[:, 1] + slack)).all()
-    assert (1.5 * np.abs(np.diff(tame.reference, axis=0)) * RATE <= 1.05 * limits.velocity).all()
+    assert (1.5 * np.abs(np.diff(tame.reference, axis=0)) * PLAN.rate <= 1.05 * limits.velocity).all()
     assert np.abs(tame.reference).max() < np.abs(whole.reference).max()
 
 
@@ -302,11 +304,11 @@ def test_rivals_are_replayed_with_what_else_the_recordings_allow():
     e, scene, plan = planned()
     recording = plan.recording
     paths = planning._simulated(recording, plan.model, scene)
-    assert paths.shape[:2] == (len(scene.rivals), DRAWS)
+    assert paths.shape[:2] == (len(scene.rivals), PLAN.draws)
     assert (np.ptp(paths, axis=1).max((1, 2)) > 1e-4).all()
     assert planning._keeps(plan, paths, recording.duration, e.limits)
     nowhere = replace(e.limits, position=np.array([[0.0, 1e-3]]))
-    slow = replace(e.limits, velocity=0.5 * np.abs(np.diff(e.reference, axis=0)).max(0) * RATE)
+    slow = replace(e.limits, velocity=0.5 * np.abs(np.diff(e.reference, axis=0)).max(0) * PLAN.rate)
     weak = replace(e.limits, torque=0.5 * np.abs(e.torque).max(0))
     assert not any(planning._keeps(plan, paths, recording.duration, limits) for limits in (nowhere, slow, weak))
 
@@ -320,7 +322,7 @@ def test_the_noise_of_a_plan_is_that_of_a_log_at_its_own_rate(rate, memory, kern
     log = Recording(time, robot.joint_names, path[:, None], torque_command=np.zeros((len(time), 1)))
     (s,) = prepare([log], mujoco.MjModel.from_xml_string(robot.model_xml)).signals
     sensors = planning._Sensors.of([s])
-    every = np.arange(0, 8 * RATE) / RATE
+    every = np.arange(0, 8 * PLAN.rate) / PLAN.rate
     slow = Recording(every, robot.joint_names, np.zeros((len(every), 1)), torque_command=np.zeros((len(every), 1)))
     own, seen = (
         project_recording(r, s.nominal, noise, None, None, kernel, correlation).noise
@@ -342,7 +344,7 @@ def test_a_repeated_plan_is_simulated_once_unless_something_changes_meanwhile():
     paths = planning._simulated(passed, once.model, scene)
     fastest = np.abs(np.diff(paths, axis=2)).max((0, 1, 2)) * (paths.shape[2] - 1) / recording.duration
     for share in (0.97, 1.03):
-        limits = replace(e.limits, velocity=share * fastest / (1 + planning.SLACK))
+        limits = replace(e.limits, velocity=share * fastest / (1 + PLAN.slack))
         assert planning._keeps(thrice, paths, passed.duration, limits) == (share > 1)
 
     drifting = SimpleNamespace(candidate=SimpleNamespace(effect=SimpleNamespace(family="change")))
@@ -354,7 +356,7 @@ def test_a_plan_is_repeated_only_while_that_tells_more_and_a_minute_at_most(monk
     def told(*promises: float) -> int:
         left, still, nothing = iter(promises[1:]), np.zeros((1000, 1)), PairProducts({}, *np.zeros((4, 0)))
         one = np.ones(1)
-        recording = Recording(np.arange(1000) / RATE, ("pendulum",), still, position_target=still, kp=one, kd=one)
+        recording = Recording(np.arange(1000) / PLAN.rate, ("pendulum",), still, position_target=still, kp=one, kd=one)
         model = mujoco.MjModel.from_xml_string(pendulum().model_xml)
         motion = Motion("pendulum", "sine", 0.1, 1.0, still[0], still)
         first = planning._Plan((motion,), 0.0, model, recording, still, (0.5, 0.5), separations=np.array(promises[:1]))
@@ -373,10 +375,10 @@ def test_a_plan_is_repeated_only_while_that_tells_more_and_a_minute_at_most(monk
 def test_where_one_question_cannot_be_settled_the_next_one_is_asked(tilted):
     *_, judge, best, experiment = solved("offset")
 
-    def question(judge: Judge, best: Scored, rivals: list, probability: float) -> tuple[Evidence, Finding]:
+    def question(judge: Judge, best: Scored, rivals: list, probability: float) -> tuple[Proposal, Finding]:
         key = best.fit.terms[0].candidate.key
         others = tuple(Rival(*rival, 0.3, "") for rival in rivals if rival != key)
-        return Evidence(judge, best), Finding(*key, probability, "", {}, "", others)
+        return Proposal(judge, best), Finding(*key, probability, "", {}, "", others)
 
     hopeless = question(*tilted, [("encoder_offset", "pendulum"), ("gravity_tilt", None)], 0.4)
     other = question(judge, best, list(answers(judge, best)), 0.6)
@@ -425,9 +427,9 @@ def test_the_finding_with_the_most_doubtful_name_is_asked_about():
     (effect, joint), *others = share
     finding = Finding(effect, joint, share[effect, joint], "", {}, "", tuple(Rival(*k, share[k], "") for k in others))
     sure = replace(finding, effect="none", probability=0.99, rivals=())
-    e = next_experiment([Evidence(judge, best)], [sure, finding])
+    e = next_experiment([Proposal(judge, best)], [sure, finding])
     assert set(e.rivals) == set(share)
-    assert next_experiment([Evidence(judge, best)], [sure]) is None
+    assert next_experiment([Proposal(judge, best)], [sure]) is None
 
 
 def loaded(robot: Robot, weight: float) -> Robot:
@@ -451,7 +453,7 @@ def test_a_weight_is_asked_for_where_no_motion_tells_a_weak_motor_from_a_heavy_l
     assert propose(judge, rivals_of(judge, best)) is None
     key = best.fit.terms[0].candidate.key
     finding = Finding(*key, share[key], "", {}, "", tuple(Rival(*k, p, "") for k, p in share.items() if k != key))
-    evidence = [Evidence(judge, best)]
+    evidence = [Proposal(judge, best)]
     assert next_experiment(evidence, [finding]) is None
     experiment = next_experiment(evidence, [finding], xml=robot.model_xml)
     assert experiment.payload == pytest.approx(0.5 * robot.links[0].mass, rel=0.2)
@@ -468,7 +470,7 @@ def test_a_weight_is_worth_fastening_where_it_tells_far_more():
     assert planning._tells_more(e, None)
     assert planning._tells_more(replace(e, after=8.0), weak)
     assert not planning._tells_more(replace(e, after=5.0), weak)
-    more_left = replace(e, after=ENOUGH, inseparable=((("one", None), ("other", None)),))
+    more_left = replace(e, after=PLAN.enough, inseparable=((("one", None), ("other", None)),))
     assert not planning._tells_more(more_left, weak)
     assert planning._tells_more(weak, more_left)
 

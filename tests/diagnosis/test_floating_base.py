@@ -9,11 +9,12 @@ import pytest
 from effects.hung import late, model, record
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
-from torchrl_athletic.diagnosis.experiment import SECONDS, _gains, _planned, _stood
+from torchrl_athletic.diagnosis.experiment import _gains, _planned, _stood
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.motions import Limits, motions
 from torchrl_athletic.diagnosis.prepare import prepare, refuse_stance
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
+from torchrl_athletic.diagnosis.thresholds import PLAN
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import RecordingError
 
@@ -112,7 +113,7 @@ def test_a_plan_for_a_robot_in_the_air_is_that_of_one_bolted_there():
     for recording, robot in ((take, bolted), (take.with_base_held((0.0, 0.0, 0.3)), ROBOT)):
         takes = prepare([recording], robot).signals
         limits = Limits.of(takes)
-        motion = next(iter(motions(takes, limits, [2], SECONDS)))
+        motion = next(iter(motions(takes, limits, [2], PLAN.seconds)))
         plan = _planned(motion, 0.0, takes[0].nominal, takes, limits, _gains(takes, robot))
         assert plan is not None
         plans.append(plan)

@@ -10,18 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torchrl_athletic.diagnosis import gates
-from torchrl_athletic.diagnosis.calibration import DECISIVE, EQUALS, SENSELESS, Grounds, probability, rival_probability
-from torchrl_athletic.diagnosis.gates import (
-    EXPLAINED,
-    NEAR_FLOOR,
-    PARTLY,
-    Evidence,
-    answer_set,
-    summarise,
-    verdict_of,
-)
+from torchrl_athletic.diagnosis.calibration import Grounds, probability, rival_probability
+from torchrl_athletic.diagnosis.compare import far_joints
+from torchrl_athletic.diagnosis.gates import summarise, verdict_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score
 from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.diagnosis.thresholds import STATEMENT
 from torchrl_athletic.effects import (
     AsymmetricFriction,
     Backlash,
@@ -57,21 +51,27 @@ def verdict(findings=(FINDING,), train=0.0, heldout=None, torque_left=0.0, is_op
     ("case", "expected"),
     [
         (dict(train=0.0), "explained"),
-        (dict(train=EXPLAINED - 0.01), "explained"),
-        (dict(train=EXPLAINED + 0.01), "partly_explained"),
-        (dict(train=PARTLY - 0.01), "partly_explained"),
-        (dict(train=PARTLY + 0.01), "unexplained"),
+        (dict(train=STATEMENT.explained - 0.01), "explained"),
+        (dict(train=STATEMENT.explained + 0.01), "partly_explained"),
+        (dict(train=STATEMENT.partly - 0.01), "partly_explained"),
+        (dict(train=STATEMENT.partly + 0.01), "unexplained"),
         (dict(train=0.01, before=70.0), "explained"),
         (dict(train=0.01, before=90.0), "partly_explained"),  # little of much is left, and still nine times the noise
-        (dict(train=0.0, heldout=EXPLAINED + 0.01), "partly_explained"),  # the worse of the two decides
+        (dict(train=0.0, heldout=STATEMENT.explained + 0.01), "partly_explained"),  # the worse of the two decides
         (dict(train=0.0, heldout=0.9), "unexplained"),
         (dict(train=0.5, heldout=0.0), "partly_explained"),
-        (dict(train=0.0, torque_left=2 * EXPLAINED - 0.01), "explained"),
-        (dict(train=0.0, torque_left=2 * EXPLAINED + 0.01), "partly_explained"),  # the torque must be explained as well
+        (dict(train=0.0, torque_left=2 * STATEMENT.explained - 0.01), "explained"),
+        (
+            dict(train=0.0, torque_left=2 * STATEMENT.explained + 0.01),
+            "partly_explained",
+        ),  # the torque must be explained as well
         (dict(findings=(), before=1.0, is_open=False), "nothing_missing"),
-        (dict(findings=(), before=NEAR_FLOOR - 0.1, is_open=False), "nothing_missing"),
-        (dict(findings=(), train=1.0, before=NEAR_FLOOR + 0.1, is_open=False), "unexplained"),
-        (dict(findings=(), train=0.0, before=NEAR_FLOOR + 0.1, is_open=False), "nothing_missing"),  # trims suffice
+        (dict(findings=(), before=STATEMENT.near_floor - 0.1, is_open=False), "nothing_missing"),
+        (dict(findings=(), train=1.0, before=STATEMENT.near_floor + 0.1, is_open=False), "unexplained"),
+        (
+            dict(findings=(), train=0.0, before=STATEMENT.near_floor + 0.1, is_open=False),
+            "nothing_missing",
+        ),  # trims suffice
         (
             dict(findings=(), before=1.0, is_open=True),
             "unexplained",
@@ -113,99 +113,6 @@ def test_one_joint_far_from_its_floor_is_enough_not_to_call_the_model_complete()
     )
 
 
-def atom(name: str, joint: str = "elbow"):
-    return SimpleNamespace(candidate=SimpleNamespace(key=(name, joint), joint_name=joint))
-
-
-def scored(evidence: float, *atoms):
-    return SimpleNamespace(evidence=evidence, fit=SimpleNamespace(terms=atoms))
-
-
-def test_probabilities_are_shares_of_the_evidence_among_those_who_could_stand_there(monkeypatch):
-    kept, term, rival, far = atom("payload"), atom("coulomb"), atom("stribeck"), atom("backlash")
-    options = [scored(100.0, kept, term), scored(104.0, kept, rival), scored(140.0, far, kept)]
-    monkeypatch.setattr(gates, "alternatives", lambda *_: options)
-    found = answer_set(Evidence(None, options[0]), term)
-    assert [o.atom for o in found] == [term, rival, far]
-    shares = [o.share for o in found]
-    assert sum(shares) == pytest.approx(1.0)
-    assert shares[1] / shares[0] == pytest.approx(np.exp(-2.0))  # evidence is twice the log odds
-    assert shares[2] < 1e-8
-
-
-def test_what_the_simulation_says_of_a_combination_counts_beside_the_torque_domain(monkeypatch):
-    term, rival = atom("coulomb"), atom("stribeck")
-    options = [scored(100.0, term), scored(104.0, rival)]
-    monkeypatch.setattr(gates, "alternatives", lambda *_: options)
-    against = {frozenset({("coulomb", "elbow")}): 10.0, frozenset({("stribeck", "elbow")}): 0.0}
-    shares = {o.atom.candidate.key: o.share for o in answer_set(Evidence(None, options[0], simulated=against), term)}
-    assert shares["stribeck", "elbow"] / shares["coulomb", "elbow"] == pytest.approx(np.exp(3.0))
-
-
-def test_a_rival_that_was_not_simulated_gains_nothing_by_it(monkeypatch):
-    term, rival = atom("coulomb"), atom("stribeck")
-    options = [scored(100.0, term), scored(104.0, rival)]
-    monkeypatch.setattr(gates, "alternatives", lambda *_: options)
-    part = Evidence(None, options[0], simulated={frozenset({("coulomb", "elbow")}): 10.0})
-    shares = {o.atom.candidate.key: o.share for o in answer_set(part, term)}
-    assert shares["stribeck", "elbow"] / shares["coulomb", "elbow"] == pytest.approx(np.exp(-2.0))
-
-
-def exchanged(monkeypatch, term, best, other, behind: float = 2.0) -> dict:
-    """Shares of who could stand in a term's place, where no single one could and another combination lies behind."""
-    monkeypatch.setattr(gates, "alternatives", lambda *_: [best])
-    monkeypatch.setattr(gates, "as_rival", lambda judge, best, atoms: scored(best.evidence + behind, *atoms))
-    return {o.atom.candidate.key[0]: o.share for o in answer_set(Evidence(None, best, others=(other,)), term)}
-
-
-def test_an_effect_that_does_alone_what_several_do_is_a_rival_of_each(monkeypatch):
-    rotor, lag, kept, gains = atom("rotor"), atom("lag"), atom("payload", "wrist"), atom("gains")
-    best, other = scored(100.0, rotor, lag, kept), scored(0.0, gains, kept)
-    for term in (rotor, lag):
-        shares = exchanged(monkeypatch, term, best, other)
-        assert set(shares) == {term.candidate.key[0], "gains"}
-        assert shares["gains"] / shares[term.candidate.key[0]] == pytest.approx(np.exp(-1.0))
-    assert exchanged(monkeypatch, kept, best, other) == {"payload": 1.0}
-
-
-def test_a_cause_of_the_whole_robot_is_a_rival_of_those_of_its_joints(monkeypatch):
-    delays, clock = [atom("delay", joint) for joint in ("hip", "knee")], atom("clock", None)
-    for delay in delays:
-        assert set(exchanged(monkeypatch, delay, scored(100.0, *delays), scored(0.0, clock))) == {"delay", "clock"}
-
-
-@pytest.mark.parametrize(
-    ("best", "other"),
-    [
-        ((atom("gains"),), (atom("rotor"), atom("lag"))),  # which of two would it be
-        ((atom("gains"), atom("offset")), (atom("rotor"), atom("lag"))),
-        ((atom("gains"), atom("play", "wrist")), (atom("rotor"),)),  # nor does one joint's speak for another's
-        ((atom("gains"), atom("offset")), (atom("offset"),)),
-        ((atom("gains"),), (atom("rotor"),)),  # that is in the list of those that stand in its place alone
-    ],
-)
-def test_other_combinations_are_no_rivals_where_no_single_name_stands_for_several(monkeypatch, best, other):
-    assert exchanged(monkeypatch, best[0], scored(100.0, *best), scored(0.0, *other)) == {"gains": 1.0}
-
-
-def test_what_the_simulation_says_of_another_combination_counts_as_well(monkeypatch):
-    rotor, lag, gains = atom("rotor"), atom("lag"), atom("gains")
-    best, other = scored(100.0, rotor, lag), scored(0.0, gains)
-    monkeypatch.setattr(gates, "alternatives", lambda *_: [best])
-    monkeypatch.setattr(gates, "as_rival", lambda judge, best, atoms: scored(best.evidence, *atoms))
-    part = Evidence(None, best, simulated={frozenset({("gains", "elbow")}): 2.0}, others=(other,))
-    shares = {o.atom.candidate.key[0]: o.share for o in answer_set(part, rotor)}
-    assert shares["gains"] / shares["rotor"] == pytest.approx(np.exp(-1.0))
-
-
-def test_equals_share_the_probability_and_odds_do_not_depend_on_the_level(monkeypatch):
-    term, rival = atom("coulomb"), atom("stribeck")
-    for level in (-1e5, 0.0, 1e5):
-        options = [scored(level, term), scored(level, rival)]
-        monkeypatch.setattr(gates, "alternatives", lambda *_, options=options: options)
-        assert [o.share for o in answer_set(Evidence(None, options[0]), term)] == [0.5, 0.5]
-
-
 WHERE = (Location("elbow", "everywhere", 0.8, (0.7, 0.9)), Location("elbow", "moving backwards", 0.6, (0.5, 0.7)))
 
 
@@ -238,7 +145,11 @@ def test_a_spring_without_stiffness_says_that_nothing_of_a_spring_is_seen():
     grounds = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30, plain=True)
     assert "nothing is seen" in gates._sentence(spring, named, grounds)
     assert "nothing is seen" not in gates._sentence(spring, named, dataclasses.replace(grounds, plain=False))
-    assert probability(grounds, "joint_spring") == EQUALS < probability(dataclasses.replace(grounds, plain=False))
+    assert (
+        probability(grounds, "joint_spring")
+        == STATEMENT.equals
+        < probability(dataclasses.replace(grounds, plain=False))
+    )
 
 
 @pytest.mark.parametrize(("spread", "expected"), [(0.001, False), (0.003, False), (0.009, True)])
@@ -254,7 +165,7 @@ def test_play_whose_stated_interval_reaches_zero_may_be_a_soft_gear(spread, expe
 def test_what_makes_no_sense_is_hardly_believed_and_nobody_beside_it_by_more_than_half():
     sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
     odd, beside = (dataclasses.replace(sure, **{how: True}) for how in ("senseless", "leans"))
-    assert probability(odd) == SENSELESS < probability(beside) == EQUALS < probability(sure)
+    assert probability(odd) == STATEMENT.senseless < probability(beside) == STATEMENT.equals < probability(sure)
     of = tuple(Parameter(n, "N·m", 0.0, 0.0, 9.0, 0.1) for n in ("coulomb", "stribeck", "stribeck_speed"))
     law = Candidate(StribeckFriction(), 0, "elbow", of)
     assert law.effect.is_physical(of, np.array([0.5, 0.5, 0.1]))
@@ -266,9 +177,9 @@ def test_what_makes_no_sense_is_hardly_believed_and_nobody_beside_it_by_more_tha
 @pytest.mark.parametrize(
     ("after", "before", "expected"),
     [
-        (NEAR_FLOOR + 0.1, 20.0, True),
-        (NEAR_FLOOR - 0.1, 20.0, False),  # near the floor: drives' filters leave as much
-        (NEAR_FLOOR + 0.1, 200.0, False),  # a bearing that is no formula leaves a little of much
+        (STATEMENT.near_floor + 0.1, 20.0, True),
+        (STATEMENT.near_floor - 0.1, 20.0, False),  # near the floor: drives' filters leave as much
+        (STATEMENT.near_floor + 0.1, 200.0, False),  # a bearing that is no formula leaves a little of much
     ],
 )
 def test_a_joint_is_far_beyond_eight_floors_and_a_tenth_of_what_it_was(after, before, expected):
@@ -277,15 +188,15 @@ def test_a_joint_is_far_beyond_eight_floors_and_a_tenth_of_what_it_was(after, be
         "wrist": {"before": 9.0, "after": 1.0, "floor": 1.0},
     }
     near = Score(1, 1, 1, 0, {"elbow": {"before": before, "after": 1.0, "floor": 1.0}})
-    assert ("elbow" in gates._far([Score(1, 1, 1, 0, rows), near])) is expected  # in one of the splits is enough
-    assert "wrist" not in gates._far([Score(1, 1, 1, 0, rows), near])
-    assert gates._far([]) == frozenset()
+    assert ("elbow" in far_joints([Score(1, 1, 1, 0, rows), near])) is expected  # in one of the splits is enough
+    assert "wrist" not in far_joints([Score(1, 1, 1, 0, rows), near])
+    assert far_joints([]) == frozenset()
 
 
 def test_beside_a_simulation_that_is_far_off_no_name_has_more_than_one_half():
     sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
     off = dataclasses.replace(sure, far=True)
-    assert probability(off) == EQUALS < probability(sure)
+    assert probability(off) == STATEMENT.equals < probability(sure)
     dry = Candidate(CoulombFriction(), 1, "elbow", CoulombFriction().parameters(arm(), address(), 1))
     named = {"torque": 0.5, "turnover": 0.0}
     assert "some law is another" in gates._sentence(dry, named, off)
@@ -294,8 +205,8 @@ def test_beside_a_simulation_that_is_far_off_no_name_has_more_than_one_half():
 
 def test_no_name_with_rivals_left_is_stated_above_one_half():
     sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
-    assert probability(dataclasses.replace(sure, share=0.7)) == EQUALS
-    assert probability(dataclasses.replace(sure, share=DECISIVE)) > EQUALS
+    assert probability(dataclasses.replace(sure, share=0.7)) == STATEMENT.equals
+    assert probability(dataclasses.replace(sure, share=STATEMENT.refutes)) > STATEMENT.equals
 
 
 @given(likely=st.floats(0, 1), shares=st.lists(st.floats(1e-6, 1), min_size=2, max_size=6))
@@ -318,13 +229,17 @@ def test_the_summary_says_the_most_important_first():
     assert "none were kept aside" in summarise("explained", [FINDING], WHERE, score(0.0), False, 0.04)[2]
 
 
-def test_the_summary_says_that_nothing_is_likely_whether_or_not_there_are_rivals():
-    for rivals in ((), (Rival("backlash", "elbow", 0.1, ""),)):
-        vague = dataclasses.replace(FINDING, probability=0.2, rivals=rivals)
-        assert any(
-            "None of this is likely" in line for line in summarise("unexplained", [vague], WHERE, None, True, 1.0)
-        )
-    assert not any("None of this" in line for line in summarise("explained", [FINDING], WHERE, None, True, 0.0))
+@pytest.mark.parametrize("rivals", [(), (Rival("backlash", "elbow", 0.1, "hang a weight on elbow"),)])
+@pytest.mark.parametrize("of_class", [0.3, 0.9])
+def test_what_is_not_likely_is_not_identified_and_the_summary_says_what_would(rivals, of_class):
+    vague = dataclasses.replace(
+        FINDING, probability=0.2, rivals=rivals, class_name="friction", class_probability=of_class
+    )
+    first, would, *_ = summarise("unexplained", [vague], WHERE, None, True, 1.0)
+    assert FINDING.sentence not in first
+    assert first.startswith("Likely missing at elbow: friction (90 %)" if of_class > 0.5 else "Not identified at elbow")
+    assert would.startswith("What would identify it: " + ("hang a weight on elbow." if rivals else "each joint alone"))
+    assert not any("identif" in line for line in summarise("explained", [FINDING], WHERE, None, True, 0.0))
 
 
 def test_the_summary_of_no_finding_tells_nothing_missing_from_unexplained():

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from diagnosis.sample import slider
 
-from torchrl_athletic.diagnosis.diagnose import _damped
 from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.report import terminal_summary
 from torchrl_athletic.diagnosis.report.page import render
 from torchrl_athletic.diagnosis.report.words import same_as
 from torchrl_athletic.diagnosis.result import Answer, Estimate, Finding, Name, Rival
+from torchrl_athletic.diagnosis.state import _damped
 from torchrl_athletic.effects import CATALOGUE, CoulombFriction
 from torchrl_athletic.recordings import Recording
 

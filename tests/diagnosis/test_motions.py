@@ -9,8 +9,9 @@ from diagnosis.plants import pendulum, record, smooth_torque
 from scipy.signal import periodogram
 
 from torchrl_athletic.diagnosis.experiment import _path
-from torchrl_athletic.diagnosis.motions import MARGIN, MOST_MOTIONS, RATE, Limits, motions, touches, way
+from torchrl_athletic.diagnosis.motions import Limits, motions, touches, way
 from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.thresholds import PLAN
 from torchrl_athletic.effects import JointAddress
 from torchrl_athletic.recordings.demo import make_recordings, two_link_arm
 
@@ -36,7 +37,7 @@ def test_every_candidate_stays_within_range_and_speed(takes):
         assert (path >= limits.position[:, 0] - 1e-9).all()
         assert (path <= limits.position[:, 1] + 1e-9).all()
         if m.kind != "steps":  # rounded later
-            assert (np.abs(np.diff(path, axis=0)) * RATE <= limits.velocity).all()
+            assert (np.abs(np.diff(path, axis=0)) * PLAN.rate <= limits.velocity).all()
         np.testing.assert_allclose(np.abs(m.wave[-1]), 0, atol=0.02)
 
 
@@ -45,8 +46,8 @@ def test_a_motion_says_the_highest_frequency_in_it(takes, frequency):
     limits = replace(Limits.of(takes), frequency=frequency)
     for m in motions(takes, limits, [0, 1], 8.0):
         path = _path(m, m.pose, limits)
-        velocity = np.gradient(path, 1 / RATE, axis=0)[:, np.ptp(path, axis=0).argmax()]
-        frequency, power = periodogram(velocity, RATE)
+        velocity = np.gradient(path, 1 / PLAN.rate, axis=0)[:, np.ptp(path, axis=0).argmax()]
+        frequency, power = periodogram(velocity, PLAN.rate)
         above = power[frequency > 1.15 * m.highest + 1.0].sum() / power.sum()
         assert above < (0.1 if m.rounding else 0.02), m.words("rad")
 
@@ -56,14 +57,14 @@ def test_where_less_is_allowed_as_many_slower_motions_are_tried(takes):
     found = list(motions(takes, limits, [0, 1], 8.0))
     assert max(m.highest for m in found) <= 3.0 + 1e-9
     assert {m.kind for m in found} >= {"sine", "sweep", "mix", "steps"}  # with rounder corners
-    assert len(found) > 0.7 * MOST_MOTIONS
+    assert len(found) > 0.7 * PLAN.motions
     assert sum(m.kind == "mix" for m in found) >= 8  # of both joints about both poses, two bands at least
 
 
 def test_a_motion_about_a_pose_near_an_end_keeps_as_clear_of_it_as_one_about_the_middle(takes):
     limits = Limits.of(takes)
     narrow = np.stack([takes[0].recording.position[0] - 0.01, limits.position[:, 1]], -1)
-    clear = 0.5 * (1 - MARGIN) * np.ptp(narrow, axis=1)
+    clear = 0.5 * (1 - PLAN.margin) * np.ptp(narrow, axis=1)
     own = [m for m in motions(takes, replace(limits, position=narrow), [0], 8.0) if m.joint == "shoulder"]
     assert {"sine", "sweep"} <= {m.kind for m in own}
     for m in own:
@@ -111,7 +112,7 @@ def test_the_way_is_from_rest_to_rest_at_half_the_speed(takes):
     limits = Limits.of(takes)
     start, end = np.array([0.0, 0.3]), np.array([0.9, -0.2])
     path = way(start, end, limits)
-    speed = np.diff(path, axis=0) * RATE
+    speed = np.diff(path, axis=0) * PLAN.rate
     np.testing.assert_array_equal(path[0], start)
     np.testing.assert_allclose(path[-1], end)
     np.testing.assert_allclose(speed[[0, -1]], 0, atol=1e-12)

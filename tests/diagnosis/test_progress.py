@@ -19,10 +19,10 @@ def test_the_bar_names_the_stage_and_the_time_left():
 def test_it_is_silent_where_nobody_looks():
     out = io.StringIO()
     with Progress(file=out) as progress:
-        progress.stage("fit")
+        progress.stage("simulate")
         progress.update(1.0)
     assert out.getvalue() == ""
-    assert progress.fraction == pytest.approx(79 / 100)
+    assert progress.fraction == pytest.approx(91 / 100)
 
 
 def test_the_share_follows_the_weights_and_never_goes_back():

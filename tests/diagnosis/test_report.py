@@ -174,7 +174,8 @@ def test_many_findings_are_told_in_one_sentence():
     answer = arm().answer
     answer = replace(answer, summary=(*(f.sentence for f in answer.findings), "Most of it at the elbow.", "B.", "C."))
     first, *rest = lead(answer)
-    assert first == "Two effects are missing: Coulomb friction (elbow, 98 %) and reflected inertia (shoulder, 84 %)."
+    said = "Coulomb friction (elbow, 98 %) and reflected inertia (shoulder, 84 %)"
+    assert first == f"Two effects are likely missing: {said}."
     assert rest == ["Most of it at the elbow.", "B."]
     page = Page(render(answer, (), ())).text
     assert all(s in page for s in answer.summary)

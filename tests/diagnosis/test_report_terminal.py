@@ -108,7 +108,7 @@ def test_no_gap_is_claimed_closed_where_nothing_was_missing():
 
 def test_a_partial_answer_says_so_before_anything_else():
     lines = terminal_summary(partial().answer).splitlines()
-    assert lines[2].startswith("Stopped early, in the stage 'fit'")
+    assert lines[2].startswith("Stopped early, in the stage 'simulate'")
     assert "Stopped early" not in terminal_summary(arm().answer)
 
 
@@ -127,3 +127,16 @@ def test_a_net_on_the_remainder_has_a_row_of_its_own():
     assert "with a UAN" not in terminal_summary(answer)
     text = terminal_summary(replace(answer, fit={**answer.fit, "heldout_uan": learnt}))
     assert row(text, "kept aside, with a UAN, carriage [mm]")[1] == "0.10"
+
+
+@pytest.mark.parametrize(("law", "of_class", "said"), [(0.4, 0.9, True), (0.9, 0.99, False), (0.4, 0.4, False)])
+def test_the_class_is_told_where_its_law_is_not_likely(law, of_class, said):
+    answer = arm().answer
+    finding = replace(answer.findings[0], probability=law, class_name="friction", class_probability=of_class)
+    assert ("friction there, by whichever law" in terminal_summary(replace(answer, findings=(finding,)))) is said
+
+
+def test_a_model_that_the_recordings_changed_is_told_before_anything_else():
+    answer = arm().answer
+    changed = replace(answer, quality={**answer.quality, "model_changes": ["0.5 kg hang on the last link."]})
+    assert terminal_summary(changed).splitlines()[2] == "0.5 kg hang on the last link."

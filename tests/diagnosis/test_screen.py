@@ -9,9 +9,6 @@ from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis.screen import (
-    FIT_TRIMS,
-    TORQUE_FLOOR,
-    TRIMS,
     Bank,
     bounded_least_squares,
     candidates_for,
@@ -20,8 +17,11 @@ from torchrl_athletic.diagnosis.screen import (
     row_noise,
     trims_for,
 )
+from torchrl_athletic.diagnosis.thresholds import TORQUES
 from torchrl_athletic.effects import (
     CATALOGUE,
+    FIT_TRIMS,
+    TRIMS,
     ActuationDelay,
     ClockOffset,
     ClockShift,
@@ -225,7 +225,7 @@ def test_trims_lie_within_a_share_of_the_given_numbers(take):
     assert {t.joint_name for t in trims} == {*NAMES, None}
     for trim in trims:
         for p in trim.parameters:
-            reach = 0.5 * STEP if trim.effect.name == "clock_shift" else FIT_TRIMS[trim.effect] * p.scale
+            reach = 0.5 * STEP if trim.effect.name == "clock_shift" else trim.effect.tolerance * p.scale
             assert p.upper - p.nominal == pytest.approx(reach)
             assert p.nominal - p.lower == pytest.approx(reach)
 
@@ -331,7 +331,7 @@ def test_the_row_noise_has_a_floor_below_which_nobody_asks(rng):
     quiet = replace(signals(np.zeros((N, 2)), command=command), noise=np.array([1e-9, 0.5]))
     quiet.__dict__["load"] = np.zeros((N, 2))
     (noise,) = row_noise([quiet])
-    assert 0.999 * TORQUE_FLOOR * 2.0 < noise[0] < 1.001 * TORQUE_FLOOR * 20.0
+    assert 0.999 * TORQUES.torque_floor * 2.0 < noise[0] < 1.001 * TORQUES.torque_floor * 20.0
     assert noise[1] == pytest.approx(0.5, rel=1e-3)
 
 

@@ -9,12 +9,6 @@ from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis.screen import Bank, Candidate
 from torchrl_athletic.diagnosis.search import (
-    ALL,
-    BEAM,
-    PREDICTABLE,
-    RICHER,
-    RIVAL_PRICE,
-    TERM,
     Judge,
     _invariant,
     _is_bent,
@@ -30,6 +24,7 @@ from torchrl_athletic.diagnosis.search import (
     search,
     singles,
 )
+from torchrl_athletic.diagnosis.thresholds import SEARCH
 from torchrl_athletic.effects import AsymmetricFriction, CoulombFriction, Fingerprint, Parameter
 
 N = 1000
@@ -161,7 +156,7 @@ def test_effects_that_act_seldom_and_a_rich_catalogue_hide_nothing_that_can_be_p
     given = [candidate(Given(f"e{k}", c)) for k, c in enumerate([column, seldom, *others])]
     weigh = judge(on_shoulder(3 * column, 2 * rng.normal(size=(N, 2))), *given)
     assert 0.4 < predictable_share(weigh.bank, 0) < 0.8  # nine parts of thirteen
-    assert predictable_share(weigh.bank, 1) < PREDICTABLE
+    assert predictable_share(weigh.bank, 1) < SEARCH.predictable
 
 
 def test_a_joint_that_misses_a_predictable_torque_is_not_called_noisy():
@@ -377,14 +372,14 @@ def test_where_both_are_good_to_the_noise_a_twentieth_of_the_joints_evidence_kee
     shoulder = strength * a + 0.4 * b + 0.2 * bearing
     take = signals(noise / noise.std(0) + np.stack([shoulder, 9 * elsewhere], -1))  # the elbow's evidence is the most
     plain, rich = Given("dry", a), Given("warming", np.stack([a, b], -1), excludes=("dry",))
-    plain.family = "friction"  # type: ignore[misc]
+    plain.misfit = 0.02  # type: ignore[misc]
     rich.special_cases = frozenset({"dry"})  # type: ignore[misc]
     weigh = judge(take, candidate(plain), candidate(rich), candidate(Given("elsewhere", elsewhere), 1))
     dry, warming, elbow = weigh.bank.atoms
     simple, more = weigh.score([dry, elbow]), weigh.score([warming, elbow])
     assert not weigh.is_open(simple.fit).any()
     assert weigh.within_misfit(simple.fit, more.fit)
-    assert RICHER < weigh.closes(simple.fit, more.fit) < ALL
+    assert SEARCH.richer < weigh.closes(simple.fit, more.fit) < SEARCH.all
     assert _is_bent(weigh, simple, more, 0) == bent
     offered = {key[0] for s in alternatives(weigh, simple, dry) for key in names(s)}
     assert ("warming" not in offered) == bent  # what was given up is no rival
@@ -401,13 +396,13 @@ def test_friction_that_differs_by_direction_is_no_bearing_that_differs_from_its_
     take, wide = on_shoulder(30 * friction, rng.normal(size=(N, 2))), {"lower": -1e3, "upper": 1e3}
     plain = Given("dry", ahead + back, **wide)
     rich = Given("by_direction", np.stack([ahead, back], -1), excludes=("dry",), **wide)
-    plain.family = "friction"  # type: ignore[misc]
+    plain.misfit = 0.02  # type: ignore[misc]
     rich.special_cases, rich.sets_apart = frozenset({"dry"}), (("p0", "p1"),)  # type: ignore[misc]
     weigh = judge(take, candidate(plain), candidate(rich))
     simple, more = (weigh.score([atom]) for atom in weigh.bank.atoms)
     assert weigh.is_open(simple.fit).any()
     assert weigh.within_misfit(simple.fit, more.fit)
-    assert weigh.closes(simple.fit, more.fit) < ALL
+    assert weigh.closes(simple.fit, more.fit) < SEARCH.all
     assert _is_bent(weigh, simple, more, 0) == bent
 
 
@@ -432,13 +427,13 @@ def test_friction_as_a_whole_has_to_differ_by_direction(dry, viscous, expected):
 def test_a_stand_in_for_two_effects_is_given_up_for_the_two():
     """Stand-ins fill the beam; each is better than either cause, and keeps the second out: only an exchange helps."""
     rng = np.random.default_rng(1)
-    a, b, *others = rng.normal(size=(BEAM + 3, N))
+    a, b, *others = rng.normal(size=(SEARCH.beam + 3, N))
     stand_ins = {f"stand_in_{k}": a + b + e for k, e in enumerate(others)}
     effects = [Given("a", a), Given("b", b), *(Given(n, c, excludes=["b", *stand_ins]) for n, c in stand_ins.items())]
     take = on_shoulder(8 * (a + b), rng.normal(size=(N, 2)))
     weigh = judge(take, *(candidate(e) for e in effects))
     single = sorted(weigh.bank.atoms, key=lambda atom: weigh.score([atom]).evidence)
-    assert {atom.candidate.effect.name for atom in single[:BEAM]} <= set(stand_ins)
+    assert {atom.candidate.effect.name for atom in single[: SEARCH.beam]} <= set(stand_ins)
     assert names(search(weigh)[0]) == {("a", "shoulder"), ("b", "shoulder")}
 
 
@@ -543,9 +538,11 @@ def test_a_term_that_predicts_nothing_costs_its_numbers():
     one, two = Given("one", idle), Given("two", np.stack([idle, np.roll(idle, 1) * np.linspace(0, 1, N)], -1))
     weigh = judge(take, candidate(one), candidate(two))
     nothing = weigh.score(())
-    price = np.log(2 * N) + TERM
+    price = np.log(2 * N) + SEARCH.term
     assert weigh.score(weigh.bank.atoms[:1]).evidence - nothing.evidence == pytest.approx(price, abs=2)
-    assert weigh.score(weigh.bank.atoms[1:]).evidence - nothing.evidence == pytest.approx(2 * price - TERM, abs=4)
+    assert weigh.score(weigh.bank.atoms[1:]).evidence - nothing.evidence == pytest.approx(
+        2 * price - SEARCH.term, abs=4
+    )
 
 
 def test_evidence_is_the_likelihood_of_independent_samples():
@@ -610,8 +607,10 @@ def test_a_number_that_somebody_wrote_is_doubted_later_than_one_that_nobody_wrot
     rng = np.random.default_rng(0)
     column = smooth(rng, N)
     take = on_shoulder(5 * column, rng.normal(size=(N, 2)))
-    weigh = judge(take, candidate(Given("link_mass", column)), candidate(Given("reflected_inertia", column)))
-    assert names(search(weigh)[0]) == {("reflected_inertia", "shoulder")}
+    written, unwritten = Given("mass", column), Given("rotor", column)
+    written.odds = 1 / 3  # type: ignore[misc]
+    weigh = judge(take, candidate(written), candidate(unwritten))
+    assert names(search(weigh)[0]) == {("rotor", "shoulder")}
     mass, rotor = (weigh.score([atom]).evidence for atom in weigh.bank.atoms)
     assert mass - rotor == pytest.approx(2 * np.log(3))
 
@@ -696,7 +695,7 @@ def test_what_a_bearing_is_beyond_a_formula_makes_no_rival_of_a_richer_law():
     rng = np.random.default_rng(0)
     a, b = smooth(rng, (2, N))
     plain = Given("plain", a, -1e3, 1e3)
-    plain.family = "friction"  # type: ignore[misc]
+    plain.misfit = 0.02  # type: ignore[misc]
     for beyond, expected in ((4.0, {"plain"}), (40.0, {"plain", "rich"})):  # parts of 100 that no formula has
         take = on_shoulder(100 * a + beyond * b, rng.normal(size=(N, 2)))
         weigh = judge(take, candidate(plain), candidate(special(np.stack([a, b], -1), "plain")))
@@ -715,7 +714,7 @@ def test_a_law_that_contains_the_term_pays_for_each_number_by_how_much_is_record
         best = weigh.score(weigh.bank.atoms[:1])
         evidence = {key[0]: s.evidence for s in alternatives(weigh, best, best.fit.terms[0]) for key in names(s)}
         against.append(evidence["rich"] - evidence["plain"])
-    assert against[1] - against[0] == pytest.approx(np.log(weigh.independent.sum()) - RIVAL_PRICE, rel=0.03)
+    assert against[1] - against[0] == pytest.approx(np.log(weigh.independent.sum()) - SEARCH.rival_price, rel=0.03)
 
 
 def test_a_correlated_residual_makes_rivals_nearer():

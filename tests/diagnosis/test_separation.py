@@ -10,7 +10,8 @@ from diagnosis.columns import Given, candidate, signals
 
 from torchrl_athletic.diagnosis.screen import Bank
 from torchrl_athletic.diagnosis.search import Judge
-from torchrl_athletic.diagnosis.separation import ENOUGH, THINNED, Rivals, thinned
+from torchrl_athletic.diagnosis.separation import Rivals, thinned
+from torchrl_athletic.diagnosis.thresholds import PLAN
 from torchrl_athletic.effects import Fingerprint
 
 N = 2000
@@ -68,7 +69,7 @@ def test_what_looks_the_same_in_one_motion_is_told_apart_by_another_as_far_as_th
     # the first predicts 0.1 of a unit sine, which no cosine answers; as much in the old take it can, so both share
     after = planned(pair, known, SINE, -SINE)
     # the best answer is zero: 0.1² is left of both halves, whose noise has the variance 1
-    expected = np.sqrt(2 * N / THINNED * np.log(1 + 0.1**2))
+    expected = np.sqrt(2 * N / PLAN.thinned * np.log(1 + 0.1**2))
     assert after == pytest.approx([expected], rel=0.35)  # the sizes drawn scatter by a third
     assert planned(pair, known, 3 * SINE, -3 * SINE) > after
 
@@ -94,14 +95,14 @@ def test_what_no_answer_meets_counts_by_the_logarithm_of_the_error_that_it_leave
     left, level = known.left[0], max(known.left[0], pair.floor[0])
 
     def apart(sizes):  # of sines against cosines, which answer nothing
-        return np.mean([np.sqrt(N / THINNED * np.log(max(left + c**2, level) / level)) for (c,) in sizes])
+        return np.mean([np.sqrt(N / PLAN.thinned * np.log(max(left + c**2, level) / level)) for (c,) in sizes])
 
     assert now == pytest.approx([np.mean([apart(sizes) for sizes in pair.draws])], rel=1e-3)
 
 
 def test_twice_the_recording_is_twice_the_evidence():
     pair, known, now = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.15, second=COSINE)
-    assert 2 < now[0] < ENOUGH / 2
+    assert 2 < now[0] < PLAN.enough / 2
     assert pair.separations(known.times(2.0)) == pytest.approx(np.sqrt(2) * now, rel=0.02)
     assert pair.separations(known + known) == pytest.approx(np.sqrt(2) * now, rel=0.02)
 

@@ -3,19 +3,18 @@
 import importlib
 import importlib.util
 import re
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from torchrl_athletic.diagnosis import Answer, Finding, Location, Rival, Score
+from torchrl_athletic.diagnosis import Answer, Finding, Location, Rival, Score, thresholds
 from torchrl_athletic.diagnosis.calibration import Grounds
 from torchrl_athletic.diagnosis.corrected import SCHEMA
-from torchrl_athletic.diagnosis.corrected_xml import DRIVE, NATIVE
 from torchrl_athletic.diagnosis.result import SCHEMA as ANSWER_SCHEMA
-from torchrl_athletic.diagnosis.screen import FIT_TRIMS, TRIMS
-from torchrl_athletic.diagnosis.search import DECISIVE, MISFIT, TERM
+from torchrl_athletic.diagnosis.thresholds import SEARCH
+from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, TRIMS
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "diagnosis.md").read_text(encoding="utf-8")
@@ -32,52 +31,56 @@ def hook():
 
 
 def test_thresholds_are_the_codes(hook):
-    rows = re.findall(r"^\| `([\w.]+)\.([A-Z_]+)` \| ([^|]+) \| [^|]{10,} \|$", hook.on_page_markdown(PAGE), re.M)
+    page = hook.on_page_markdown(PAGE)
+    rows = re.findall(r"^\| `([a-z.]+)\.(\w+)` \| ([^|]+) \| ([^|]*) \| ([^|]*) \| [^|]{10,} \|$", page, re.M)
     assert len(rows) > 60
-    for module, name, value in rows:
-        constant = getattr(importlib.import_module(f"torchrl_athletic.{module}"), name)
-        np.testing.assert_allclose(np.atleast_1d(constant), [float(number) for number in value.split(",")])
+    for section, name, value, unit, kind in rows:
+        if name.isupper():
+            module = importlib.import_module(f"torchrl_athletic.{section}")
+            given = getattr(module, name)
+        else:
+            given = getattr(getattr(thresholds, section.upper()), name)
+            assert unit.strip()
+            assert kind.strip() in KINDS
+        np.testing.assert_allclose(np.atleast_1d(given), [float(number) for number in value.split(",")], rtol=1e-5)
 
 
-def test_every_threshold_of_the_gates_and_the_search_is_explained(hook):
-    table = hook.on_page_markdown(PAGE)
-    for module in ("diagnosis.gates", "diagnosis.search"):
-        source = Path(importlib.import_module(f"torchrl_athletic.{module}").__file__).read_text(encoding="utf-8")
-        set_by_hand = re.findall(r"^([A-Z_]+) = [\d.]+$", source, re.M)
-        missing = {name for name in set_by_hand if f"`{module}.{name}`" not in table}
-        assert missing <= {"FOLDS", "BEAM", "MOST_PER_JOINT"}
+KINDS = {"statistical", "physical", "tuned", "budget", "measured", "contract"}
 
 
-def test_thresholds_of_experiments_have_a_table(hook):
-    page = hook.on_page_markdown((DOCS / "experiments.md").read_text(encoding="utf-8"))
-    assert "| `diagnosis.experiment.APART` | 3 |" in page
-    assert "<!--" not in page
+def test_every_threshold_stands_in_a_table(hook):
+    pages = hook.on_page_markdown(PAGE) + hook.on_page_markdown((DOCS / "experiments.md").read_text(encoding="utf-8"))
+    sections = [kind for kind in vars(thresholds).values() if isinstance(kind, type) and is_dataclass(kind)]
+    assert len(sections) >= 7
+    missing = [f"{s.__name__}.{f.name}" for s in sections for f in fields(s)]
+    assert [name for name in missing if f"`{name[0].lower()}{name[1:]}`" not in pages] == []
 
 
 def test_trims_of_naming_and_of_the_fit():
     """Their tolerances are written from the code into the page of effects."""
-    trims = " ".join(PAGE[PAGE.index("### Trims") : PAGE.index("## Fit")].split())
+    trims = " ".join(PAGE[PAGE.index("### Trims") : PAGE.index("## Simulate")].split())
     assert [e.name for e in TRIMS if f"`{e.name}`" not in trims] == []
     assert {e.name for e in FIT_TRIMS} - {e.name for e in TRIMS} == {"torque_scale"}
     assert "In the fit, `torque_scale` too" in trims
 
 
 def test_what_a_probability_rests_on_is_listed():
-    gates = PAGE[PAGE.index("## Gates") : PAGE.index("**Verdict.**")]
+    gates = PAGE[PAGE.index("## State") : PAGE.index("**Verdict.**")]
     assert [f.name for f in fields(Grounds) if f"`{f.name}`" not in gates] == []
 
 
 def test_what_a_true_term_may_leave_is_said_by_class():
-    assert MISFIT == {"friction": 0.02, "presliding": 0.02, "change": 0.02, "transmission": 0.03}
-    text = " ".join(PAGE[PAGE.index("## Screen") : PAGE.index("### Trims")].split())
+    special = {"friction": 0.02, "presliding": 0.02, "change": 0.02, "transmission": 0.03}
+    assert {e.name for e in CATALOGUE if e.misfit != special.get(e.family, 0.005)} == set()
+    text = " ".join(PAGE[PAGE.index("## Propose") : PAGE.index("### Trims")].split())
     assert "a term of friction, presliding or change on the joint it must explain 2 %" in text
     assert "beside a transmission 3 %, beside others half a percent" in text
     assert "odds of twenty for each term" in text
-    assert np.exp(TERM / 2) == pytest.approx(20)
+    assert np.exp(SEARCH.term / 2) == pytest.approx(20)
 
 
 def test_decisive_evidence_is_odds_of_150_to_1():
-    assert round(np.exp(DECISIVE / 2) / 10) * 10 == 150
+    assert round(np.exp(SEARCH.decisive / 2) / 10) * 10 == 150
 
 
 @pytest.mark.parametrize("kind", [Answer, Finding, Location, Rival, Score], ids=lambda kind: kind.__name__)
@@ -100,8 +103,9 @@ def test_schemas_and_what_mjcf_can_say():
         "gravity_tilt": "gravity",
         "joint_spring": "spring",
     }
-    assert set(words) == NATIVE
-    assert set(DRIVE) == {f"torque_{word}" for word in ("scale", "offset", "saturation")} | {
-        f"actuation_{word}" for word in ("lag", "delay")
-    }
+    every = (*CATALOGUE, *FIT_TRIMS)
+    assert set(words) == {e.name for e in every if e.mjcf == "model"}
+    drive = {f"torque_{word}" for word in ("scale", "offset", "saturation")} | {"actuation_lag", "actuation_delay"}
+    drive.add("gain_mismatch")
+    assert {e.name for e in every if e.mjcf == "actuator"} == drive
     assert all(word in FILES for word in (*words.values(), "offset", "limit of its torque", "scale", "lag", "`delay`"))

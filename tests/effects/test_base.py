@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from torchrl_athletic.diagnosis.compare import noise_floor
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
-from torchrl_athletic.diagnosis.screen import TRIMS, trims_for
-from torchrl_athletic.effects import BaseClockShift, EncoderScale, JointAddress, Plant, project_recording
+from torchrl_athletic.diagnosis.screen import trims_for
+from torchrl_athletic.effects import TRIMS, BaseClockShift, EncoderScale, JointAddress, Plant, project_recording
 from torchrl_athletic.effects.base import base_columns, base_motion, base_velocity, carried, free_joint
 from torchrl_athletic.effects.gear import LinkMotion
 from torchrl_athletic.effects.signals import inverse_dynamics

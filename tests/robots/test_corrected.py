@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from torchrl_athletic.diagnosis.corrected import Simulation
-from torchrl_athletic.diagnosis.screen import FIT_TRIMS
-from torchrl_athletic.effects import CATALOGUE, JointAddress, Plant
+from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, JointAddress, Plant
 from torchrl_athletic.robots import b2z1, from_mjcf, z1
 from torchrl_athletic.robots.corrected import SCHEMA, with_correction
 

@@ -14,8 +14,8 @@ from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.corrected_xml import corrected_xml
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.replay import take_of
-from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate
-from torchrl_athletic.effects import CATALOGUE, JointAddress
+from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, JointAddress
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.recordings import Recording, sensor_noise
 from torchrl_athletic.robots import from_mjcf

@@ -1,11 +1,13 @@
-"""Say what physics a model leaves out, from recordings: quality, floor, locate, screen, fit, compare, gates, report.
+"""Say what physics a model leaves out, from recordings: prepare, locate, propose, simulate, decide,
+state, deliver.
 
 :func:`diagnose` runs all of it; the stages are modules of their own, in that order. :func:`fit` fits the standard
 joints alone.
 """
 
-from torchrl_athletic.diagnosis.diagnose import Diagnosis, diagnose
+from torchrl_athletic.diagnosis.diagnose import diagnose
 from torchrl_athletic.diagnosis.fitting import Fit, JointParameter, fit
+from torchrl_athletic.diagnosis.outcome import Diagnosis
 from torchrl_athletic.diagnosis.result import Answer, Estimate, Finding, Location, Rival, Score
 
 __all__ = [

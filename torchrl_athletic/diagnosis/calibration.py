@@ -10,15 +10,7 @@ from importlib.resources import files
 
 import numpy as np
 
-DECISIVE = 0.75
-"""Share of the evidence from which rivals count as refuted: odds below three to one are "not worth more than a bare
-mention" (Kass, Raftery 1995, doi:10.1080/01621459.1995.10476572)."""
-EQUALS = 0.5
-"""The most that a finding may have beside rivals that are not refuted, whoever is ahead. The same holds for a law of
-which what sets it apart from simpler ones is not seen, for one beside another that makes no sense, and where the
-simulation with it is still far from the recordings."""
-SENSELESS = 0.2
-"""The most of a finding that makes no sense as it stands: a motor at the end of what may be, a gear seen in noise."""
+from torchrl_athletic.diagnosis.thresholds import STATEMENT
 
 
 @dataclass(frozen=True)
@@ -57,9 +49,9 @@ class Grounds:
     def most(self) -> float:
         """The probability that it may have at most."""
         if self.senseless:
-            return SENSELESS
-        doubtful = self.plain or self.leans or self.far or self.share < DECISIVE
-        return EQUALS if doubtful else self.share
+            return STATEMENT.senseless
+        doubtful = self.plain or self.leans or self.far or self.share < STATEMENT.refutes
+        return STATEMENT.equals if doubtful else self.share
 
     def features(self) -> dict[str, float]:
         """Numbers of order one, in which the log odds are linear."""
@@ -107,6 +99,29 @@ def probability(grounds: Grounds, effect: str = "") -> float:
     odds = weights["intercept"] + sum(weights.get(name, 0.0) * x for name, x in grounds.features().items())
     odds += learnt("effects").get(effect, 0.0)
     return float(min(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))), grounds.most))
+
+
+def class_probability(law: float, alike: float, closed: float, energy: float = 1.0) -> float:
+    """That physics of a finding's class is missing at its joint, whatever the law: learnt on real benches.
+
+    What the correction leaves open may be of another class, and what accounts for little of the missing torque may
+    stand in for a little of another one's: its probability is no larger than what is closed, and accounted for.
+
+    Args:
+        law: Probability of the finding.
+        alike: The same with its rivals of the same class and joint.
+        closed: Share of the simulation's error energy above the floor that the correction closes, 0..1.
+        energy: Share of the joint's missing torque that the finding accounts for, 0..1.
+
+    Example:
+        >>> class_probability(law=0.4, alike=0.4, closed=0.9) > class_probability(law=0.4, alike=0.4, closed=0.5) == 0.5
+        True
+        >>> class_probability(law=0.9, alike=0.9, closed=0.5)
+        0.9
+    """
+    weights, p = learnt("class"), float(np.clip(alike, 1e-3, 1 - 1e-3))
+    odds = weights["level"] + weights["steepness"] * np.log(p / (1 - p))
+    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, energy)))
 
 
 def rival_probability(likely: float, own: float, share: float) -> float:

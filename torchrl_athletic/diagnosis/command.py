@@ -5,15 +5,18 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from torchrl_athletic.diagnosis.continuation import recall, remember
-from torchrl_athletic.diagnosis.diagnose import Diagnosis, ModelError, diagnose
+from torchrl_athletic.diagnosis.diagnose import diagnose
+from torchrl_athletic.diagnosis.fitting import Fit
 from torchrl_athletic.diagnosis.folder import locked
+from torchrl_athletic.diagnosis.model import ModelError
+from torchrl_athletic.diagnosis.outcome import Diagnosis
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.report import terminal_summary
@@ -56,8 +59,12 @@ class Config:
     """Diagnose a public recording of a real robot instead."""
     demo: int = 0
     """Seed of the concealed demo, which runs when nothing else is asked for."""
+    fit_only: bool = False
+    """Fit the standard joints alone and name nothing, as ``torchrl-athletic fit`` does: fit.json."""
     time_budget: float | None = None
-    """Time after which no further combination of effects is fitted [s]."""
+    """Time after which it says what it has found by then [s]."""
+    memory: float | None = None
+    """Memory that it may take [GB]; half of what is free unless said. Of longer logs, stretches are used."""
     seed: int = 0
     """Seed of the bootstrap and of the choice of windows."""
     highest_frequency: float | None = None
@@ -67,7 +74,7 @@ class Config:
     """Hand what no named physics explains to an Unsupervised Actuator Net: two more minutes, and uan.pt."""
 
 
-def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | None = None) -> Diagnosis:
+def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | None = None) -> Diagnosis | Fit:
     """Run a diagnosis, print its summary, and leave the report in ``config.output``.
 
     Args:
@@ -75,6 +82,11 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
         hand_over: What ``--uan`` asks for, since a diagnosis knows of no training:
             :func:`~torchrl_athletic.training.learn_remainder`.
     """
+    if config.fit_only:
+        from torchrl_athletic.diagnosis import fit_command  # which takes its inputs from here
+
+        same = {f.name: getattr(config, f.name) for f in fields(fit_command.FitConfig)}
+        return fit_command.main(fit_command.FitConfig(**same))
     try:
         if config.output.is_file():  # said now, not after the fit
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
@@ -104,6 +116,7 @@ def _main(asked: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
                 base=config.base,
                 seed=config.seed,
                 time_budget=config.time_budget,
+                memory=config.memory,
                 highest_frequency=config.highest_frequency,
                 output=config.output,
                 progress=progress,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,14 +12,14 @@ from scipy.ndimage import gaussian_filter1d
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis, draw_windows
 from torchrl_athletic.diagnosis.replay import Take, Windows, simulate, window_rmse
 from torchrl_athletic.diagnosis.result import Score
+from torchrl_athletic.diagnosis.thresholds import SIMULATION, STATEMENT
 from torchrl_athletic.effects.signals import kernel_for
 
 Array = NDArray[np.float64]
 
-MOST_WINDOWS = 400
-"""Windows that a score is stated over, as many as 200 s have; more are thinned at random."""
-BETWEEN = 60.0
-"""Time that is put between recordings, and between the pieces of one that drop-outs have cut [s]."""
+
+MOST_WINDOWS = SIMULATION.windows
+"""Windows that a score is stated over."""
 
 
 def score(
@@ -65,7 +65,7 @@ def started(windows: Sequence[Windows]) -> Array:
         parts = np.searchsorted(w.take.begins, w.start, side="right") - 1
         for part, first in enumerate(w.take.begins):
             times.append(end + w.take.time[w.start[parts == part]] - w.take.time[first])
-            end += BETWEEN + w.take.parts[part].recording.duration
+            end += SIMULATION.between + w.take.parts[part].recording.duration
     return np.concatenate(times)
 
 
@@ -144,3 +144,13 @@ def open_share(score: Score) -> float:
         was += max(joint["before"] ** 2 / unit - 1.0, 0.0)
         left += max(joint["after"] ** 2 / unit - 1.0, 0.0)
     return float(np.clip(left / was, 0.0, 1.0)) if was > 0 else float(left > 1.0)
+
+
+def far_joints(scores: Collection[Score]) -> frozenset[str]:
+    """Joints that the corrected model does not follow, in fitted recordings or in those kept aside."""
+    return frozenset(
+        name
+        for s in scores
+        for name, e in s.per_joint.items()
+        if e["after"] > STATEMENT.near_floor * max(e["floor"], 1e-12) and e["after"] > STATEMENT.kept * e["before"]
+    )

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
-from torchrl_athletic.diagnosis.screen import FIT_TRIMS, Candidate
-from torchrl_athletic.effects import CATALOGUE, Effect, JointAddress
+from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, Effect, JointAddress
 from torchrl_athletic.effects.base import Base, held_base
 from torchrl_athletic.recordings import Recording, sensor_noise
 from torchrl_athletic.recordings.quality import with_known_base
@@ -63,6 +63,10 @@ class Simulation:
             path[last + 1 :] = simulate(rest, self.hypothesis.build, self.values[None])[0, 0]
         at_stamps = np.stack([np.interp(recording.time, take.time, column) for column in path.T], axis=-1)
         return at_stamps[:, [self.joint_names.index(name) for name in given_order]]
+
+    def values_of(self, candidate: Candidate) -> Array:
+        """Numbers of one effect. Shape (its P,)."""
+        return self.hypothesis.values_of(candidate, self.values)
 
     def to_json(self) -> dict[str, Any]:
         """All effects and trims with their values, as ``corrected.json`` holds them."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import mujoco
@@ -17,27 +18,69 @@ from torchrl_athletic.effects.signals import torque_range
 from torchrl_athletic.effects.torque import wave_number
 
 Commands: TypeAlias = Literal["torques", "targets"]
+Gains: TypeAlias = Mapping[str, tuple[float, float]]
+"""Joint -> kp [N·m/rad] and kd [N·m·s/rad]."""
 
 
-def corrected_xml(xml: str, simulation: Simulation, commands: Commands | None = None, *, drive: bool = True) -> str:
+@dataclass(frozen=True)
+class Written:
+    """A corrected model as MJCF."""
+
+    xml: str
+    left_out: tuple[str, ...]
+    """What MJCF does not say, or in part only, such as 'clock_offset of the robot': it stands in corrected.json."""
+
+    @property
+    def warning(self) -> str:
+        """That the file alone is half a correction, in a sentence; empty if it is a whole one."""
+        if not self.left_out:
+            return ""
+        return (
+            f"corrected.xml alone is not the whole correction: it needs corrected.json for {', '.join(self.left_out)}. "
+            "Half a correction can be worse than none."
+        )
+
+
+def corrected_xml(
+    xml: str,
+    simulation: Simulation,
+    commands: Commands | None = None,
+    *,
+    drive: bool = True,
+    gains: Gains | None = None,
+) -> str:
+    """The MJCF of :func:`written`."""
+    return written(xml, simulation, commands, drive=drive, gains=gains).xml
+
+
+def written(
+    xml: str,
+    simulation: Simulation,
+    commands: Commands | None = None,
+    *,
+    drive: bool = True,
+    gains: Gains | None = None,
+) -> Written:
     """The model with what MJCF can say of the correction.
 
     Friction loss with its softness, damping, armature, stiffness and spring reference of joints; mass, centre of mass
     and inertia of links, payloads included; gravity. Where one actuator without a state of its own drives a joint:
-    offset and limit of its torque; of a motor scale and lag, too; and the delay, where the actuator takes what was
-    recorded as the command. Ripple and hysteresis are the cogging and the LuGre friction of a ``dcmotor`` without an
-    input, soft gears and play a :mod:`second hinge <torchrl_athletic.diagnosis.corrected_gears>`. This package drives
-    joints past actuators, by ``corrected.json``, so that none acts twice.
+    offset and limit of its torque, and its scale, which a position servo has in its gains; of a motor lag, too; of a
+    servo both gains; and the delay, where the actuator takes what was recorded as the command. Ripple and hysteresis
+    are the cogging and the LuGre friction of a ``dcmotor`` without an input, soft gears and play a
+    :mod:`second hinge <torchrl_athletic.diagnosis.corrected_gears>`. This package drives joints past actuators, by
+    ``corrected.json``, so that none acts twice.
 
-    What is not said (limits by speed, encoders, gains, most laws of friction) is listed in a comment and stands in
+    What is not said (limits by speed, encoders, most laws of friction) is listed in a comment and stands in
     ``corrected.json``. An effect that is said in part, such as the breakaway torque of Stribeck friction, stands in
-    both.
+    both. A file that lacks anything says so at its top.
 
     Args:
         xml: The given model.
         simulation: The corrected one.
         commands: Whether torques or position targets were recorded as commands; None leaves delays out.
         drive: Whether actuators and gears are corrected as well; a chain of transforms takes the place of that.
+        gains: Joint -> kp and kd with which all recordings were driven; an actuator's own if None.
     """
     spec = mujoco.MjSpec.from_string(xml)
     spec.compile()  # fuses what fusestatic fuses, so that bodies are those of the model
@@ -47,7 +90,9 @@ def corrected_xml(xml: str, simulation: Simulation, commands: Commands | None = 
     for j, name in enumerate(simulation.joint_names):
         _write_joint(spec.joint(name), plant, j, spec.compiler.degree)
         if drive:
-            said |= {(effect, name) for effect in _write_drive(spec, name, _drive_of(simulation, name), commands)}
+            said |= {
+                (effect, name) for effect in _write_drive(spec, name, _drive_of(simulation, name), commands, gains)
+            }
     for body in range(1, simulation.model.nbody):
         _write_link(spec.bodies[body], plant, body)
     if "opt.gravity" in plant.fields:
@@ -55,44 +100,29 @@ def corrected_xml(xml: str, simulation: Simulation, commands: Commands | None = 
     links: dict[str, str] = {}
     if drive:
         links = write_gears(spec, plant, simulation.joint_names)
-        said |= {(effect, name) for name in links for effect in GEARS}
+        parts = (*simulation.hypothesis.terms, *simulation.hypothesis.trims)
+        said |= {c.key for c in parts if c.effect.mjcf == "gear" and c.joint_name in links}
+        said |= {c.key for c in parts if c.effect.write(spec, c.where, simulation.values_of(c))}
         for j, name in enumerate(simulation.joint_names):
             passive = _write_passive(spec, plant, j, (name, links.get(name)), _drive_of(simulation, name))
             said |= {(effect, name) for effect in passive}
     spec.compile()
-    note = "".join(
-        f"\n  {'in part only' if _plant(simulation, c).fields else 'not expressed'} here, see corrected.json: "
-        f"{c.effect.name} of {c.where}"
+    left_out = [
+        (c, bool(_plant(simulation, c).fields))
         for c in (*simulation.hypothesis.terms, *simulation.hypothesis.trims)
-        if c.effect.name not in NATIVE and c.key not in said
+        if c.effect.mjcf != "model" and c.key not in said
+    ]
+    result = Written("", tuple(f"{c.effect.name} of {c.where}" for c, _ in left_out))
+    note = f"\n  WARNING: {result.warning}" if left_out else ""
+    note += "".join(
+        f"\n  {'in part only' if in_part else 'not expressed'} here, see corrected.json: {c.effect.name} of {c.where}"
+        for c, in_part in left_out
     )
     note += "".join(
         f"\n  {motor} is the motor's joint, which the encoder reads; {link} the link's" for motor, link in links.items()
     )
-    return f"<!-- corrected by torchrl_athletic{note.replace('--', '- -')} -->\n{spec.to_xml()}"
-
-
-NATIVE = frozenset(
-    {
-        "coulomb_friction",
-        "gravity_tilt",
-        "joint_spring",
-        "link_com",
-        "link_com_shift",
-        "link_inertia",
-        "link_mass",
-        "payload",
-        "reflected_inertia",
-        "viscous_friction",
-    }
-)
-"""Effects that MJCF can say of any model."""
-DRIVE = ("torque_scale", "torque_offset", "torque_saturation", "actuation_lag", "actuation_delay")
-"""Effects that it can say of an actuator."""
-PASSIVE = ("torque_ripple", "hysteresis")
-"""Effects that it can say of a motor that takes no input."""
-GEARS = ("compliance", "backlash")
-"""Effects that it can say with a hinge for the motor and one for the link."""
+    head = f"<!-- corrected by torchrl_athletic{note.replace('--', '- -')} -->"
+    return replace(result, xml=f"{head}\n{spec.to_xml()}")
 
 
 def _plant(simulation: Simulation, only: Candidate | None = None) -> Plant:
@@ -129,11 +159,17 @@ def _write_joint(joint: Any, plant: Plant, j: int, degrees: bool) -> None:
 def _drive_of(simulation: Simulation, joint: str) -> dict[str, Array]:
     """Effect -> values, of those that actuators of a joint may say."""
     h = simulation.hypothesis
-    own = (c for c in (*h.terms, *h.trims) if c.joint_name == joint and c.effect.name in (*DRIVE, *PASSIVE))
+    own = (c for c in (*h.terms, *h.trims) if c.joint_name == joint and c.effect.mjcf in ("actuator", "passive"))
     return {c.effect.name: h.values_of(c, simulation.values) for c in own}
 
 
-def _write_drive(spec: mujoco.MjSpec, name: str, effects: Mapping[str, Array], commands: Commands | None) -> set[str]:
+def _write_drive(
+    spec: mujoco.MjSpec,
+    name: str,
+    effects: Mapping[str, Array],
+    commands: Commands | None,
+    gains: Gains | None,
+) -> set[str]:
     """Put a drive's effects into the joint's actuator, if there is one that can take them. Returns those it took."""
     own = _actuators_of(spec, name)
     takes = _commands_of(own[0]) if len(own) == 1 else None
@@ -147,10 +183,16 @@ def _write_drive(spec: mujoco.MjSpec, name: str, effects: Mapping[str, Array], c
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         actuator.biasprm[0] += of["torque_offset"] / actuator.gear[0]
         said.add("torque_offset")
-    if "torque_scale" in of and takes == "torques":  # a servo's gains are its own
+    if "torque_scale" in of and takes == "torques":
         actuator.gainprm[0] *= of["torque_scale"]
         said.add("torque_scale")
-    plain = "torque_offset" not in of and (takes == "torques" or "torque_scale" not in of)  # else no one range says it
+    servo = {"torque_scale", "gain_mismatch"} & of.keys()
+    if servo and takes == "targets":
+        scale = of.get("torque_scale", 1.0)
+        kp, kd = (scale * float(x) for x in effects.get("gain_mismatch", np.ones(2)))
+        if _write_gains(actuator, kp, kd, None if gains is None else gains[name]):
+            said |= servo
+    plain = "torque_offset" not in of and ("torque_scale" not in of or "torque_scale" in said)  # else no range says it
     if "torque_saturation" in of and plain:
         if _limit(spec.joint(name), of["torque_saturation"] * of.get("torque_scale", 1.0)):
             said.add("torque_saturation")
@@ -162,6 +204,17 @@ def _write_drive(spec: mujoco.MjSpec, name: str, effects: Mapping[str, Array], c
         actuator.nsample = max(1, int(np.ceil(actuator.delay / spec.option.timestep)))
         said.add("actuation_delay")
     return said
+
+
+def _write_gains(actuator: Any, kp_scale: float, kd_scale: float, logged: tuple[float, float] | None) -> bool:
+    """Scale a position servo's gains, or the logged ones in their place. Whether it has gains that can be scaled."""
+    kp, kd = float(actuator.gainprm[0]), -float(actuator.biasprm[2])
+    if logged is not None and actuator.gear[0] == 1:
+        kp, kd = logged
+    if kd < 0 or actuator.biasprm[1] != -actuator.gainprm[0]:  # a damping ratio, or no servo on its target
+        return False
+    actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = kp_scale * kp, -kp_scale * kp, -kd_scale * kd
+    return True
 
 
 def _write_passive(

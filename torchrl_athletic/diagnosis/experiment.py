@@ -21,13 +21,14 @@ from scipy.ndimage import gaussian_filter1d
 
 from torchrl_athletic.diagnosis.corrected import write_json
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.gates import Evidence, answer_set
-from torchrl_athletic.diagnosis.motions import MARGIN, RATE, Limits, Motion, motions, touches, way
+from torchrl_athletic.diagnosis.motions import Limits, Motion, motions, touches, way
+from torchrl_athletic.diagnosis.proposal import Proposal, answer_set
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.result import Finding
 from torchrl_athletic.diagnosis.screen import Key, row_noise
 from torchrl_athletic.diagnosis.search import Judge, Scored
-from torchrl_athletic.diagnosis.separation import ENOUGH, PairProducts, Rivals, thinned
+from torchrl_athletic.diagnosis.separation import PairProducts, Rivals, thinned
+from torchrl_athletic.diagnosis.thresholds import PLAN
 from torchrl_athletic.effects.base import carried
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.effects.payload import with_payload
@@ -46,31 +47,8 @@ from torchrl_athletic.recordings import Recording, noise_correlation, sensor_noi
 from torchrl_athletic.recordings.whole_file import whole_file
 
 Array = NDArray[np.float64]
-SECONDS = 8.0
-"""Length of the excitation, without the ways there and back [s]."""
-APART = 3.0
-"""Standard deviations that separate a pair; one that no plan sets so far apart is not what a plan is chosen for."""
-SPARE = 9.0
-"""Standard deviations up to which a plan is repeated: it is a mean, of which the worse half should do as well."""
-FOLLOWERS = 10
-"""Motions that are tried as the second of two."""
-CONFIRMED = 5
-"""Plans that are simulated under every rival before none is proposed."""
 SMALLER = (1.0, 0.75, 0.55, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05)
 """Shares of its amplitude at which a motion is tried until the torque suffices and every rival keeps the limits."""
-LONGEST = 60.0
-"""An excitation that tells too little is repeated as long as it all lasts no longer than this [s]."""
-SLACK = 0.02
-"""Share of range and speed by which a rival may predict that the robot leaves them: they are clear of the stops."""
-GENTLE = 0.2
-"""Share of its worth that a plan loses by using up all limits, the whole band and half a minute."""
-HEAVY = 0.5
-"""Mass to fasten to the last link where motions alone tell too little, as a share of its own."""
-BANDWIDTH = 1.5
-"""Natural frequency of the position loop where the recordings state no gains [Hz].
-
-Soft, because a drive that is half a millisecond late makes friction of its stiffness, kp times that, which nobody logs.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +66,7 @@ class Experiment:
     duration: float
     """[s]"""
     before: float
-    """Separation of the closest pair on the recordings at hand [standard deviations, at most ENOUGH].
+    """Separation of the closest pair on the recordings at hand [standard deviations, at most PLAN.enough].
 
     Of the pairs that can be separated at all.
     """
@@ -161,7 +139,7 @@ class Experiment:
             "repeats": self.repeats,
             "payload_kg": self.payload,
             "duration": self.duration,
-            "rate": RATE,
+            "rate": PLAN.rate,
             "joint_names": list(self.joint_names),
             "kp": self.kp.tolist(),
             "kd": self.kd.tolist(),
@@ -173,7 +151,7 @@ class Experiment:
             },
             "largest": {
                 "position": [self.reference.min(0).tolist(), self.reference.max(0).tolist()],
-                "velocity": (RATE * np.abs(np.diff(self.reference, axis=0)).max(0)).tolist(),
+                "velocity": (PLAN.rate * np.abs(np.diff(self.reference, axis=0)).max(0)).tolist(),
                 "torque": np.abs(self.torque).max(0).tolist(),
                 "difference_between_rivals": self.spread,
             },
@@ -181,7 +159,7 @@ class Experiment:
 
 
 def next_experiment(
-    evidence: Sequence[Evidence], findings: Sequence[Finding], limits: Limits | None = None, xml: str = ""
+    evidence: Sequence[Proposal], findings: Sequence[Finding], limits: Limits | None = None, xml: str = ""
 ) -> Experiment | None:
     """The experiment for the finding whose rivals share most of the evidence, of those that one would help.
 
@@ -204,7 +182,7 @@ def next_experiment(
                     if len(options) > 1:
                         shared = [asked[key] for key in options]
                         plan = propose(part.judge, options, shared, limits)
-                        if (plan is None or plan.inseparable or plan.after < SPARE) and xml:
+                        if (plan is None or plan.inseparable or plan.after < PLAN.spare) and xml:
                             loaded = propose(part.judge, options, shared, limits, _weights(part.judge, xml))
                             plan = loaded if loaded is not None and _tells_more(loaded, plan) else plan
                         if plan is not None:
@@ -216,13 +194,13 @@ def _tells_more(loaded: Experiment, bare: Experiment | None) -> bool:
     """Whether a plan with a weight is worth fastening it: it separates more pairs, or the closest one far better."""
     if bare is None or len(loaded.inseparable) != len(bare.inseparable):
         return bare is None or len(loaded.inseparable) < len(bare.inseparable)
-    return loaded.after > bare.after + APART
+    return loaded.after > bare.after + PLAN.apart
 
 
 def _weights(judge: Judge, xml: str) -> dict[float, mujoco.MjModel]:
     """A weight that the last link feels well, and the model with it; none where its weight is unknown."""
     s = judge.bank.takes[0]
-    mass = float(f"{HEAVY * s.nominal.body_subtreemass[s.address.body[-1]]:.1g}")
+    mass = float(f"{PLAN.heavy * s.nominal.body_subtreemass[s.address.body[-1]]:.1g}")
     return {mass: carried(with_payload(xml, s.recording.joint_names, mass))} if mass else {}
 
 
@@ -232,7 +210,7 @@ def propose(
     probabilities: Sequence[float] | None = None,
     limits: Limits | None = None,
     payloads: Mapping[float, mujoco.MjModel] | None = None,
-    seconds: float = SECONDS,
+    seconds: float = PLAN.seconds,
 ) -> Experiment | None:
     """Find the excitation that separates rival explanations best.
 
@@ -273,7 +251,7 @@ def propose(
         return None
     # what little a motion tells adds up
     repeated = [scene.separations(known + p.products.times(_most_repeats(p))) for p in plans]
-    hopeful = np.max([*repeated, *(p.separations for p in plans)], axis=0) > APART
+    hopeful = np.max([*repeated, *(p.separations for p in plans)], axis=0) > PLAN.apart
     best = max(plans, key=lambda p: _worth(scene, p, hopeful))
     for other in _followers(plans, best, hopeful):
         both = _joined(best, other)
@@ -282,9 +260,9 @@ def propose(
             plans.append(_judged(scene, known, both, signals, products))
         else:  # one take will be made of both
             plans.append(_measured(scene, known, both, sensors))
-    hopeful |= np.max([p.separations for p in plans], axis=0) > APART
+    hopeful |= np.max([p.separations for p in plans], axis=0) > PLAN.apart
     length = sum(float(np.ptp(s.time)) for s in takes)
-    for chosen in sorted(plans, key=lambda p: -_worth(scene, p, hopeful))[:CONFIRMED]:
+    for chosen in sorted(plans, key=lambda p: -_worth(scene, p, hopeful))[: PLAN.confirmed]:
         for share in SMALLER:
             smaller = chosen if share == 1.0 else _smaller(scene, known, chosen, share, limits, sensors)
             if smaller is None:
@@ -359,10 +337,10 @@ class _Plan:
 def _followers(plans: Sequence[_Plan], best: _Plan, hopeful: NDArray[np.bool_]) -> list[_Plan]:
     """Motions that may follow the best one, if it leaves a pair too close: those that tell this pair best."""
     weakest = int(np.argmin(np.where(hopeful, best.separations, np.inf)))
-    if best.separations[weakest] >= ENOUGH:
+    if best.separations[weakest] >= PLAN.enough:
         return []
     others = [p for p in plans if p.payload == best.payload and p is not best]
-    return sorted(others, key=lambda p: -p.separations[weakest])[:FOLLOWERS]
+    return sorted(others, key=lambda p: -p.separations[weakest])[: PLAN.followers]
 
 
 @dataclass(frozen=True, eq=False)
@@ -390,8 +368,8 @@ class _Sensors:
         ).noise
         alike = [s.noise for s in takes if s.kernel == first.kernel]
         louder = np.sqrt(np.mean(np.square(alike), axis=0)) / again
-        more = first.recording.rate / RATE
-        if more > 1.001:  # a plan is seen at RATE: of noise that passes as soon and is as loud at low frequencies
+        more = first.recording.rate / PLAN.rate
+        if more > 1.001:  # a plan is seen at PLAN.rate: of noise that passes as soon and is as loud at low frequencies
             fading = np.maximum(correlation, 0.0) ** more
             loud = (1 + correlation) / (1 - correlation) * (1 - fading) / (1 + fading)
             position, correlation = position * np.sqrt(loud / more), fading
@@ -423,7 +401,7 @@ def _worth(rivals: Rivals, plan: _Plan, hopeful: NDArray[np.bool_]) -> float:
     if not hopeful.any():
         return 0.0
     some, weight = plan.separations[hopeful], rivals.weight[hopeful]
-    return float(some.min() + weight @ some / max(weight.sum(), 1e-300)) / 2 * (1 - GENTLE * plan.effort)
+    return float(some.min() + weight @ some / max(weight.sum(), 1e-300)) / 2 * (1 - PLAN.gentle * plan.effort)
 
 
 def _repeated(rivals: Rivals, known: PairProducts, plan: _Plan, hopeful: NDArray[np.bool_]) -> _Plan:
@@ -435,7 +413,7 @@ def _repeated(rivals: Rivals, known: PairProducts, plan: _Plan, hopeful: NDArray
     best, most = plan, _most_repeats(plan)
     doubled = [2**k for k in range(1, most) if 2**k < most]
     for often in [*doubled, most] if most > 1 else []:
-        if best.separations[hopeful].min(initial=ENOUGH) >= SPARE:
+        if best.separations[hopeful].min(initial=PLAN.enough) >= PLAN.spare:
             break
         longer = replace(reduce(_joined, [plan] * often), motions=plan.motions, repeats=often)
         longer = _judged(rivals, known, longer, plan.signals, plan.products.times(often))
@@ -444,7 +422,7 @@ def _repeated(rivals: Rivals, known: PairProducts, plan: _Plan, hopeful: NDArray
 
 
 def _most_repeats(plan: _Plan) -> int:
-    return max(1, int(LONGEST * RATE / plan.recording.num_samples))
+    return max(1, int(PLAN.longest * PLAN.rate / plan.recording.num_samples))
 
 
 def _compensated(rivals: Rivals, plan: _Plan, sensors: _Sensors) -> _Plan:
@@ -463,7 +441,7 @@ def _seen(rivals: Rivals, plan: _Plan, sensors: _Sensors) -> Signals:
     function of its own, and the noise that the earlier recordings' sensors make there.
     """
     r, like = plan.recording, rivals.takes[0].recording
-    time = np.arange(0.0, r.duration, 1 / min(like.rate, RATE))
+    time = np.arange(0.0, r.duration, 1 / min(like.rate, PLAN.rate))
     held = np.searchsorted(r.time, time + 1e-9, side="right") - 1
     spline = CubicSpline(r.time, r.position)
     path, velocity = spline(time), None if sensors.velocity is None else spline(time, 1)
@@ -520,7 +498,7 @@ def _planned(
     for share in SMALLER:
         smaller = motion.smaller(share)
         path = _path(smaller, start, limits)
-        time = np.arange(len(path)) / RATE
+        time = np.arange(len(path)) / PLAN.rate
         spline = CubicSpline(time, path)
         velocity, acceleration = spline(time, 1), spline(time, 2)
         moved = np.ptp(path, axis=0) > 0
@@ -530,7 +508,7 @@ def _planned(
         base = None if takes[0].base is None else takes[0].base[np.zeros(len(path), dtype=np.intp)].at_rest
         torque = inverse_dynamics(smooth, address, path, velocity, acceleration, base)
         torque_share = float((np.abs(torque) / limits.torque).max())
-        if torque_share <= MARGIN:
+        if torque_share <= PLAN.margin:
             break
     else:
         return None
@@ -545,8 +523,10 @@ def _path(motion: Motion, start: Array, limits: Limits) -> Array:
     """Path from the start there and back, corners rounded. Shape (T, J)."""
     path = motion.pose + motion.wave
     if motion.rounding:
-        rest = np.repeat(motion.pose[None], round(4 * motion.rounding * RATE), axis=0)
-        path = gaussian_filter1d(np.concatenate([rest, path, rest]), motion.rounding * RATE, axis=0, mode="nearest")
+        rest = np.repeat(motion.pose[None], round(4 * motion.rounding * PLAN.rate), axis=0)
+        path = gaussian_filter1d(
+            np.concatenate([rest, path, rest]), motion.rounding * PLAN.rate, axis=0, mode="nearest"
+        )
     return np.concatenate([way(start, path[0], limits), path, way(path[-1], start, limits)])
 
 
@@ -558,7 +538,7 @@ def _joined(one: _Plan, other: _Plan) -> _Plan:
     position = np.concatenate([a.position, b.position])
     recording = replace(
         a,
-        time=np.arange(len(position)) / RATE,
+        time=np.arange(len(position)) / PLAN.rate,
         position=position,
         position_target=np.concatenate([a.position_target, b.position_target]),
     )
@@ -568,12 +548,12 @@ def _joined(one: _Plan, other: _Plan) -> _Plan:
 
 
 def _gains(takes: Sequence[Signals], model: mujoco.MjModel) -> tuple[Array, Array]:
-    """The recordings' gains, or a critically damped loop of BANDWIDTH."""
+    """The recordings' gains, or a critically damped loop of PLAN.bandwidth."""
     r = takes[0].recording
     if r.kp is not None and r.kd is not None:
         return r.kp, r.kd
     inertia = np.diag(inertia_matrix(model, takes[0].address, r.position[:1])[0])
-    w = 2 * np.pi * BANDWIDTH
+    w = 2 * np.pi * PLAN.bandwidth
     return inertia * w**2, inertia * 2 * w
 
 
@@ -620,11 +600,13 @@ def _keeps(plan: _Plan, paths: Array, duration: float, limits: Limits) -> bool:
     ``duration`` of the paths [s].
     """
     low, high = limits.position.T
-    slack = SLACK * (high - low)
+    slack = PLAN.slack * (high - low)
     fastest = np.abs(np.diff(paths, axis=2)).max((0, 1, 2)) * (paths.shape[2] - 1) / duration
     inside = ((paths > low - slack) & (paths < high + slack)).all()
     strong = (np.abs(plan.torque) <= limits.torque).all()
-    return bool(np.isfinite(paths).all() and inside and strong and (fastest <= (1 + SLACK) * limits.velocity).all())
+    return bool(
+        np.isfinite(paths).all() and inside and strong and (fastest <= (1 + PLAN.slack) * limits.velocity).all()
+    )
 
 
 def _experiment(

@@ -12,26 +12,14 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.replay import Take, Windows, simulate, window_rmse, windows_of
 from torchrl_athletic.diagnosis.screen import Candidate, bounded_least_squares
+from torchrl_athletic.diagnosis.thresholds import SIMULATION
 from torchrl_athletic.effects import Parameter, Plant
 
 Array = NDArray[np.float64]
 
-WINDOW = 0.5
+
+WINDOW = SIMULATION.window
 """Length of the windows that scores are stated for [s]."""
-DRIFT = 5.0
-"""End-to-end error over a window's error up to which a take is fitted end to end."""
-ACTS = 0.5
-"""Motion that a term makes, over the error that is left in a window, from which on the term acts there."""
-HELPS = 0.3
-"""Share of that motion which must be error without the term; of a true term all is."""
-LEAVES = 0.3
-"""Share of a window's error that a term may leave to be needed for that window alone."""
-TELLING = 4
-"""Windows of a fit in which a term acts most, beside those drawn at random."""
-MOST_LOOKED_AT = 1000
-"""Windows among which those are looked for in which a term acts, as many as 500 s have."""
-AT_ONCE = 200
-"""Windows that are simulated at a time; bounds the memory."""
 SHOOTING = (0.2, WINDOW)
 """Window lengths of the successive fits [s]: short ones are nearly linear and forgive a poor start."""
 
@@ -153,7 +141,7 @@ def _with_telling(
     values: Array,
     drawn: list[Windows],
     rng: np.random.Generator,
-    most: int = MOST_LOOKED_AT,
+    most: int = SIMULATION.looked_at,
 ) -> list[Windows]:
     """The windows that were drawn, and those in which each term acts most: chance would miss what happens seldom."""
     if not h.terms:
@@ -161,7 +149,7 @@ def _with_telling(
     full = draw_windows(takes, WINDOW, most, rng)
     moved, error, _ = _actions(h, full, values)
     act = (moved / np.maximum(error, 1e-24)).max(2)
-    telling = {int(k) for row in act for k in np.argsort(row)[-TELLING:]}
+    telling = {int(k) for row in act for k in np.argsort(row)[-SIMULATION.telling :]}
     starts: dict[Take, set[int]] = {w.take: {int(s) for s in w.start} for w in drawn}
     first = 0
     for w in full:
@@ -201,12 +189,12 @@ def _follows(hypothesis: Hypothesis, whole: Windows, values: Array, typical: Arr
     if not len(whole.start):
         return False
     error, _ = window_rmse([whole], [simulate(whole, hypothesis.build, values[None])[0]])
-    near = np.minimum(0.1 * np.ptp(whole.measured[0], axis=0), DRIFT * typical)
+    near = np.minimum(0.1 * np.ptp(whole.measured[0], axis=0), SIMULATION.drift * typical)
     return bool((error < near).all())
 
 
 def idle_terms(
-    fitted: Fitted, takes: Sequence[Take], rng: np.random.Generator, most: int = MOST_LOOKED_AT
+    fitted: Fitted, takes: Sequence[Take], rng: np.random.Generator, most: int = SIMULATION.looked_at
 ) -> tuple[Candidate, ...]:
     """Terms that the simulation does without: nowhere do they move it by what is left of the error, and to its good.
 
@@ -216,9 +204,11 @@ def idle_terms(
     h, values = fitted.hypothesis, fitted.values
     windows = draw_windows(takes, WINDOW, most, rng)
     moved, error, error_without = _actions(h, windows, values)
-    acts = moved > ACTS**2 * error
-    helps = acts & (error_without - error > HELPS * moved)
-    once = (helps & (error < LEAVES**2 * error_without)).any(1)  # a push comes once; no accident explains so much
+    acts = moved > SIMULATION.acts**2 * error
+    helps = acts & (error_without - error > SIMULATION.helps * moved)
+    once = (helps & (error < SIMULATION.leaves**2 * error_without)).any(
+        1
+    )  # a push comes once; no accident explains so much
     needed = ((helps.sum(1) >= np.where(once, 1, 2)) & (helps.sum(1) >= 0.5 * acts.sum(1))).any(1)
     return tuple(t for t, n in zip(h.terms, needed, strict=True) if not n)
 
@@ -245,8 +235,8 @@ def _actions(h: Hypothesis, windows: Sequence[Windows], values: Array) -> tuple[
 
 def _in_blocks(windows: Sequence[Windows]) -> Iterator[Windows]:
     for w in windows:
-        for first in range(0, len(w.start), AT_ONCE):
-            yield replace(w, start=w.start[first : first + AT_ONCE])
+        for first in range(0, len(w.start), SIMULATION.at_once):
+            yield replace(w, start=w.start[first : first + SIMULATION.at_once])
 
 
 def without(fitted: Fitted, dropped: Sequence[Candidate]) -> Fitted:

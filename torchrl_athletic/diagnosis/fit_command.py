@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from torchrl_athletic.diagnosis import command
-from torchrl_athletic.diagnosis.diagnose import ModelError
 from torchrl_athletic.diagnosis.fitting import STAGES, Fit, JointParameter, fit
+from torchrl_athletic.diagnosis.model import ModelError
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.recordings import FetchError, RecordingError
 

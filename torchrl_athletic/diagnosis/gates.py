@@ -8,95 +8,45 @@ included, must pass the sensors' floor.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.calibration import Grounds, probability, rival_probability, widened
-from torchrl_athletic.diagnosis.compare import follows, open_share
+from torchrl_athletic.diagnosis.calibration import Grounds, class_probability, probability, rival_probability, widened
+from torchrl_athletic.diagnosis.compare import far_joints, follows, open_share
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
+from torchrl_athletic.diagnosis.proposal import Proposal, StandIn
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score, Verdict
 from torchrl_athletic.diagnosis.screen import Atom, Candidate, Key
-from torchrl_athletic.diagnosis.search import INVARIANT, Judge, Scored, alternatives, as_rival, keys, scatter
+from torchrl_athletic.diagnosis.search import scatter
+from torchrl_athletic.diagnosis.thresholds import SEARCH, STATEMENT
 from torchrl_athletic.effects import Effect, Parameter
+from torchrl_athletic.effects.effect import CLASSES
 
 Array = NDArray[np.float64]
 
-EXPLAINED = 0.05
-"""Share of the error energy above the floor that may be left by an explanation."""
-LIKELY = 0.5
-"""An explanation may not rest on a finding that, together with its rivals, is less probable than this."""
-PARTLY = 0.80
-"""Above this share nothing worth the name is explained."""
-NEAR_FLOOR = 8.0
-"""Window error over the floor up to which a model without predictable missing torque is called complete, and one with
-findings explained: whatever was gross before, what is left beyond it shows that a law is another."""
-KEPT = 0.1
-"""Share of the given model's window error that a right law may leave, however many times the floor that is, since
-bearings are no formulas. Beyond it and beyond :data:`NEAR_FLOOR`, no name has more than one half."""
-SHOWN = 1.5
-"""Window error of the given model over the floor below which the simulation shows nothing of a gear."""
-ALIKE = 0.05
-"""Relative difference below which two numbers of a law are the same."""
-LEAST_SHARE = 0.03
-"""Of the evidence; rivals below are not printed."""
+
+ANY_EXPERIMENT = "each joint alone, slowly both ways and fast, with and without a known payload"
 
 
-@dataclass(frozen=True, eq=False)
-class StandIn:
-    """What could stand in a term's place."""
+def judge_findings(
+    evidence: Sequence[Proposal],
+    fitted: Fitted,
+    scores: Collection[Score],
+    sets: Mapping[Key, Sequence[StandIn]],
+) -> tuple[Finding, ...]:
+    """State every term of the fitted hypothesis, most probable first.
 
-    atom: Atom
-    """Its name."""
-    scored: Scored
-    """The combination that has it."""
-    evidence: float
-    """Of torques and simulation against that combination; lower is better."""
-    share: float = 0.0
-    """Of the evidence among all that could stand there."""
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """One part of the search, kept for the gates: the mechanics, or the drive alone."""
-
-    judge: Judge
-    best: Scored
-    behind: float = 0.0
-    """Evidence that the recordings' torques give against it, beside the first."""
-    on_trial: bool = False
-    """Whether the simulation has to be decisively better with it than with the first, and to close much of what that
-    leaves: a law that holds the first as a special case, and an effect that is asked about late."""
-    alone: bool = False
-    """Whether it is an effect that was asked about alone, whatever the torques say."""
-    simulated: Mapping[frozenset[Key], float] = field(default_factory=dict)
-    """Combination -> twice the log odds that the simulation gives against it, for those that were fitted."""
-    others: tuple[Scored, ...] = ()
-    """Other combinations that neither torques nor simulation refute."""
-
-    def left_of(self, candidate: Candidate) -> float:
-        """The same where an effect acts: on its joint, or on the joint that is explained worst."""
-        left = self.left()
-        return float(left.max() if candidate.joint_name is None else left[candidate.joint])
-
-    def excess_of(self, candidate: Candidate) -> float:
-        """Mean square that stays there, beyond the noise and in its units."""
-        excess = self.judge.excess(self.best.fit)
-        return float(excess.max() if candidate.joint_name is None else excess[candidate.joint])
-
-    def left(self) -> Array:
-        """Share of each joint's excess missing torque that is left. Shape (J,)."""
-        before, after = (self.judge.excess(fit) for fit in (self.judge.bare, self.best.fit))
-        return np.where(before > 1.0, np.clip(after / np.maximum(before, 1e-12), 0.0, 1.0), 0.0)
-
-
-def judge_findings(evidence: Sequence[Evidence], fitted: Fitted, scores: Collection[Score] = ()) -> tuple[Finding, ...]:
-    """State every term of the fitted hypothesis, most probable first."""
+    Args:
+        evidence: What was chosen: the mechanics, and the drive if it was looked at alone.
+        fitted: The same in the simulation.
+        scores: Of that fit.
+        sets: Term -> who could stand in its place.
+    """
     still_open = max((open_share(s) for s in scores), default=1.0)
     stated = {c.key: c for c in fitted.hypothesis.terms}
-    above, far = _above_floor(scores), _far(scores)
+    above, far = _above_floor(scores), far_joints(scores)
     h = fitted.hypothesis
     senseless = {
         c.key
@@ -104,7 +54,7 @@ def judge_findings(evidence: Sequence[Evidence], fitted: Fitted, scores: Collect
         if not c.effect.is_physical(c.parameters, h.values_of(c, fitted.values)) or _is_noise(c, above)
     }
     out = [
-        _finding(part, term, fitted, stated[term.candidate.key], still_open, senseless, far)
+        _finding(part, term, fitted, stated[term.candidate.key], sets[term.candidate.key], still_open, senseless, far)
         for part in evidence
         for term in part.best.fit.terms
         if term.candidate.key in stated
@@ -113,60 +63,26 @@ def judge_findings(evidence: Sequence[Evidence], fitted: Fitted, scores: Collect
 
 
 def verdict_of(
-    evidence: Sequence[Evidence], findings: Sequence[Finding], train: Score | None, heldout: Score | None, is_open: bool
+    evidence: Sequence[Proposal], findings: Sequence[Finding], train: Score | None, heldout: Score | None, is_open: bool
 ) -> tuple[Verdict, float]:
     """The verdict, and the share of the error energy above the floor that no finding explains."""
     deciding = [s for s in (heldout, train) if s is not None]
     if not deciding:
         return ("partly_explained" if findings else "unexplained"), float(bool(is_open))
-    share, near = max(open_share(s) for s in deciding), all(follows(s, NEAR_FLOOR) for s in deciding)
+    share, near = max(open_share(s) for s in deciding), all(follows(s, STATEMENT.near_floor) for s in deciding)
     if not findings:
         nothing = not is_open and near  # within the tolerances of the trims
         return ("nothing_missing", 0.0) if nothing else ("unexplained", share)
     torque_left = max((float(part.left().max(initial=0.0)) for part in evidence), default=0.0)
-    likely = all(_of_all(f) > LIKELY and not f.grounds.get("senseless") for f in findings)
-    if near and share <= EXPLAINED and torque_left <= 2 * EXPLAINED and likely:
+    likely = all(_of_all(f) > STATEMENT.likely and not f.grounds.get("senseless") for f in findings)
+    if near and share <= STATEMENT.explained and torque_left <= 2 * STATEMENT.explained and likely:
         return "explained", share
-    return ("partly_explained" if share <= PARTLY else "unexplained"), share
+    return ("partly_explained" if share <= STATEMENT.partly else "unexplained"), share
 
 
 def _of_all(finding: Finding) -> float:
     """That a finding or one of its rivals is true."""
     return finding.probability + sum(rival.probability for rival in finding.rivals)
-
-
-def answer_set(part: Evidence, term: Atom) -> list[StandIn]:
-    """Who could stand in a term's place, itself included, with the share of the evidence that each has.
-
-    Each other effect in its place, beside all other terms; and an effect that alone does what this term and others of
-    its joint do together, as gains that are off do of a rotor with a lag.
-    """
-    found = keys(part.best.fit.terms)
-    beside = found - {term.candidate.key}
-    replaced = alternatives(part.judge, part.best, term)
-    options = [(next(a for a in s.fit.terms if a.candidate.key not in beside), s) for s in replaced]
-    for other in part.others:
-        atom = _instead(part.best, other)
-        if atom is not None and term.candidate.key not in keys(other.fit.terms):
-            options.append((atom, as_rival(part.judge, part.best, other.fit.terms)))
-    untried = part.simulated.get(found, 0.0)  # by the simulation: no better than the best
-    out = [StandIn(a, s, s.evidence + part.simulated.get(keys(s.fit.terms), untried)) for a, s in options]
-    best: dict[Key, StandIn] = {}
-    for option in sorted(out, key=lambda o: o.evidence):
-        best.setdefault(option.atom.candidate.key, option)
-    least = min(o.evidence for o in best.values())
-    weights = np.exp(-0.5 * np.array([o.evidence - least for o in best.values()]))
-    return [replace(o, share=float(w)) for o, w in zip(best.values(), weights / weights.sum(), strict=True)]
-
-
-def _instead(best: Scored, other: Scored) -> Atom | None:
-    """The only term that a combination has and the best has not, if it stands for several of its joint; else None."""
-    new = [a for a in other.fit.terms if a.candidate.key not in keys(best.fit.terms)]
-    gone = [a for a in best.fit.terms if a.candidate.key not in keys(other.fit.terms)]
-    if len(new) != 1 or len(gone) < 2:
-        return None
-    joints = {a.candidate.joint_name for a in (*new, *gone)} - {None}
-    return new[0] if new[0].candidate.joint_name is None or len(joints) == 1 else None
 
 
 def summarise(
@@ -183,9 +99,8 @@ def summarise(
         out.append("Nothing is missing: the model follows the recordings as closely as the sensors' noise allows.")
     elif not findings:
         out.append("The model and the robot differ, and no effect of the catalogue explains how.")
-    out += [f.sentence for f in findings]
-    if findings and all(f.probability < LIKELY for f in findings):
-        out.append("None of this is likely: look for physics that the catalogue does not have yet.")
+    out += [f.sentence for f in findings if f.probability > STATEMENT.likely]
+    out += not_identified([f for f in findings if f.probability <= STATEMENT.likely])
     where = [x for x in locations if x.regime != "everywhere"][:1]
     if verdict != "nothing_missing" and locations:
         text = f"{100 * locations[0].share_of_error:.0f} % of the error arises at {locations[0].joint}"
@@ -207,11 +122,34 @@ def summarise(
     return tuple(out)
 
 
+def not_identified(findings: Sequence[Finding]) -> list[str]:
+    """What fits best where no law is likely, a sentence for each class and joint, and what would identify it."""
+    first: dict[tuple[str, str | None], Finding] = {}
+    for f in findings:
+        first.setdefault((f.class_name, f.joint), f)
+    out = []
+    for (kind, joint), f in first.items():
+        at, law = joint or "the robot", f"{f.effect.replace('_', ' ')} fits best, at {100 * f.probability:.0f} %"
+        if f.class_probability > STATEMENT.likely:
+            what = CLASSES.get(kind, kind.replace("_", " "))
+            sure = f"{100 * f.class_probability:.0f} %"
+            out.append(f"Likely missing at {at}: {what} ({sure}). Its law is not identified; {law}.")
+        else:
+            out.append(f"Not identified at {at}; {law}.")
+    asked = list(dict.fromkeys(r.separating_experiment for f in first.values() for r in f.rivals))
+    if asked:
+        out.append(f"What would identify it: {asked[0]}.")
+    elif out:
+        out.append(f"What would identify it: {ANY_EXPERIMENT}.")
+    return out
+
+
 def _finding(
-    part: Evidence,
+    part: Proposal,
     term: Atom,
     fitted: Fitted,
     chosen: Candidate,
+    rated: Sequence[StandIn],
     still_open: float,
     senseless: Collection[Key],
     far: Collection[str],
@@ -219,7 +157,6 @@ def _finding(
     bank, candidate, h = part.judge.bank, term.candidate, fitted.hypothesis
     values, samples = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.samples)
     band = h.values_of(chosen, fitted.interval().T).T
-    rated = answer_set(part, term)
     own = next(option.share for option in rated if option.atom.candidate.key == candidate.key)
     grounds = Grounds(
         share=own,
@@ -239,6 +176,7 @@ def _finding(
     likely = probability(grounds, candidate.effect.name)
     effect, joint = candidate.effect, candidate.where
     named = {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)}
+    others = [option for option in rated if option.atom.candidate.key != candidate.key]
     rivals = [
         Rival(
             option.atom.candidate.effect.name,
@@ -246,9 +184,13 @@ def _finding(
             rival_probability(likely, own, option.share),
             effect.experiment(option.atom.candidate.effect.name, joint),
         )
-        for option in rated
-        if option.atom.candidate.key != candidate.key and option.share > LEAST_SHARE
+        for option in others
+        if option.share > STATEMENT.least_share
     ]
+    alike = sum(rival_probability(likely, own, o.share) for o in others if _is_alike(o.atom.candidate, candidate))
+    of_class = likely
+    if not grounds.senseless:
+        of_class = class_probability(likely, likely + alike, 1.0 - still_open, grounds.energy)
     explained = bank.prediction(part.best.fit, term)
     return Finding(
         effect=effect.name,
@@ -263,7 +205,15 @@ def _finding(
         rivals=tuple(rivals),
         energy_share=grounds.energy,
         grounds=grounds.to_json(),
+        class_name=effect.family,
+        class_probability=of_class,
+        law_probability=likely / of_class if of_class > 0 else 0.0,
     )
+
+
+def _is_alike(one: Candidate, other: Candidate) -> bool:
+    """Whether two effects are of one class, on the same joint."""
+    return one.effect.family == other.effect.family and one.joint_name == other.joint_name
 
 
 def _certainty(candidate: Candidate, values: Array, samples: Array) -> float:
@@ -284,11 +234,11 @@ def _is_plain(candidate: Candidate, values: Array, samples: Array) -> bool:
         if isinstance(what, str):  # by the interval that is stated with it
             ends = widened(float(of[what][0]), *np.quantile(of[what][1], [0.025, 0.975]))
             low, high = np.array(ends) - given[what]
-            least = ALIKE * beside_it[what]
+            least = STATEMENT.same_number * beside_it[what]
         else:
             (one, drawn), (other, beside) = of[what[0]], of[what[1]]
             low, high = np.quantile(drawn - beside, [0.025, 0.975])
-            least = ALIKE * max(abs(one), abs(other))
+            least = STATEMENT.same_number * max(abs(one), abs(other))
         return bool(low > least or high < -least)
 
     contrasts = candidate.effect.sets_apart
@@ -302,23 +252,13 @@ def _above_floor(scores: Collection[Score]) -> Mapping[str, float]:
     return {name: max(e["before"] / max(e["floor"], 1e-12) for e in of) for name, of in errors.items()}
 
 
-def _far(scores: Collection[Score]) -> frozenset[str]:
-    """Joints that the corrected model does not follow, in fitted recordings or in those kept aside."""
-    return frozenset(
-        name
-        for s in scores
-        for name, e in s.per_joint.items()
-        if e["after"] > NEAR_FLOOR * max(e["floor"], 1e-12) and e["after"] > KEPT * e["before"]
-    )
-
-
 def _is_noise(candidate: Candidate, above: Mapping[str, float]) -> bool:
     """Whether a gear gives way on a joint that the given model follows as it is.
 
     What a gear predicts is made of measured accelerations, so that their noise can look like a gear.
     """
     name = candidate.joint_name or ""
-    return candidate.effect.family == "transmission" and above.get(name, np.inf) < SHOWN
+    return candidate.effect.of_accelerations and above.get(name, np.inf) < STATEMENT.shown
 
 
 def _within(parameter: Parameter, ends: tuple[float, float]) -> tuple[float, float]:
@@ -329,7 +269,7 @@ def _within(parameter: Parameter, ends: tuple[float, float]) -> tuple[float, flo
 
 def _sentence(candidate: Candidate, named: Mapping[str, float], grounds: Grounds) -> str:
     effect, joint = candidate.effect, candidate.where
-    if grounds.scatter > INVARIANT:
+    if grounds.scatter > SEARCH.invariant:
         return _stand_in(effect, joint)
     said = effect.sentence(joint, named, candidate.parameters)
     if grounds.senseless:
@@ -351,7 +291,7 @@ def _stand_in(effect: Effect, joint: str) -> str:
     )
 
 
-def _energy_share(part: Evidence, term: Atom) -> float:
+def _energy_share(part: Proposal, term: Atom) -> float:
     """Share of the joint's missing torque that comes back when the term is taken away."""
     joint = term.candidate.joint
     without = part.judge.bank.fit([a for a in part.best.fit.terms if a is not term])

@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.result import Location, RegimeMap
 from torchrl_athletic.diagnosis.screen import Bank
+from torchrl_athletic.diagnosis.thresholds import TORQUES
 from torchrl_athletic.effects import Signals
 from torchrl_athletic.effects.effect import is_slide, torque_unit
 
 Array = NDArray[np.float64]
 
-BINS = 10
-REPLICATES = 200
 FEATURES = ("speed", "position", "load", "acceleration", "command", "time")
 
 
@@ -66,7 +65,7 @@ def locate(bank: Bank, rng: np.random.Generator, most: int = 6) -> tuple[Locatio
         return ()
     blocks = bank.block
     count = int(blocks[-1]) + 1
-    draws = rng.integers(0, count, (REPLICATES, count))
+    draws = rng.integers(0, count, (TORQUES.replicates, count))
     weights = np.stack([np.bincount(d, minlength=count) for d in draws]).astype(float)  # (R, B)
 
     def share(inside: NDArray[np.bool_], joint: int) -> tuple[float, tuple[float, float]]:
@@ -104,15 +103,15 @@ def regime_maps(bank: Bank, left: Array, rng: np.random.Generator) -> list[Regim
     s = bank.takes[0]
     for j, joint in enumerate(s.recording.joint_names):
         used = bank.weight[:, j] > 0
-        if used.sum() < 5 * BINS:
+        if used.sum() < 5 * TORQUES.bins:
             continue
         for name in FEATURES:
             x = feature(bank.takes, name, j)
             low, high = np.quantile(x[used], [0.005, 0.995])
             if not high > low:
                 continue
-            edges = np.linspace(low, high, BINS + 1)
-            index = np.clip(np.digitize(x, edges) - 1, 0, BINS - 1)
+            edges = np.linspace(low, high, TORQUES.bins + 1)
+            index = np.clip(np.digitize(x, edges) - 1, 0, TORQUES.bins - 1)
             before, before_band = _binned(bank.target[:, j], index, used, bank.block, rng)
             after, after_band = _binned(left[:, j], index, used, bank.block, rng)
             full = np.isfinite(before)
@@ -206,12 +205,14 @@ def _binned(
 ) -> tuple[Array, Array]:
     """Mean per bin, and its 95 % band over resampled blocks. Shapes (B,), (B, 2)."""
     count = int(block[-1]) + 1
-    total, number = np.zeros((count, BINS)), np.zeros((count, BINS))
+    total, number = np.zeros((count, TORQUES.bins)), np.zeros((count, TORQUES.bins))
     np.add.at(total, (block[used], index[used]), y[used])
     np.add.at(number, (block[used], index[used]), 1.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = total.sum(0) / number.sum(0)
-        draws = np.stack([np.bincount(rng.integers(0, count, count), minlength=count) for _ in range(REPLICATES)])
+        draws = np.stack(
+            [np.bincount(rng.integers(0, count, count), minlength=count) for _ in range(TORQUES.replicates)]
+        )
         resampled = (draws @ total) / (draws @ number)
         mean[number.sum(0) < 3] = np.nan
         band = np.nanquantile(np.where(np.isfinite(resampled), resampled, mean), [0.025, 0.975], axis=0).T

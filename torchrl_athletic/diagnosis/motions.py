@@ -10,22 +10,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_athletic.diagnosis.thresholds import PLAN
 from torchrl_athletic.effects.effect import is_slide, torque_scale
 from torchrl_athletic.effects.signals import HALF_POWER, QUICKEST, JointAddress, Signals, torque_range
 from torchrl_athletic.recordings import ExcitationError, Safety, chirp, multisine, sine, square
 
 Array = NDArray[np.float64]
 
-RATE = 200.0
-"""Rate of the command [Hz]."""
-MARGIN = 0.9
-"""Share of a limit that a motion may use."""
-MOST_MOTIONS = 60
 QUICK = (0.6, 1.0, 0.3, 0.15, 0.07)
 """Upper ends of the bands of small quick motions, which show what slow ones hide: in units of the highest frequency
 that the narrowest test function passes. Wide bands, since in a narrow one a lag is a delay."""
-SLOWEST = 0.2
-"""Lowest frequency of a mix [Hz]."""
 ROUNDING: Mapping[str, float] = {"steps": 0.02, "sweep": 0.05}
 """Least width of the Gaussian that rounds corners which no drive can follow [s]."""
 
@@ -119,7 +113,7 @@ def motions(takes: Sequence[Signals], limits: Limits, joints: Sequence[int], sec
     start = takes[0].recording.position[0]
     names, middle, half = takes[0].recording.joint_names, (low + high) / 2, (high - low) / 2
     poses = [start] if len(names) == 1 else [start, middle + 0.5 * half]
-    clearest = min(HALF_POWER / max(QUICKEST, 1.2 / min(takes[0].recording.rate, RATE)), limits.frequency)
+    clearest = min(HALF_POWER / max(QUICKEST, 1.2 / min(takes[0].recording.rate, PLAN.rate)), limits.frequency)
 
     def kinds(j: int, pose: Array) -> list[Iterator[Motion]]:
         own = (names, j, pose, limits, seconds)
@@ -128,7 +122,7 @@ def motions(takes: Sequence[Signals], limits: Limits, joints: Sequence[int], sec
     streams = [_in_turn(kinds(j, pose)) for pose in poses for j in joints]
     if len(names) > 1:
         streams.append(_of_all(names, middle, half, limits, seconds))
-    yield from islice((m for m in _in_turn(streams) if m.highest <= limits.frequency), MOST_MOTIONS)
+    yield from islice((m for m in _in_turn(streams) if m.highest <= limits.frequency), PLAN.motions)
 
 
 def _in_turn(streams: Iterable[Iterator[Motion]]) -> Iterator[Motion]:
@@ -147,14 +141,14 @@ def _sizes(joint: int, pose: Array, limits: Limits) -> Iterator[tuple[float, Arr
     """Amplitudes, the widest first, and poses about which they fit into the range."""
     low, high = limits.position[joint]
     for share in (1.0, 0.5, 0.2):
-        amplitude = float(share * MARGIN * (high - low) / 2)
+        amplitude = float(share * PLAN.margin * (high - low) / 2)
         yield amplitude, _about(pose, joint, amplitude, limits)
 
 
 def _about(pose: Array, joint: int, amplitude: float, limits: Limits) -> Array:
     """The pose, moved until the motion is within its share of the range."""
     low, high = limits.position[joint]
-    clear = amplitude + (1 - MARGIN) / 2 * (high - low)
+    clear = amplitude + (1 - PLAN.margin) / 2 * (high - low)
     about = pose.copy()
     about[joint] = np.clip(pose[joint], low + clear, high - clear)
     return about
@@ -162,14 +156,14 @@ def _about(pose: Array, joint: int, amplitude: float, limits: Limits) -> Array:
 
 def _sweeps(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[Motion]:
     """One joint at constant speeds both ways."""
-    name, fastest = names[joint], MARGIN * limits.velocity[joint]
+    name, fastest = names[joint], PLAN.margin * limits.velocity[joint]
     for amplitude, about in _sizes(joint, pose, limits):
         for speed in (0.8, 0.3, 0.1):
             frequency = float(speed * fastest / (4 * amplitude))
             whole = np.ceil(seconds * frequency) / frequency
             if 1 / seconds <= frequency <= 2.0:
                 slewed = Safety(slew=speed * fastest)
-                wave = square(names, name, [(amplitude, frequency)], RATE, whole, "position_target", slewed)
+                wave = square(names, name, [(amplitude, frequency)], PLAN.rate, whole, "position_target", slewed)
                 way_back = _home(wave.command, speed * fastest)
                 yield Motion(name, "sweep", amplitude, frequency, about, way_back, _rounding("sweep", limits))
 
@@ -182,47 +176,49 @@ def _mixes(
     With the same amplitude nearly all torque would be at the upper end, and a narrow band tells no lag from a delay.
     """
     low, high = limits.position[joint]
-    name, fastest = names[joint], MARGIN * limits.velocity[joint]
+    name, fastest = names[joint], PLAN.margin * limits.velocity[joint]
     for share in QUICK:
-        band = SLOWEST, max(share * clearest, SLOWEST + 2 / seconds)  # wide enough for some sines
-        velocity = multisine(names, [name], 1.0, band, seconds, rate=RATE, field="position_target").command
+        band = PLAN.slowest, max(share * clearest, PLAN.slowest + 2 / seconds)  # wide enough for some sines
+        velocity = multisine(names, [name], 1.0, band, seconds, rate=PLAN.rate, field="position_target").command
         way = np.cumsum(velocity, axis=0) - np.cumsum(velocity, axis=0).mean(0)
         wave = way * _fade(len(way))[:, None]
         wave /= np.abs(wave).max()
-        speed = RATE * float(np.abs(np.diff(wave, axis=0)).max())
-        amplitude = min(0.5 * MARGIN * float(high - low) / 2, float(fastest) / speed)
+        speed = PLAN.rate * float(np.abs(np.diff(wave, axis=0)).max())
+        amplitude = min(0.5 * PLAN.margin * float(high - low) / 2, float(fastest) / speed)
         yield Motion(name, "mix", amplitude, band[1], _about(pose, joint, amplitude, limits), amplitude * wave)
 
 
 def _fade(samples: int) -> Array:
     """Weight that goes from zero to one and back to zero within half a second of both ends. Shape (samples,)."""
-    time = np.arange(samples) / RATE
+    time = np.arange(samples) / PLAN.rate
     return np.asarray(np.sin(np.pi / 2 * np.clip(np.minimum(time, time[::-1]) / 0.5, 0.0, 1.0)) ** 2)
 
 
 def _sines(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[Motion]:
     """One joint in sines, slow ones first."""
-    name, fastest = names[joint], MARGIN * limits.velocity[joint]
+    name, fastest = names[joint], PLAN.margin * limits.velocity[joint]
     for amplitude, about in _sizes(joint, pose, limits):
         for frequency in (1 / seconds, 0.25, 0.5, 1.0, 2.0, 4.0):
             if 2 * np.pi * frequency * amplitude < fastest:
                 faded = Safety(fade=min(1.0, 1 / frequency))
-                wave = sine(names, name, [(amplitude, frequency)], RATE, seconds, "position_target", faded)
+                wave = sine(names, name, [(amplitude, frequency)], PLAN.rate, seconds, "position_target", faded)
                 yield Motion(name, "sine", amplitude, frequency, about, wave.command)
 
 
 def _jumps(names: tuple[str, ...], joint: int, pose: Array, limits: Limits, seconds: float) -> Iterator[Motion]:
     """One joint in chirps and steps."""
-    name, fastest = names[joint], MARGIN * limits.velocity[joint]
+    name, fastest = names[joint], PLAN.margin * limits.velocity[joint]
     for amplitude, about in _sizes(joint, pose, limits):
         highest = min(8.0, float(fastest / (2 * np.pi * amplitude)))
         if highest > 0.4:
             faded = Safety(fade=0.5)
-            wave = chirp(names, name, amplitude, (0.2, highest), seconds, RATE, field="position_target", safety=faded)
+            wave = chirp(
+                names, name, amplitude, (0.2, highest), seconds, PLAN.rate, field="position_target", safety=faded
+            )
             yield Motion(name, "chirp", amplitude, highest, about, wave.command)
         rounding = _rounding("steps", limits)
         if amplitude / (rounding * np.sqrt(2 * np.pi)) < fastest / 2:
-            wave = square(names, name, [(amplitude, 1.0)], RATE, seconds, "position_target")
+            wave = square(names, name, [(amplitude, 1.0)], PLAN.rate, seconds, "position_target")
             yield Motion(name, "steps", amplitude, 1.0, about, _home(wave.command, fastest), rounding)
 
 
@@ -233,7 +229,7 @@ def _rounding(kind: str, limits: Limits) -> float:
 
 def _home(wave: Array, speed: float) -> Array:
     """The wave, and from where it ends back to zero at a constant speed. Shape (T, J)."""
-    count = int(np.ceil(np.abs(wave[-1]).max() / speed * RATE))
+    count = int(np.ceil(np.abs(wave[-1]).max() / speed * PLAN.rate))
     return np.concatenate([wave, wave[-1] * np.linspace(1, 0, count + 1)[1:, None]])
 
 
@@ -242,28 +238,35 @@ def _of_all(names: tuple[str, ...], middle: Array, half: Array, limits: Limits, 
     for share, highest in ((0.8, 0.6), (0.4, 1.2), (0.15, 3.0)):
         try:
             wave = multisine(
-                names, None, 1.0, (0.2, highest), seconds, rate=RATE, field="position_target", safety=Safety(fade=0.5)
+                names,
+                None,
+                1.0,
+                (0.2, highest),
+                seconds,
+                rate=PLAN.rate,
+                field="position_target",
+                safety=Safety(fade=0.5),
             ).command
         except ExcitationError:  # fewer harmonics than joints
             continue
-        fastest = RATE * np.abs(np.diff(wave, axis=0)).max(0)
-        amplitude = np.minimum(share * half, MARGIN * limits.velocity / fastest)
+        fastest = PLAN.rate * np.abs(np.diff(wave, axis=0)).max(0)
+        amplitude = np.minimum(share * half, PLAN.margin * limits.velocity / fastest)
         yield Motion("all joints", "multisine", float(amplitude.max()), highest, middle, wave * amplitude)
 
 
 def way(start: Array, end: Array, limits: Limits) -> Array:
     """Path from rest to rest, a fifth of a second still at both ends, at half the fastest speed. Shape (T, J)."""
     seconds = max(0.5, float((1.875 * np.abs(end - start) / (0.5 * limits.velocity)).max()))
-    x = np.linspace(0, 1, round(seconds * RATE))[:, None]
+    x = np.linspace(0, 1, round(seconds * PLAN.rate))[:, None]
     way = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)
-    wait = round(0.2 * RATE)
+    wait = round(0.2 * PLAN.rate)
     return np.concatenate([np.repeat(way[:1], wait, 0), way, np.repeat(way[-1:], wait, 0)])
 
 
 def touches(model: mujoco.MjModel, address: JointAddress, path: Array) -> bool:
     """Whether the motion makes parts of the model touch that do not at its start."""
     data, first = mujoco.MjData(model), None
-    for q in path[:: round(0.1 * RATE)]:
+    for q in path[:: round(0.1 * PLAN.rate)]:
         data.qpos[address.qpos] = q
         mujoco.mj_fwdPosition(model, data)
         pairs = {tuple(c.geom) for c in data.contact[: data.ncon]}

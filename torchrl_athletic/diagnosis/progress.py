@@ -10,7 +10,7 @@ from typing import Any, TextIO
 from tqdm import tqdm
 
 STAGES: Mapping[str, float] = MappingProxyType(
-    {"quality": 1, "floor": 2, "locate": 6, "screen": 25, "fit": 45, "compare": 12, "gates": 5, "report": 4}
+    {"prepare": 3, "locate": 6, "propose": 25, "simulate": 57, "decide": 2, "state": 3, "deliver": 4}
 )
 """Weight of each stage, about its share of the time [1], in the order of work."""
 
@@ -38,6 +38,11 @@ class Progress:
         self._stage, self._done = "", 0.0
         look = "{desc:<9}{percentage:3.0f} %|{bar}| {elapsed} elapsed, {remaining} left"
         self._bar = tqdm(total=self._total, disable=False if force else None, file=file, smoothing=0, bar_format=look)
+
+    @property
+    def now(self) -> str:
+        """The stage that is under way."""
+        return self._stage
 
     @property
     def fraction(self) -> float:

@@ -64,6 +64,12 @@ class Finding:
     """What the probability rests on (see :class:`~torchrl_athletic.diagnosis.calibration.Grounds`)."""
     alternatives: tuple[tuple[Name, ...], ...] = ()
     """Other names of the same physics, which no recording can tell from this one; each may take several together."""
+    class_name: str = ""
+    """Class of the effect: 'friction', 'inertia', ..."""
+    class_probability: float = 0.0
+    """That physics of this class is missing at the joint, whatever its law."""
+    law_probability: float = 0.0
+    """That it is this law, given the class: ``probability`` over ``class_probability``."""
 
 
 @dataclass(frozen=True)
@@ -153,8 +159,8 @@ class Answer:
     """Name of the diagnosed model."""
     complete: bool = True
     """False when the run was stopped early: what is stated then is the state at that point."""
-    stage: str = "report"
-    """The last finished stage."""
+    stage: str = "deliver"
+    """The stage that a run ended in."""
     seed: int = 0
     inputs: str = ""
     """Digest of the model, the recordings and the settings that it was made of."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
@@ -19,52 +18,20 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from torchrl_athletic.diagnosis.products import Library, Products, gains
+from torchrl_athletic.diagnosis.thresholds import TORQUES
 from torchrl_athletic.effects import (
     CATALOGUE,
-    BaseClockShift,
-    ClockShift,
     Effect,
-    EncoderOffset,
     Fingerprint,
-    LinkComShift,
-    LinkInertia,
-    LinkMass,
     Parameter,
     Signals,
-    TorqueScale,
 )
 from torchrl_athletic.effects.effect import torque_scale
 
 Array = NDArray[np.float64]
 
-BLOCK = 1.0
-"""Length of a block of samples that is resampled together [s]."""
-STRETCH = 2.0
-"""Least length of a stretch with an error level of its own [s]."""
-MOST_STRETCHES = 48
 KERNEL_CORRELATION = 2 * np.sqrt(np.pi)
 """Correlation time of white noise behind the Gaussian test function, in widths."""
-TRIMS: Mapping[Effect, float] = MappingProxyType(
-    {LinkMass(): 1.0, LinkComShift(): 0.6, LinkInertia(): 1.5, EncoderOffset(): 0.3, ClockShift(): 1.0,
-     BaseClockShift(): 2.0}
-)  # fmt: skip
-"""What every model and every log is a little wrong in, and by how many of its parameters' units: 5 % of a mass, 3 % of
-a link's size, 15 % of an inertia, 3 mrad, 1 ms or half a sample, and 10 ms of a base that another computer saw. A
-smaller change is a trim, no finding."""
-FIT_TRIMS: Mapping[Effect, float] = MappingProxyType({**TRIMS, TorqueScale(): 1.0})
-"""The same once the findings are known: 5 % of a torque constant, too."""
-TOLERANCES: Mapping[str, float] = MappingProxyType(
-    {"link_mass": 1.0, "link_com": 0.6, "encoder_offset": 0.3, "torque_scale": 1.0, "gain_mismatch": 1.0,
-     "clock_offset": 0.2, "actuation_delay": 0.2, "actuation_lag": 0.2}
-)  # fmt: skip
-"""How far a number may be off without being a finding, in its parameters' units: the trims' tolerances, 5 % of a gain,
-and 1 ms or half a sample of a delay."""
-OWN_JOINT = frozenset({"friction", "presliding", "transmission", "timing", "torque", "elastic", "control", "change"})
-"""Classes of effects that a joint which follows the model cannot have."""
-DIVERGED = 1e15
-"""Prediction of a unit of a coefficient, over the noise, beyond which an equation of motion has run away."""
-TORQUE_FLOOR = 1e-3
-"""Missing torque that nobody needs explained, as a share of the joint's typical torque."""
 
 
 Key: TypeAlias = tuple[str, str | None]
@@ -273,7 +240,7 @@ class Bank:
             reach = [1.0 if k < 0 else _reach(effect, parameters[k]) for k in linear]
             # otherwise even the bound would hide in the noise
             shown = tuple(i for i in range(whole.shape[2]) if np.abs(whole[:, :, i]).max() * reach[i] > 1.0)
-            if shown and np.abs(whole).max() < DIVERGED:
+            if shown and np.abs(whole).max() < TORQUES.diverged:
                 atom = Atom(candidate, dict(fixed), tuple(linear[i] for i in shown), shown)
                 self.atoms.append(atom)
                 yield atom, whole[:, :, list(shown)]
@@ -320,7 +287,7 @@ class Bank:
         """Block of each row. Shape (sum of N,)."""
         labels, first = [], 0
         for s in self.takes:
-            own = ((s.time - s.time[0]) / BLOCK).astype(np.intp)
+            own = ((s.time - s.time[0]) / TORQUES.block).astype(np.intp)
             labels.append(own + first)
             first += int(own[-1]) + 1
         return np.concatenate(labels)
@@ -328,7 +295,7 @@ class Bank:
     @cached_property
     def stretch(self) -> NDArray[np.intp]:
         """Stretch of each row: parts of a take, a few seconds long, each with its own level of error. Shape (rows,)."""
-        seconds = max(STRETCH, sum(float(np.ptp(s.time)) for s in self.takes) / MOST_STRETCHES)
+        seconds = max(TORQUES.stretch, sum(float(np.ptp(s.time)) for s in self.takes) / TORQUES.most_stretches)
         labels, first = [], 0
         for s in self.takes:
             count = max(1, round(float(np.ptp(s.time)) / seconds))
@@ -505,7 +472,7 @@ def row_noise(takes: Sequence[Signals]) -> Array:
     noise = np.sqrt([np.mean(squares, axis=0) for squares in alike])
     typical = np.sqrt(np.mean(np.concatenate([s.command**2 + s.load**2 for s in takes]), axis=0))
     limit = np.array([torque_scale(takes[0].nominal, takes[0].address, j) for j in range(takes[0].num_joints)])
-    return np.hypot(noise, TORQUE_FLOOR * np.maximum(np.minimum(limit, 10 * typical), typical))
+    return np.hypot(noise, TORQUES.torque_floor * np.maximum(np.minimum(limit, 10 * typical), typical))
 
 
 def correlation_time(x: Array) -> float:
@@ -533,12 +500,12 @@ def candidates_for(takes: Sequence[Signals], catalogue: Sequence[Effect] = CATAL
     return out
 
 
-def trims_for(takes: Sequence[Signals], trust: Mapping[Effect, float]) -> list[Candidate]:
+def trims_for(takes: Sequence[Signals], trims: Sequence[Effect]) -> list[Candidate]:
     """What every model is a little wrong in, within a tolerance of the given numbers."""
     out = []
-    for candidate in candidates_for(takes, tuple(trust)):
-        reach = trust[candidate.effect]
-        if candidate.effect.name == "clock_shift":  # half a sample is nobody's fault
+    for candidate in candidates_for(takes, trims):
+        reach = candidate.effect.tolerance
+        if candidate.effect.half_a_sample:  # is nobody's fault
             reach = max(reach, max(0.5 / s.recording.rate for s in takes) / candidate.parameters[0].scale)
         narrow = tuple(
             replace(p, lower=p.nominal - reach * p.scale, upper=p.nominal + reach * p.scale)
@@ -557,9 +524,9 @@ def is_trim(candidate: Candidate, values: Array, period: float, joints: int) -> 
         period: Of the recordings' samples [s]; the clock is off by half of it through nobody's fault.
         joints: Of the recordings. The clock makes them all late alike, so that of several not one alone.
     """
-    if candidate.effect.name not in TOLERANCES:
+    if not candidate.effect.tolerance:
         return False
-    reach = TOLERANCES[candidate.effect.name] * np.array([p.scale for p in candidate.parameters])
+    reach = candidate.effect.tolerance * np.array([p.scale for p in candidate.parameters])
     if candidate.parameters[0].unit == "s" and (candidate.joint_name is None or joints == 1):
         reach = np.maximum(reach, 0.5 * period)
     return bool((np.abs(values - [p.nominal for p in candidate.parameters]) <= reach).all())

@@ -14,66 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.screen import Atom, Bank, Candidate, Fit, Key
+from torchrl_athletic.diagnosis.thresholds import SEARCH
 
 Array = NDArray[np.float64]
 
-OPEN = 1.25
-"""Mean square of the normalised missing torque above which a joint misses something.
-
-Sensor noise alone gives about 1.
-"""
-CHANCE = 4.0
-"""Standard deviations of a stretch's mean square that chance is allowed."""
-BEAM = 4
-MOST_PER_JOINT = 4
-DECISIVE = 10.0
-"""Evidence (twice the log odds) that a term must bring: odds of 150 to 1."""
-TERM = 2 * np.log(20.0)
-"""Evidence against each term: of the catalogue's effects one or two are missing, not most."""
-RIVAL_PRICE = 2.0
-"""Price of a parameter among rivals (Akaike 1974): whatever fits as well may be true, also if it has a number more."""
-MATERIAL = 0.10
-"""Share of what is still open on its joints that a term must close."""
-MISFIT = {"friction": 0.02, "presliding": 0.02, "change": 0.02, "transmission": 0.03}
-"""Share of the torque of a right name of a class that it may get wrong, its law being simpler than nature's."""
-EXACT = 0.005
-"""The same of the other classes."""
-ACCURACY = 0.01
-"""Error of a right law, of the torque that is missing without it: below, evidence speaks of tangents and time steps."""
-RICHER = 0.25
-"""Share of what is open that an effect must close beyond a simpler one that it contains."""
-ALL = 0.95
-"""The same from which on it explains all: a bearing that differs from a formula is no other formula to the noise."""
-SIDED = 0.2
-"""Relative difference of what simpler laws have equal, such as friction's two directions: a bearing that differs from
-its formula does so alike both ways."""
-SEEN = 0.05
-"""The same, or of the evidence, from which on the simulation is asked whether the richer law is the true one."""
-INVARIANT = 0.4
-"""Relative scatter between stretches of the recordings up to which a term is the same physics everywhere."""
-MUCH = 0.3
-"""Share of a joint's missing torque that a term must account for to stay without that."""
-REWEIGHTED = 2
-"""Rounds of least squares with the joints weighed by what the last one left."""
-SHORTLIST = 2
-"""Points of a nonlinear grid that are weighed for each candidate, the best by what they would close alone."""
-PROMISING = 10
-"""Candidates beside a combination that are weighed in full."""
-REFINED = 4
-"""Rivals of a term, the nearest, whose nonlinear parameters are found as finely as its own."""
-UNLIKELY = frozenset({"link_mass", "link_com", "torque_scale", "clock_offset"})
-"""Effects with a third of the others' odds."""
-FINEST = 0.02
-"""Relative step below which the simulation's fit finds a nonlinear parameter better."""
-STEADY = 0.1
-"""The same of a term that is no larger than what another may leave."""
-FOLDS = 5
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0)
 """Of the prediction of what is missing, whatever it is."""
-PREDICTABLE = 0.1
-"""Share of the missing torque that must be predictable for it to count as something missing rather than noise."""
-STRETCHES = 6
-"""Parts that fewer than three takes are cut into to see whether a term holds everywhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,9 +47,9 @@ class Judge:
         self.independent = bank.count / bank.correlation
         self.bare = bank.fit((), trimmed=False)
         """Nothing is adjusted."""
-        self.floor = noise_level(bank) + ACCURACY**2 * self.mean_square(self.bare)
+        self.floor = noise_level(bank) + SEARCH.accuracy**2 * self.mean_square(self.bare)
         if noisy:
-            self.floor[noisy] = np.maximum(self.floor, OPEN * self.usual(bank.fit(()))[:, None])[noisy]
+            self.floor[noisy] = np.maximum(self.floor, SEARCH.open * self.usual(bank.fit(()))[:, None])[noisy]
         self._scores: dict[frozenset[Atom], Scored] = {}
         self._alternatives: dict[tuple[frozenset[Atom], Atom], list[Scored]] = {}
 
@@ -139,10 +85,10 @@ class Judge:
         if independent is None and key in self._scores:
             return self._scores[key]
         fit = self.bank.fit(atoms)
-        for _ in range(REWEIGHTED):
+        for _ in range(SEARCH.reweighted):
             fit = self.bank.fit(self.bank.near(fit), self.level(fit))
         count = self.independent if independent is None else independent
-        penalty = (self.price(count) if price is None else price) * fit.freedom + TERM * fit.size
+        penalty = (self.price(count) if price is None else price) * fit.freedom + SEARCH.term * fit.size
         evidence = float((count * np.log(self.level(fit))).sum())
         doubt = sum(_doubt(a) for a in fit.terms) if not fit.at_bound else np.inf
         scored = Scored(fit, evidence + float(penalty) + fit.strain + doubt)
@@ -158,13 +104,13 @@ class Judge:
     def promise(self, atoms: Sequence[Atom], parent: Fit) -> float:
         """Evidence of a combination fitted with the weights of its parent: cheap, and not above its own."""
         fit = self.bank.fit(atoms, self.level(parent))
-        penalty = self.price(self.independent) * fit.freedom + TERM * fit.size
+        penalty = self.price(self.independent) * fit.freedom + SEARCH.term * fit.size
         return float((self.independent * np.log(self.level(fit))).sum()) + float(penalty) + fit.strain
 
     def is_open(self, fit: Fit) -> NDArray[np.bool_]:
         """Which joints miss more torque than noise explains, at least in some stretch. Shape (J,)."""
-        usual = OPEN * self.floor
-        chance = 1.0 + CHANCE * np.sqrt(2.0 / np.maximum(self.independent, 1.0))
+        usual = SEARCH.open * self.floor
+        chance = 1.0 + SEARCH.chance * np.sqrt(2.0 / np.maximum(self.independent, 1.0))
         whole = fit.residual.sum(1) > (self.total * usual).sum(1)
         return np.asarray(whole | ((self.mean_square(fit) > usual * chance) & (self.bank.count > 0)).any(1))
 
@@ -177,11 +123,11 @@ class Judge:
         if _relieves(before, after):
             return True
         _, share = self._closed(before, after)
-        if share <= MATERIAL or not self.within_misfit(before, after):
-            return share > MATERIAL
+        if share <= SEARCH.material or not self.within_misfit(before, after):
+            return share > SEARCH.material
         known = keys(before.terms)
         newest = [term for term in after.terms if term.candidate.key not in known]
-        return share > RICHER and all(scatter(self.bank, after, term) < STEADY for term in newest)
+        return share > SEARCH.richer and all(scatter(self.bank, after, term) < SEARCH.steady for term in newest)
 
     def within_misfit(self, before: Fit, after: Fit) -> bool:
         """Whether the step closes no more than what the terms may leave, being simpler than nature."""
@@ -189,7 +135,7 @@ class Judge:
         bare, total = float(self.excess(self.bare)[joint]), float(self.total[joint].sum())
         misfit = max(
             (
-                MISFIT.get(term.candidate.effect.family, EXACT) * min(float(energy[joint]) / total, bare)
+                term.candidate.effect.misfit * min(float(energy[joint]) / total, bare)
                 for term, energy in zip(before.terms, before.energy, strict=True)
                 if term.candidate.joint == joint
             ),
@@ -212,25 +158,25 @@ def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: No
     """The best combinations, best first. The empty one is among them only if nothing material was found."""
     bank = judge.bank
     beam, finished = [judge.score(())], []
-    most = MOST_PER_JOINT * bank.joints
+    most = SEARCH.most_per_joint * bank.joints
     for depth in range(most):
         grown: dict[frozenset[Key], Scored] = {}
         for parent in beam:
             children = _extensions(judge, parent)
             if not children:
                 finished.append(parent)
-            for child in children[: 2 * BEAM]:
+            for child in children[: 2 * SEARCH.beam]:
                 key = keys(child.fit.terms)
                 if key not in grown or child.evidence < grown[key].evidence:
                     grown[key] = child
         progress((depth + 1) / most)
         if not grown:
             break
-        beam = [_refine(judge, s) for s in sorted(grown.values(), key=lambda s: s.evidence)[:BEAM]]
+        beam = [_refine(judge, s) for s in sorted(grown.values(), key=lambda s: s.evidence)[: SEARCH.beam]]
     else:
         finished.extend(beam)
     distinct = {keys(s.fit.terms): s for s in sorted(finished, key=lambda s: -s.evidence)}
-    best = sorted(distinct.values(), key=lambda s: s.evidence)[:BEAM]
+    best = sorted(distinct.values(), key=lambda s: s.evidence)[: SEARCH.beam]
     polished = [_polish(judge, s) for s in best]
     unique = {keys(s.fit.terms): s for s in sorted(polished, key=lambda s: -s.evidence)}
     return sorted(unique.values(), key=lambda s: s.evidence)
@@ -272,7 +218,9 @@ def richer(judge: Judge, best: Scored) -> Scored | None:
     found = judge.score(()).evidence - best.evidence
     for trial in (rich,) if keys(plain.fit.terms) == keys(best.fit.terms) else (plain, rich):
         gained = best.evidence - trial.evidence
-        if gained > DECISIVE and (gained > SEEN * found or judge.closes(best.fit, trial.fit) > SEEN):
+        if gained > SEARCH.decisive and (
+            gained > SEARCH.seen * found or judge.closes(best.fit, trial.fit) > SEARCH.seen
+        ):
             return trial
     return None
 
@@ -304,8 +252,8 @@ def singles(judge: Judge) -> tuple[list[Scored], list[Scored]]:
     nothing = judge.score(())
     alone = [judge.score([atom]) for atom in _promising(judge, nothing, _shortlist(judge, nothing))]
     closed = {s: judge.closes(nothing.fit, s.fit) for s in alone if not s.fit.at_bound}
-    material = sorted((s for s in closed if closed[s] > MATERIAL), key=lambda s: -closed[s])
-    return material, sorted((s for s in closed if closed[s] <= MATERIAL), key=lambda s: s.evidence)
+    material = sorted((s for s in closed if closed[s] > SEARCH.material), key=lambda s: -closed[s])
+    return material, sorted((s for s in closed if closed[s] <= SEARCH.material), key=lambda s: s.evidence)
 
 
 def noise_level(bank: Bank) -> Array:
@@ -321,8 +269,8 @@ def noise_level(bank: Bank) -> Array:
 def noisy_joints(judge: Judge) -> list[int]:
     """Joints that miss torque all the time, of which nothing tried so far predicts a part: noise, nobody's physics."""
     bare = judge.score(()).fit
-    always = judge.is_open(bare) & (judge.usual(bare) > OPEN * np.median(judge.floor, axis=1))
-    return [int(j) for j in np.flatnonzero(always) if predictable_share(judge.bank, int(j)) <= PREDICTABLE]
+    always = judge.is_open(bare) & (judge.usual(bare) > SEARCH.open * np.median(judge.floor, axis=1))
+    return [int(j) for j in np.flatnonzero(always) if predictable_share(judge.bank, int(j)) <= SEARCH.predictable]
 
 
 def predictable_share(bank: Bank, joint: int) -> float:
@@ -333,9 +281,11 @@ def predictable_share(bank: Bank, joint: int) -> float:
     counts; they are in units of the columns' energy on all blocks, since many columns act on few.
     """
     columns = bank.products.touching(joint)  # the target comes first
-    if len(np.unique(bank.block)) < 2 * FOLDS:
+    if len(np.unique(bank.block)) < 2 * SEARCH.folds:
         return 1.0
-    folds = (columns[:, bank.block % FOLDS == fold] for fold in range(FOLDS))  # one at a time: they are large
+    folds = (
+        columns[:, bank.block % SEARCH.folds == fold] for fold in range(SEARCH.folds)
+    )  # one at a time: they are large
     gram = np.stack([part @ part.T for part in folds])
     whole = gram.sum(0)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
@@ -363,7 +313,7 @@ def alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
 
 def as_rival(judge: Judge, best: Scored, atoms: Sequence[Atom]) -> Scored:
     """A combination as :func:`alternatives` weighs it: by the independent samples that the best one's residual has."""
-    return judge.score(atoms, _independent(judge, best), RIVAL_PRICE)
+    return judge.score(atoms, _independent(judge, best), SEARCH.rival_price)
 
 
 def _independent(judge: Judge, best: Scored) -> Array:
@@ -374,23 +324,23 @@ def _independent(judge: Judge, best: Scored) -> Array:
 def _alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
     independent = _independent(judge, best)
     rest = [a for a in best.fit.terms if a is not term]
-    own = judge.score(best.fit.terms, independent, RIVAL_PRICE)
+    own = judge.score(best.fit.terms, independent, SEARCH.rival_price)
     out = {term.candidate.key: own}
     kept = judge.score(rest)
-    promising = _promising(judge, kept, _shortlist(judge, kept), 2 * PROMISING)
+    promising = _promising(judge, kept, _shortlist(judge, kept), 2 * SEARCH.promising)
     promising.sort(key=lambda a: judge.score([*rest, a]).evidence)
     for rank, rival in enumerate(promising):
         whole = judge.score([*rest, rival])
-        atom = _of(_refine(judge, whole, rival.candidate) if rank < REFINED else whole, rival.candidate)
-        scored = judge.score([*rest, atom], independent, RIVAL_PRICE)
+        atom = _of(_refine(judge, whole, rival.candidate) if rank < SEARCH.refined else whole, rival.candidate)
+        scored = judge.score([*rest, atom], independent, SEARCH.rival_price)
         key = atom.candidate.key
-        little = judge.closes(best.fit, scored.fit) < RICHER and not _relieves(best.fit, scored.fit)
+        little = judge.closes(best.fit, scored.fit) < SEARCH.richer and not _relieves(best.fit, scored.fit)
         if _is_special(term, atom):  # the gain of its further numbers is chance, however much is recorded
             seen = judge.is_open(best.fit)[term.candidate.joint]
             little |= seen and judge.within_misfit(best.fit, scored.fit)
             little |= _is_bent(judge, best, scored, term.candidate.joint)
             more = scored.fit.freedom - best.fit.freedom
-            scored = replace(scored, evidence=scored.evidence + more * (judge.price(independent) - RIVAL_PRICE))
+            scored = replace(scored, evidence=scored.evidence + more * (judge.price(independent) - SEARCH.rival_price))
         if little:
             if _contains(atom, term) or _is_special(term, atom):
                 continue  # the same statement with more numbers
@@ -403,7 +353,7 @@ def _alternatives(judge: Judge, best: Scored, term: Atom) -> list[Scored]:
 
 def _extensions(judge: Judge, parent: Scored) -> list[Scored]:
     is_open = judge.is_open(parent.fit)
-    if not parent.fit.terms or parent.fit.strain > DECISIVE:  # trims may hide an effect
+    if not parent.fit.terms or parent.fit.strain > SEARCH.decisive:  # trims may hide an effect
         is_open |= judge.is_open(judge.bare)
     if not is_open.any():
         return []
@@ -414,11 +364,13 @@ def _extensions(judge: Judge, parent: Scored) -> list[Scored]:
         key = atom.candidate.key
         if key not in best or scored.evidence < best[key].evidence:
             best[key] = scored
-    good = [s for s in best.values() if parent.evidence - s.evidence > DECISIVE and judge.helps(parent.fit, s.fit)]
+    good = [
+        s for s in best.values() if parent.evidence - s.evidence > SEARCH.decisive and judge.helps(parent.fit, s.fit)
+    ]
     return sorted(good, key=lambda s: s.evidence)
 
 
-def _promising(judge: Judge, parent: Scored, atoms: Sequence[Atom], most: int = PROMISING) -> list[Atom]:
+def _promising(judge: Judge, parent: Scored, atoms: Sequence[Atom], most: int = SEARCH.promising) -> list[Atom]:
     """The atoms that promise most beside a combination, one a candidate."""
     best: dict[Key, tuple[float, Atom]] = {}
     for atom in atoms:
@@ -485,11 +437,13 @@ def _between(grid: Iterable[float], value: float, lower: float, upper: float) ->
         >>> _between({1.0, 2.0}, 2.0, 0.0, 2.2)
         [1.5, 2.2]
     """
-    steps = [x - value for x in grid if abs(x - value) > FINEST * abs(value)]  # periods of samples lie beside the grid
+    steps = [
+        x - value for x in grid if abs(x - value) > SEARCH.finest * abs(value)
+    ]  # periods of samples lie beside the grid
     down, up = (max((s for s in steps if s < 0), default=None), min((s for s in steps if s > 0), default=None))
     down, up = down if down is not None or up is None else -up, up if up is not None or down is None else -down
     near = [min(max(value + step / 2, lower), upper) for step in (down, up) if step is not None]
-    return [x for x in near if abs(x - value) > FINEST * abs(value)]
+    return [x for x in near if abs(x - value) > SEARCH.finest * abs(value)]
 
 
 def _range(atom: Atom, name: str) -> tuple[float, float]:
@@ -600,12 +554,12 @@ def _simplify(judge: Judge, scored: Scored) -> Scored:
         simpler = [judge.score([*rest, atom]) for atom in _promising(judge, kept, smaller, 4)]
         if simpler:
             best = min(simpler, key=lambda s: s.evidence)
-            if judge.closes(best.fit, scored.fit) < RICHER and not _relieves(best.fit, scored.fit):
+            if judge.closes(best.fit, scored.fit) < SEARCH.richer and not _relieves(best.fit, scored.fit):
                 scored = best
                 continue
         if term.candidate.effect.special_cases:
             parts = _split(judge, kept, term, term.candidate.effect.special_cases)
-            little = judge.closes(parts.fit, scored.fit) < RICHER and not _relieves(parts.fit, scored.fit)
+            little = judge.closes(parts.fit, scored.fit) < SEARCH.richer and not _relieves(parts.fit, scored.fit)
             if little or _is_bent(judge, parts, scored, term.candidate.joint):
                 scored = parts
     return scored
@@ -617,7 +571,7 @@ def _is_bent(judge: Judge, plain: Scored, rich: Scored, joint: int) -> bool:
     Not if it explains all of it; nor, where both are good to the noise or it tells directions apart as no bearing does,
     if much of the joint's evidence speaks for it.
     """
-    if judge.closes(plain.fit, rich.fit) >= ALL or not judge.within_misfit(plain.fit, rich.fit):
+    if judge.closes(plain.fit, rich.fit) >= SEARCH.all or not judge.within_misfit(plain.fit, rich.fit):
         return False
     bare, without, level = (judge.level(fit)[joint] for fit in (judge.bare, plain.fit, rich.fit))
     found, gained = (float(judge.independent[joint] @ np.log(before / level)) for before in (bare, without))
@@ -627,14 +581,14 @@ def _is_bent(judge: Judge, plain: Scored, rich: Scored, joint: int) -> bool:
         for term, values in zip(rich.fit.terms, rich.fit.values(), strict=False)
         if term.candidate.joint == joint and term.candidate.key not in known
     )
-    return (bool(judge.is_open(plain.fit)[joint]) and not sided) or gained < SEEN * found
+    return (bool(judge.is_open(plain.fit)[joint]) and not sided) or gained < SEARCH.seen * found
 
 
 def _is_sided(candidate: Candidate, values: Array) -> bool:
     """Whether numbers that simpler laws have equal are far from it, all of them together, in units of their scales."""
     of = {p.name: value / p.scale for p, value in zip(candidate.parameters, values, strict=True)}
     pairs = [(of[pair[0]], of[pair[1]]) for pair in candidate.effect.sets_apart if not isinstance(pair, str)]
-    return bool(sum(abs(a - b) for a, b in pairs) > SIDED * sum(abs(a) + abs(b) for a, b in pairs) / 2)
+    return bool(sum(abs(a - b) for a, b in pairs) > SEARCH.sided * sum(abs(a) + abs(b) for a, b in pairs) / 2)
 
 
 def scatter(bank: Bank, fit: Fit, term: Atom) -> float:
@@ -648,7 +602,7 @@ def scatter(bank: Bank, fit: Fit, term: Atom) -> float:
     if len(bank.takes) >= 3:
         part = np.repeat(np.arange(len(bank.takes)), [len(s.time) for s in bank.takes])
     else:
-        part = np.arange(rows) * STRETCHES // rows
+        part = np.arange(rows) * SEARCH.parts // rows
     energy = np.bincount(part, (predicted**2).sum(1))
     strength = np.bincount(part, (predicted * (left + predicted)).sum(1)) / np.maximum(energy, 1e-300)
     mean = float(energy @ strength / max(energy.sum(), 1e-300))
@@ -665,14 +619,14 @@ def _invariant(judge: Judge, scored: Scored) -> Scored:
     while len(scored.fit.terms) > 1:
         terms = [t for t in scored.fit.terms if t.candidate not in kept]
         scatters = [scatter(judge.bank, scored.fit, term) for term in terms]
-        if not terms or max(scatters) <= INVARIANT:
+        if not terms or max(scatters) <= SEARCH.invariant:
             break
         worst = terms[int(np.argmax(scatters))]
         smaller = judge.score([t for t in scored.fit.terms if t is not worst])
         missing, without, left = (judge.excess(f) for f in (judge.bare, smaller.fit, scored.fit))
         share = (without - left) / np.maximum(missing, 1e-12)
         everywhere = worst.candidate.joint_name is None
-        if (share[missing > 1.0].max(initial=0.0) if everywhere else share[worst.candidate.joint]) > MUCH:
+        if (share[missing > 1.0].max(initial=0.0) if everywhere else share[worst.candidate.joint]) > SEARCH.much:
             kept.add(worst.candidate)
         else:
             scored = smaller
@@ -684,7 +638,7 @@ def _prune(judge: Judge, scored: Scored) -> Scored:
     while scored.fit.terms:
         trials = [judge.score([a for a in scored.fit.terms if a is not term]) for term in scored.fit.terms]
         weakest = min(trials, key=lambda s: s.evidence)
-        if weakest.evidence - scored.evidence > DECISIVE and judge.helps(weakest.fit, scored.fit):
+        if weakest.evidence - scored.evidence > SEARCH.decisive and judge.helps(weakest.fit, scored.fit):
             break
         scored = weakest
     return scored
@@ -704,13 +658,13 @@ def _shortlist(judge: Judge, parent: Scored, among: Callable[[Atom], bool] = lam
     ranks: dict[Key, list[Atom]] = {}
     for atom in sorted(filter(among, gained), key=lambda a: -gained[a]):
         ranks.setdefault(atom.candidate.key, []).append(atom)
-    promising = {atom for rank in ranks.values() for atom in rank[:SHORTLIST]}
+    promising = {atom for rank in ranks.values() for atom in rank[: SEARCH.shortlist]}
     return [
         a
         for a in bank.atoms
         if (a in promising or (a not in gained and among(a)))
         and all(a.candidate.allows(c) for c in chosen)
-        and sum(c.joint == a.candidate.joint for c in chosen) < MOST_PER_JOINT
+        and sum(c.joint == a.candidate.joint for c in chosen) < SEARCH.most_per_joint
     ]
 
 
@@ -720,12 +674,12 @@ def _coupled(bank: Bank, atom: Atom, is_open: NDArray[np.bool_]) -> bool:
 
 def _relieves(before: Fit, after: Fit) -> bool:
     """Whether trims have decisively less to make up for."""
-    return before.strain - after.strain > DECISIVE / 2
+    return before.strain - after.strain > SEARCH.decisive / 2
 
 
 def _doubt(atom: Atom) -> float:
-    """Prior: a number that somebody wrote is less likely wrong than one that nobody wrote, a clock than a motor."""
-    return 2 * np.log(3.0) if atom.candidate.effect.name in UNLIKELY else 0.0
+    """Prior: evidence against the name, whatever the recordings say."""
+    return -2 * np.log(atom.candidate.effect.odds)
 
 
 def _is_richer(one: Atom, other: Atom) -> bool:

@@ -16,20 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.screen import KERNEL_CORRELATION, Atom, Key, bounded_least_squares
-from torchrl_athletic.diagnosis.search import ACCURACY, Judge, Scored
+from torchrl_athletic.diagnosis.search import Judge, Scored
+from torchrl_athletic.diagnosis.thresholds import PLAN, SEARCH
 from torchrl_athletic.effects import Parameter, Signals
 
 Array = NDArray[np.float64]
 Cache: TypeAlias = dict[tuple[Key, tuple[tuple[str, float], ...]], Array]
-
-ENOUGH = 12.0
-"""Standard deviations beyond which rivals need not be farther apart: odds of e to the 72, were the noise all."""
-THINNED = 4
-"""Every fourth instant of the torque domain is nearly independent of the next: the rest costs time only."""
-DRAWS = 6
-"""Parameter sets of each rival, as uncertain as the recordings leave them."""
-LIKELY = 10.0
-"""Standard deviation of a parameter that the recordings do not show, in units of its scale."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +119,9 @@ class Rivals:
         out = []
         for a, b in self.pairs:
             ways = [
-                np.mean([min(np.sqrt(self._evidence(products, x, one, other, quiet)), ENOUGH) for x in self.draws[one]])
+                np.mean(
+                    [min(np.sqrt(self._evidence(products, x, one, other, quiet)), PLAN.enough) for x in self.draws[one]]
+                )
                 for one, other in ((a, b), (b, a))
             ]
             alike = self.rivals[a].fit.freedom == self.rivals[b].fit.freedom
@@ -143,7 +137,9 @@ class Rivals:
         count = np.maximum(products.count, 1e-9)
         left, scale = products.left * quiet, quiet
         # of a strong motion more is allowed to smoothing and to laws that are right
-        floor = np.maximum(np.resize(self.floor, len(count)), 1.0 + products.bent + ACCURACY**2 * own_square / count)
+        floor = np.maximum(
+            np.resize(self.floor, len(count)), 1.0 + products.bent + SEARCH.accuracy**2 * own_square / count
+        )
         level = np.maximum(left, 1.0 + (floor - 1.0) * scale)
         own, other, cross = self.known[a], self.known[b], products.of[a, b]
         weight = (scale / level)[:, None, None]
@@ -208,11 +204,11 @@ class Coefficients:
         return np.array(out)
 
     def draw(self, gram: Array, rng: np.random.Generator) -> Array:
-        """The fitted coefficients, and others that the recordings allow as well. Shape (DRAWS, K)."""
+        """The fitted coefficients, and others that the recordings allow as well. Shape (PLAN.draws, K)."""
         normal = gram + np.diag(self.prior)
         scale = 1 / np.sqrt(np.diag(normal))
         root = np.linalg.cholesky(normal * scale * scale[:, None] + 1e-10 * np.eye(len(scale)))
-        steps = np.linalg.solve(root.T, rng.standard_normal((len(scale), DRAWS - 1))).T * scale
+        steps = np.linalg.solve(root.T, rng.standard_normal((len(scale), PLAN.draws - 1))).T * scale
         linear = np.concatenate([[1.0] * len(own) + [0.0] * len(steps) for _, own, steps in self.parts])
         drawn = [bounded_least_squares(normal, normal @ (self.values + step), self.low, self.high) for step in steps]
         return np.stack([self.values, *drawn]) * linear
@@ -231,7 +227,7 @@ def _numbers(
     own = np.zeros(len(free))
     ends = []
     for p in free:
-        likely = LIKELY * max(abs(effect.change(p, p.nominal + p.scale)), 1e-12)
+        likely = PLAN.unseen * max(abs(effect.change(p, p.nominal + p.scale)), 1e-12)
         ends.append((effect.change(p, p.lower), effect.change(p, p.upper), likely))
     if sample.constant is not None:
         own = np.append(own, 1.0)
@@ -258,7 +254,7 @@ def _rms(noise: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(noise**2, axis=0)))
 
 
-def thinned(s: Signals, every: int = THINNED) -> Signals:
+def thinned(s: Signals, every: int = PLAN.thinned) -> Signals:
     names = ("keep", "position", "velocity", "acceleration", "command", "required", "missing", "bias", "valid")
     base = None if s.base is None else s.base[::every]
     return replace(s, base=base, **{name: getattr(s, name)[::every] for name in names})

@@ -65,8 +65,22 @@ CATALOGUE: tuple[Effect, ...] = (
 )
 """Every effect that a diagnosis considers unless told otherwise."""
 
+TRIMS: tuple[Effect, ...] = (
+    LinkMass(),
+    LinkComShift(),
+    LinkInertia(),
+    EncoderOffset(),
+    ClockShift(),
+    BaseClockShift(),
+)
+"""What every model and every log is a little wrong in: adjusted within its tolerance beside the findings."""
+FIT_TRIMS: tuple[Effect, ...] = (*TRIMS, TorqueScale())
+"""The same once the findings are known."""
+
 __all__ = [
     "CATALOGUE",
+    "FIT_TRIMS",
+    "TRIMS",
     "ActuationDelay",
     "ActuationLag",
     "AsymmetricFriction",

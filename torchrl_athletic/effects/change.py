@@ -62,6 +62,8 @@ class ThermalDrift(Effect):
 
     name = "thermal_drift"
     family = "change"
+    own_joint = True
+    misfit = 0.02
     shows_in = "time"
     equation = "τ = -Fc sign(q̇) - (A sign(q̇) + B q̇) (1 - exp(-t/T))"
     source = "Simoni, Beschi, Legnani, Visioli 2015, Friction modeling with temperature effects for industrial robots"
@@ -180,6 +182,8 @@ class Disturbance(Effect):
 
     name = "disturbance"
     family = "change"
+    own_joint = True
+    misfit = 0.02
     shows_in = "time"
     equation = "τ = d for t₀ ≤ t < t₀ + T, once"
     source = "Turin 1960, doi:10.1109/TIT.1960.1057571 (matched filter)"

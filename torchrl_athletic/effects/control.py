@@ -28,6 +28,9 @@ class GainMismatch(Effect):
 
     name = "gain_mismatch"
     family = "control"
+    own_joint = True
+    tolerance = 1.0  # 5 %
+    mjcf = "actuator"
     shows_in = "load"
     equation = "τ = a kp (q* - q) - c kd q̇"
     source = "Isaac Lab, actuators; PACE (Bjelonic et al. 2025, arXiv:2509.06342)"

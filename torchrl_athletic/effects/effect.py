@@ -5,7 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from types import MappingProxyType
+from typing import ClassVar, Literal
 
 import mujoco
 import numpy as np
@@ -15,6 +16,23 @@ from torchrl_athletic.effects.plant import Plant
 from torchrl_athletic.effects.signals import JointAddress, Signals
 
 Array = NDArray[np.float64]
+
+
+CLASSES: Mapping[str, str] = MappingProxyType(
+    {
+        "friction": "friction",
+        "presliding": "friction that winds up before it slides",
+        "transmission": "a gear that gives way",
+        "inertia": "another inertia, mass or direction of gravity",
+        "timing": "a late drive",
+        "torque": "a torque that differs from the commanded one",
+        "elastic": "a spring or a stop",
+        "sensing": "a sensor or a clock that is off",
+        "control": "gains that differ from the logged ones",
+        "change": "something that changes with time",
+    }
+)
+"""Classes of effects, in words."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +84,27 @@ class Effect(ABC):
     family: ClassVar[str] = ""
     """Its class: 'friction', 'presliding', 'transmission', 'inertia', 'timing', 'torque', 'elastic', 'sensing',
     'control' or 'change'."""
+    own_joint: ClassVar[bool] = False
+    """Whether only its own joint shows it, so that a joint which follows the model cannot have it."""
+    tolerance: ClassVar[float] = 0.0
+    """How far its numbers may be off without being a finding, in their scales: what every model and every log is a
+    little wrong in."""
+    half_a_sample: ClassVar[bool] = False
+    """Whether half a sample of the recordings is within its tolerance."""
+    odds: ClassVar[float] = 1.0
+    """Of being what is missing, beside those of an effect of which the model says nothing: a number that somebody wrote
+    is less likely wrong than one that nobody wrote, a clock than a motor."""
+    misfit: ClassVar[float] = 0.005
+    """Share of the torque of the right name that its law may get wrong, being simpler than nature's."""
+    of_accelerations: ClassVar[bool] = False
+    """Whether its fingerprint is made of measured accelerations, whose noise can look like it."""
+    between_torques: ClassVar[bool] = False
+    """Whether it can happen between a command and a measured torque."""
+    before_sensor: ClassVar[bool] = False
+    """Whether a torque that is measured has passed it."""
+    mjcf: ClassVar[Literal["model", "actuator", "passive", "gear", ""]] = ""
+    """What of MJCF says it: fields of the ``model``, the joint's ``actuator``, a ``passive`` motor without an input, a
+    ``gear`` with a hinge on each side; nothing but what :meth:`write` says if empty."""
     whole_robot: ClassVar[bool] = False
     """Whether it belongs to no joint, as a tilt does. It is asked for joint 0 only; its finding names none."""
     adds_to_link: ClassVar[bool] = False
@@ -134,6 +173,10 @@ class Effect(ABC):
     @abstractmethod
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
         """Put the effect into a batch of simulations. ``values`` has shape (rows, P), in the parameters' order."""
+
+    def write(self, spec: mujoco.MjSpec, joint: str, values: Array) -> bool:
+        """Say it in MJCF, for effects that ``mjcf`` does not place. Whether it is said. ``values``: shape (P,)."""
+        return False
 
     @abstractmethod
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:

@@ -41,6 +41,8 @@ class JointSpring(Effect):
 
     name = "joint_spring"
     family = "elastic"
+    own_joint = True
+    mjcf = "model"
     sets_apart = ("stiffness",)
     shows_in = "position"
     equation = "τ = p - k q = -k (q - p/k)"
@@ -109,6 +111,7 @@ class JointStop(Effect):
 
     name = "joint_stop"
     family = "elastic"
+    own_joint = True
     shows_in = "position"
     equation = "τ = -k max(q - p, 0)"
     source = "Hunt, Crossley 1975, doi:10.1115/1.3423596, without its damping"

@@ -55,6 +55,9 @@ class CoulombFriction(Effect):
 
     name = "coulomb_friction"
     family = "friction"
+    own_joint = True
+    misfit = 0.02
+    mjcf = "model"
     equation = "τ = -Fc sign(q̇)"
     source = "Coulomb 1785; Armstrong-Hélouvry et al. 1994, doi:10.1016/0005-1098(94)90209-7, section 2"
     excludes = frozenset({"asymmetric_friction", "stribeck_friction", "load_dependent_friction"})
@@ -128,6 +131,9 @@ class ViscousFriction(Effect):
 
     name = "viscous_friction"
     family = "friction"
+    own_joint = True
+    misfit = 0.02
+    mjcf = "model"
     equation = "τ = -b q̇"
     source = "Reynolds 1886; Armstrong-Hélouvry et al. 1994, doi:10.1016/0005-1098(94)90209-7, section 2"
     excludes = frozenset({"asymmetric_friction"})
@@ -178,6 +184,8 @@ class AsymmetricFriction(Effect):
 
     name = "asymmetric_friction"
     family = "friction"
+    own_joint = True
+    misfit = 0.02
     equation = "τ = -(Fc± + b± |q̇|) sign(q̇)"
     source = "Janot, Gautier, Brunot 2019, nonlinearbenchmark.org (EMPS), section 2.3"
     special_cases = frozenset({"coulomb_friction", "viscous_friction"})
@@ -256,6 +264,8 @@ class StribeckFriction(Effect):
 
     name = "stribeck_friction"
     family = "friction"
+    own_joint = True
+    misfit = 0.02
     equation = "τ = -(Fc + (Fs - Fc) exp(-(q̇/vs)²)) sign(q̇)"
     source = "Armstrong-Hélouvry et al. 1994, doi:10.1016/0005-1098(94)90209-7, section 2"
     excludes = frozenset({"coulomb_friction", "asymmetric_friction", "load_dependent_friction"})
@@ -335,6 +345,8 @@ class LoadDependentFriction(Effect):
 
     name = "load_dependent_friction"
     family = "friction"
+    own_joint = True
+    misfit = 0.02
     sets_apart = ("coefficient",)
     shows_in = "load"
     equation = "τ = -(Fc + μ |u + τ|) sign(q̇)"

@@ -28,6 +28,7 @@ class GravityTilt(Effect):
 
     name = "gravity_tilt"
     family = "inertia"
+    mjcf = "model"
     whole_robot = True
     shows_in = "position"
     equation = "g → Rx(-roll) Ry(-pitch) g"

@@ -34,6 +34,7 @@ class ReflectedInertia(Effect):
 
     name = "reflected_inertia"
     family = "inertia"
+    mjcf = "model"
     shows_in = "acceleration"
     equation = "τ = -Ir n² q̈"
     source = "Siciliano et al. 2009, Robotics, section 7.1.2; MuJoCo's joint armature"
@@ -87,6 +88,9 @@ class LinkMass(Effect):
 
     name = "link_mass"
     family = "inertia"
+    tolerance = 1.0  # 5 %
+    odds = 1 / 3
+    mjcf = "model"
     shows_in = "load"
     equation = "m → m + Δm, I → I (1 + Δm/m)"
     source = "Atkeson, An, Hollerbach 1986, doi:10.1177/027836498600500306"
@@ -137,6 +141,9 @@ class LinkCom(Effect):
 
     name = "link_com"
     family = "inertia"
+    tolerance = 0.6  # 3 % of the link's size
+    odds = 1 / 3
+    mjcf = "model"
     excludes = frozenset({"link_mass", "torque_scale"})  # one joint shows ratios of the three only
     shows_in = "load"
     equation = "c → c (1 + Δd/d), from the joint"
@@ -227,6 +234,8 @@ class LinkInertia(Effect):
 
     name = "link_inertia"
     family = "inertia"
+    tolerance = 1.5  # 15 %
+    mjcf = "model"
     shows_in = "acceleration"
     equation = "Ic → s Ic"
     source = "Atkeson, An, Hollerbach 1986, doi:10.1177/027836498600500306"

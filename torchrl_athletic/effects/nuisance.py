@@ -29,6 +29,8 @@ class LinkComShift(Effect):
 
     name = "link_com_shift"
     family = "inertia"
+    tolerance = 0.6  # 3 % of the link's size
+    mjcf = "model"
     shows_in = "load"
     equation = "c → c + Δc"
     source = "Atkeson, An, Hollerbach 1986, doi:10.1177/027836498600500306"
@@ -74,6 +76,7 @@ class BaseClockShift(Effect):
 
     name = "base_clock_shift"
     family = "sensing"
+    tolerance = 2.0  # 10 ms of a base that another computer saw
     whole_robot = True
     shows_in = "acceleration"
     equation = "base(t) = recorded(t + o)"
@@ -116,6 +119,8 @@ class ClockShift(Effect):
 
     name = "clock_shift"
     family = "sensing"
+    tolerance = 1.0  # 1 ms
+    half_a_sample = True
     whole_robot = True
     shows_in = "acceleration"
     equation = "τ(t) = u(t - o)"

@@ -29,6 +29,7 @@ class Payload(Effect):
 
     name = "payload"
     family = "inertia"
+    mjcf = "model"
     shows_in = "load"
     adds_to_link = True
     equation = "τ = -m J(q)ᵀ (a - g) of the end point"

@@ -162,6 +162,9 @@ class Hysteresis(Effect):
 
     name = "hysteresis"
     family = "presliding"
+    own_joint = True
+    misfit = 0.02
+    mjcf = "passive"
     shows_in = "position"
     equation = "τ = -Fh z,  dz = (sign(q̇) - z) |dq| / w"
     source = "Dahl 1968, A solid friction model; Swevers et al. 2000, doi:10.1109/9.847103"

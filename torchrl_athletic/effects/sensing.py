@@ -30,6 +30,7 @@ class EncoderOffset(Effect):
 
     name = "encoder_offset"
     family = "sensing"
+    tolerance = 0.3  # 3 mrad
     shows_in = "position"
     equation = "q_read = q + o"
     source = "Khalil, Dombre 2002, Modeling, Identification and Control of Robots, chapter 11"
@@ -128,6 +129,8 @@ class ClockOffset(Effect):
 
     name = "clock_offset"
     family = "sensing"
+    tolerance = 0.2  # 1 ms
+    odds = 1 / 3
     whole_robot = True
     shows_in = "acceleration"
     equation = "τ(t) = u(t - T) on all joints, T of either sign"

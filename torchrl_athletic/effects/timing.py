@@ -29,6 +29,11 @@ class ActuationDelay(Effect):
 
     name = "actuation_delay"
     family = "timing"
+    own_joint = True
+    tolerance = 0.2  # 1 ms
+    between_torques = True
+    before_sensor = True
+    mjcf = "actuator"
     shows_in = "acceleration"
     equation = "τ(t) = u(t - T)"
     source = "Hwangbo et al. 2019, doi:10.1126/scirobotics.aau5872, supplement S2"
@@ -71,6 +76,11 @@ class ActuationLag(Effect):
 
     name = "actuation_lag"
     family = "timing"
+    own_joint = True
+    tolerance = 0.2  # 1 ms
+    between_torques = True
+    before_sensor = True
+    mjcf = "actuator"
     shows_in = "acceleration"
     equation = "T dτ/dt = u - τ"
     source = "Gautier, Janot, Vandanjon 2013, doi:10.1109/TCST.2012.2185697"

@@ -57,6 +57,11 @@ class TorqueScale(Effect):
 
     name = "torque_scale"
     family = "torque"
+    own_joint = True
+    tolerance = 1.0  # 5 %
+    odds = 1 / 3
+    between_torques = True
+    mjcf = "actuator"
     shows_in = "load"
     equation = "τ = k u"
     excludes = frozenset({"link_mass", "link_com"})  # one joint shows ratios of the three only
@@ -110,6 +115,9 @@ class TorqueOffset(Effect):
 
     name = "torque_offset"
     family = "torque"
+    own_joint = True
+    between_torques = True
+    mjcf = "actuator"
     shows_in = "position"
     equation = "τ = u + o"
     source = "Janot, Gautier, Brunot 2019, nonlinearbenchmark.org (EMPS), equation 2"
@@ -156,6 +164,9 @@ class TorqueSaturation(Effect):
 
     name = "torque_saturation"
     family = "torque"
+    own_joint = True
+    before_sensor = True
+    mjcf = "actuator"
     shows_in = "load"
     equation = "τ = clip(u, -L, L)"
     source = "Siciliano et al. 2009, Robotics, section 5.2 (drive limits)"
@@ -218,6 +229,8 @@ class SpeedTorqueLimit(Effect):
 
     name = "speed_torque_limit"
     family = "torque"
+    own_joint = True
+    before_sensor = True
     shows_in = "speed"
     equation = "|τ| ≤ L (1 - |q̇|/v₀) when driving, L when braking"
     source = (
@@ -295,6 +308,8 @@ class TorqueRipple(Effect):
 
     name = "torque_ripple"
     family = "torque"
+    own_joint = True
+    mjcf = "passive"
     shows_in = "position"
     equation = "τ = u + A sin(n q) + B cos(n q)"
     source = "Holtz, Springob 1996, IEEE Transactions on Industrial Electronics 43(2); MuJoCo's dcmotor cogging"

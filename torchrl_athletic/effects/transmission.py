@@ -35,6 +35,10 @@ class _Transmission(Effect):
     """What both share: the prediction along the motion, and the gear in simulation."""
 
     family: ClassVar[str] = "transmission"
+    own_joint: ClassVar[bool] = True
+    misfit: ClassVar[float] = 0.03
+    of_accelerations: ClassVar[bool] = True
+    mjcf = "gear"
     shows_in = "load"
     chunk: ClassVar[tuple[float, float]]
     """The motion is cut into parts that are solved side by side: their length, and what each runs ahead of it [s]."""

@@ -43,15 +43,16 @@ from torchrl_athletic.diagnosis.report.telling import (
 )
 from torchrl_athletic.diagnosis.report.words import (
     IF_KNOWN,
+    banners,
     besides,
     go_on,
     grounds_words,
     joints_and_regimes,
     lead,
     next_takes,
+    of_class,
     place,
     same_as,
-    stopped_early,
     title,
     unexplained,
     verdict_words,
@@ -137,6 +138,7 @@ def render(
         chosen=CHOSEN,
         grounds=grounds_words,
         same_as=same_as,
+        of_class=of_class,
     )
     units = joint_units(answer, maps)
     return environment.from_string((here / "page.html").read_text("utf-8")).render(
@@ -144,7 +146,7 @@ def render(
         units=units,
         css=_markup((here / "page.css").read_text("utf-8")),
         verdict=verdict_words(answer),
-        stopped=stopped_early(answer),
+        banners=banners(answer),
         unexplained=unexplained(answer),
         lead=lead(answer),
         besides=besides(answer),

@@ -15,14 +15,15 @@ from torchrl_athletic.diagnosis.report.quantity import (
 )
 from torchrl_athletic.diagnosis.report.words import (
     IF_KNOWN,
+    banners,
     besides,
     joints_and_regimes,
     lead,
     next_takes,
+    of_class,
     place,
     quality_counts,
     same_as,
-    stopped_early,
     title,
     unexplained,
     verdict_words,
@@ -56,7 +57,7 @@ def terminal_summary(answer: Answer, experiment: str = "") -> str:
     """
     blocks = [
         _wrapped(f"{answer.model}: {verdict_words(answer)[0].lower()}."),
-        *(_wrapped(sentence) for sentence in stopped_early(answer)),
+        *(_wrapped(sentence) for sentence in banners(answer)),
         "\n".join([*map(_wrapped, lead(answer)), _wrapped(f"What would change this? {would_change(answer)}")]),
         "\n".join(_findings(answer)),
         "\n".join(_fit(answer)),
@@ -73,6 +74,8 @@ def _findings(answer: Answer) -> Iterator[str]:
         yield _row("missing", "sure")
     for finding in answer.findings:
         yield _row(f"{title(finding.effect)}, {place(finding.joint)}", percent(finding.probability))
+        if of_class(finding):
+            yield _row(f"  {of_class(finding)}", percent(finding.class_probability))
         yield from _parameters(finding)
         if finding.sentence not in lead(answer):
             yield _wrapped(finding.sentence, "    ", "    ")

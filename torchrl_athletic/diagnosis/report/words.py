@@ -9,6 +9,8 @@ from typing import Any
 
 from torchrl_athletic.diagnosis.report.quantity import percent
 from torchrl_athletic.diagnosis.result import Answer, Finding, Location, Name, Rival
+from torchrl_athletic.diagnosis.thresholds import STATEMENT
+from torchrl_athletic.effects.effect import CLASSES
 
 _VERDICTS = {
     "nothing_missing": ("Nothing is missing", "The simulation explains the recordings as well as sensor noise allows."),
@@ -38,8 +40,9 @@ def lead(answer: Answer) -> list[str]:
     told = [f.sentence for f in answer.findings if f.sentence in answer.summary]
     rest = [s for s in answer.summary if s not in told]
     if len(told) > 1:
-        named = [f"{words(f.effect)} ({place(f.joint)}, {percent(f.probability)})" for f in answer.findings]
-        told = [f"{_count(len(named))} effects are missing: {', '.join(named[:-1])} and {named[-1]}."]
+        likely = [f for f in answer.findings if f.sentence in told]
+        named = [f"{words(f.effect)} ({place(f.joint)}, {percent(f.probability)})" for f in likely]
+        told = [f"{_count(len(named))} effects are likely missing: {', '.join(named[:-1])} and {named[-1]}."]
     return ([*told, *rest] or [verdict_words(answer)[1]])[:3]
 
 
@@ -99,6 +102,20 @@ def grounds_words(finding: Finding) -> list[str]:
             "more than one half."
         )
     return words
+
+
+def of_class(finding: Finding) -> str:
+    """What is said of the class of a finding that is not likely itself; empty where that says no more.
+
+    Example:
+        >>> f = Finding("stribeck_friction", "hip", 0.4, "", {}, "", class_name="friction", class_probability=0.9)
+        >>> of_class(f)
+        'friction there, by whichever law'
+    """
+    says_more = finding.probability <= STATEMENT.likely and finding.class_probability >= finding.probability + 0.01
+    if not finding.class_name or not says_more:
+        return ""
+    return f"{CLASSES.get(finding.class_name, words(finding.class_name))} there, by whichever law"
 
 
 def same_as(finding: Finding | Rival, answer: Answer) -> list[str]:
@@ -181,6 +198,11 @@ def stopped_early(answer: Answer) -> list[str]:
         f"Stopped early, in the stage '{answer.stage}': this is the state at that point, not the final answer. "
         "Run the same command again to resume."
     ]
+
+
+def banners(answer: Answer) -> list[str]:
+    """What has to be known before anything else: a model that the recordings changed, and a run that was stopped."""
+    return [*map(str, answer.quality.get("model_changes", ())), *stopped_early(answer)]
 
 
 def unexplained(answer: Answer) -> list[str]:

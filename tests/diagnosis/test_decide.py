@@ -1,0 +1,138 @@
+"""Which combination is the answer: what torques and simulation say of each, together."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from torchrl_athletic.diagnosis.decide import decided_by, others_than
+from torchrl_athletic.diagnosis.proposal import Proposal
+from torchrl_athletic.diagnosis.result import Score
+from torchrl_athletic.diagnosis.stages import Trial
+from torchrl_athletic.diagnosis.thresholds import DECISION
+
+
+def leaving(share, joints=1):
+    """A score that leaves a share of the error energy above the floor."""
+    joint = {"before": np.sqrt(101.0), "after": np.sqrt(1.0 + 100.0 * share), "floor": 1.0}
+    return Score(1.0, 1.0, 1.0, 0.0, {f"joint{k}": joint for k in range(joints)})
+
+
+def decided(options, errors, scores, began):
+    """The decision between trials with these proposals, window errors (W, J) and scores."""
+    trials = [
+        Trial(option, None, {"train": score}, error, began)
+        for option, error, score in zip(options, errors, scores, strict=True)
+    ]
+    return decided_by(trials)
+
+
+@pytest.mark.parametrize(
+    ("better", "left", "behind", "is_richer", "expected"),
+    [
+        (0.0, 0.1, 2.0, False, 0),  # the torques decide between equals
+        (0.04, 0.1, 2.0, False, 0),  # and between what an optimiser makes equal
+        (0.10, 0.1, 2.0, False, 1),  # a little on every window is enough for a rival
+        (0.10, 0.08, 0.0, True, 0),  # not for a law that contains the first, and always gains a little
+        (0.10, 0.07, 0.0, True, 1),
+        (0.04, 0.07, 0.0, True, 0),
+    ],
+)
+def test_the_simulation_decides_between_what_the_torques_leave_open(better, left, behind, is_richer, expected):
+    errors = 10 * np.exp(0.01 * np.random.default_rng(0).normal(size=(2, 100, 1)))
+    options = [Proposal(None, None), Proposal(None, None, behind, is_richer)]
+    scores = [leaving(0.1), leaving(left)]
+    chosen, against, _ = decided(options, [errors[0], errors[1] * np.exp(-better)], scores, 0.5 * np.arange(100))
+    assert chosen == expected
+    assert against[chosen] == 0 or expected == 0
+
+
+def test_a_richer_law_that_is_not_taken_does_not_keep_a_rival_from_being_preferred():
+    noise = 10 * np.exp(0.01 * np.random.default_rng(0).normal(size=(3, 100, 1)))
+    options = [Proposal(None, None), Proposal(None, None, 0.0, True), Proposal(None, None, 3.0)]
+    errors, began = list(noise * np.exp([[[0.0]], [[-0.5]], [[-0.2]]])), 0.5 * np.arange(100)
+    assert decided(options, errors, [leaving(0.10), leaving(0.08), leaving(0.09)], began)[0] == 2
+    assert decided(options, errors, [leaving(0.10), leaving(0.02), leaving(0.09)], began)[0] == 1
+
+
+def seldom(lost, turned=(), times=50.0, left=(0.99, 0.01), size=1.0):
+    """Which of three is chosen: nothing, a spring that follows better but where it counts, a stop that follows there.
+
+    Args:
+        lost: Windows and joints that nothing and spring miss.
+        turned: The same of the stop.
+        times: How far.
+        left: Share of the error energy that they leave, and that the stop leaves.
+        size: Of the errors, in units of the floor.
+    """
+    rng = np.random.default_rng(0)
+    plain = size * np.exp(0.2 * rng.normal(size=(400, 3)))  # what a start state adds is in all of them
+    stop = plain.copy()
+    plain[tuple(np.transpose(lost))] *= times
+    if turned:
+        stop[tuple(np.transpose(turned))] *= times
+    spring = plain * np.exp(-0.3 * (1 + rng.normal(size=(400, 1))))
+    options = [Proposal(None, None), Proposal(None, None, 3.0), Proposal(None, None, DECISION.behind)]
+    scores = [leaving(left[0], 3), leaving(left[0], 3), leaving(left[1], 3)]
+    return decided(options, [plain, spring, stop], scores, 0.5 * np.arange(400))[0]
+
+
+TWICE = ((20, 1), (21, 1), (200, 1))
+
+
+def test_what_acts_on_two_occasions_is_taken_where_it_alone_explains_the_error():
+    assert seldom(TWICE) == 2
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        {"lost": TWICE, "turned": ((300, 0),)},  # elsewhere it is the other way round
+        {"lost": ((20, 1), (21, 1), (23, 1))},  # one occasion may be a blow that nobody recorded
+        {"lost": ((20, 1), (200, 2))},  # two joints, one occasion each
+        {"lost": TWICE, "left": (0.99, 0.15)},  # it does not explain the error
+        {"lost": TWICE, "left": (0.40, 0.01)},  # the others do not leave it
+        {"lost": TWICE, "times": 2.0},  # what they leave is hardly more than the floor
+        {"lost": TWICE, "size": 0.01},  # it is below all floors
+        {"lost": TWICE, "times": 5.0, "size": 20.0},  # the stop does not follow either
+    ],
+)
+def test_what_acts_seldom_refutes_nothing_that_it_does_not_clearly_beat(case):
+    assert seldom(**case) != 2
+
+
+def test_a_richer_law_that_is_not_taken_refutes_nothing():
+    plain = np.ones((400, 1))
+    plain[[20, 200]] = 50.0
+    options = [Proposal(None, None), Proposal(None, None, 0.0, True)]
+    scores = [leaving(0.99), leaving(0.01)]
+    chosen, against, _ = decided(options, [plain, np.ones((400, 1))], scores, 0.5 * np.arange(400))
+    assert (chosen, against[0]) == (0, 0)
+
+
+def test_what_the_simulation_refutes_does_not_need_or_was_asked_about_alone_is_no_other_explanation():
+    def option(*names: str, alone: bool = False) -> Proposal:
+        terms = [SimpleNamespace(candidate=SimpleNamespace(key=(name, "hip"))) for name in names]
+        return Proposal(None, SimpleNamespace(fit=SimpleNamespace(terms=terms)), alone=alone)
+
+    found, gains, refuted, idle, late = (option(n) for n in ("rotor", "gains", "richer", "offset", "spring"))
+    both, stop = option("gains", "rotor"), option("stop", alone=True)
+    options = (found, gains, refuted, idle, both, stop, late)
+    needed = [{("rotor", "hip")}, {("gains", "hip")}, set(), set(), {("gains", "hip")}, {("stop", "hip")}]
+    assert others_than(0, options, needed) == (gains.best, both.best, late.best)  # that was not fitted for lack of time
+    assert others_than(5, options, needed) == ()
+
+
+@pytest.mark.parametrize(("left", "better", "chosen"), [(0.6, 0.7, 1), (0.9, 0.7, 0), (0.6, 0.99, 0)])
+def test_a_late_effect_has_to_be_decisively_better_and_to_close_much(left, better, chosen):
+    options = [Proposal(None, None), Proposal(None, None, DECISION.behind, on_trial=True, alone=True)]
+    errors = np.random.default_rng(0).normal(10.0, 1.0, (2, 400, 1)) * np.array([1.0, better])[:, None, None]
+    found, _, taken = decided(options, errors, [leaving(0.95), leaving(left)], 0.5 * np.arange(400))
+    assert (found, taken) == (chosen, [True, bool(chosen)])
+
+
+def test_a_trial_that_gives_no_names_is_never_chosen_and_speaks_against_no_other():
+    errors = np.random.default_rng(0).normal(10.0, 1.0, (2, 400, 1)) * np.array([1.0, 0.1])[:, None, None]
+    options = [Proposal(None, None), Proposal(None, None, np.inf, on_trial=True, joints=True)]
+    found, against, taken = decided(options, errors, [leaving(0.9), leaving(0.01)], 0.5 * np.arange(400))
+    assert (found, against[0], taken) == (0, 0.0, [True, False])

@@ -1,0 +1,102 @@
+"""Who could stand in a term's place: shares of the evidence, by torques and simulation."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from torchrl_athletic.diagnosis import proposal
+from torchrl_athletic.diagnosis.proposal import Proposal, answer_set
+
+
+def atom(name: str, joint: str = "elbow"):
+    return SimpleNamespace(candidate=SimpleNamespace(key=(name, joint), joint_name=joint))
+
+
+def scored(evidence: float, *atoms):
+    return SimpleNamespace(evidence=evidence, fit=SimpleNamespace(terms=atoms))
+
+
+def test_probabilities_are_shares_of_the_evidence_among_those_who_could_stand_there(monkeypatch):
+    kept, term, rival, far = atom("payload"), atom("coulomb"), atom("stribeck"), atom("backlash")
+    options = [scored(100.0, kept, term), scored(104.0, kept, rival), scored(140.0, far, kept)]
+    monkeypatch.setattr(proposal, "alternatives", lambda *_: options)
+    found = answer_set(Proposal(None, options[0]), term)
+    assert [o.atom for o in found] == [term, rival, far]
+    shares = [o.share for o in found]
+    assert sum(shares) == pytest.approx(1.0)
+    assert shares[1] / shares[0] == pytest.approx(np.exp(-2.0))  # evidence is twice the log odds
+    assert shares[2] < 1e-8
+
+
+def test_what_the_simulation_says_of_a_combination_counts_beside_the_torque_domain(monkeypatch):
+    term, rival = atom("coulomb"), atom("stribeck")
+    options = [scored(100.0, term), scored(104.0, rival)]
+    monkeypatch.setattr(proposal, "alternatives", lambda *_: options)
+    against = {frozenset({("coulomb", "elbow")}): 10.0, frozenset({("stribeck", "elbow")}): 0.0}
+    shares = {o.atom.candidate.key: o.share for o in answer_set(Proposal(None, options[0], simulated=against), term)}
+    assert shares["stribeck", "elbow"] / shares["coulomb", "elbow"] == pytest.approx(np.exp(3.0))
+
+
+def test_a_rival_that_was_not_simulated_gains_nothing_by_it(monkeypatch):
+    term, rival = atom("coulomb"), atom("stribeck")
+    options = [scored(100.0, term), scored(104.0, rival)]
+    monkeypatch.setattr(proposal, "alternatives", lambda *_: options)
+    part = Proposal(None, options[0], simulated={frozenset({("coulomb", "elbow")}): 10.0})
+    shares = {o.atom.candidate.key: o.share for o in answer_set(part, term)}
+    assert shares["stribeck", "elbow"] / shares["coulomb", "elbow"] == pytest.approx(np.exp(-2.0))
+
+
+def exchanged(monkeypatch, term, best, other, behind: float = 2.0) -> dict:
+    """Shares of who could stand in a term's place, where no single one could and another combination lies behind."""
+    monkeypatch.setattr(proposal, "alternatives", lambda *_: [best])
+    monkeypatch.setattr(proposal, "as_rival", lambda judge, best, atoms: scored(best.evidence + behind, *atoms))
+    return {o.atom.candidate.key[0]: o.share for o in answer_set(Proposal(None, best, others=(other,)), term)}
+
+
+def test_an_effect_that_does_alone_what_several_do_is_a_rival_of_each(monkeypatch):
+    rotor, lag, kept, gains = atom("rotor"), atom("lag"), atom("payload", "wrist"), atom("gains")
+    best, other = scored(100.0, rotor, lag, kept), scored(0.0, gains, kept)
+    for term in (rotor, lag):
+        shares = exchanged(monkeypatch, term, best, other)
+        assert set(shares) == {term.candidate.key[0], "gains"}
+        assert shares["gains"] / shares[term.candidate.key[0]] == pytest.approx(np.exp(-1.0))
+    assert exchanged(monkeypatch, kept, best, other) == {"payload": 1.0}
+
+
+def test_a_cause_of_the_whole_robot_is_a_rival_of_those_of_its_joints(monkeypatch):
+    delays, clock = [atom("delay", joint) for joint in ("hip", "knee")], atom("clock", None)
+    for delay in delays:
+        assert set(exchanged(monkeypatch, delay, scored(100.0, *delays), scored(0.0, clock))) == {"delay", "clock"}
+
+
+@pytest.mark.parametrize(
+    ("best", "other"),
+    [
+        ((atom("gains"),), (atom("rotor"), atom("lag"))),  # which of two would it be
+        ((atom("gains"), atom("offset")), (atom("rotor"), atom("lag"))),
+        ((atom("gains"), atom("play", "wrist")), (atom("rotor"),)),  # nor does one joint's speak for another's
+        ((atom("gains"), atom("offset")), (atom("offset"),)),
+        ((atom("gains"),), (atom("rotor"),)),  # that is in the list of those that stand in its place alone
+    ],
+)
+def test_other_combinations_are_no_rivals_where_no_single_name_stands_for_several(monkeypatch, best, other):
+    assert exchanged(monkeypatch, best[0], scored(100.0, *best), scored(0.0, *other)) == {"gains": 1.0}
+
+
+def test_what_the_simulation_says_of_another_combination_counts_as_well(monkeypatch):
+    rotor, lag, gains = atom("rotor"), atom("lag"), atom("gains")
+    best, other = scored(100.0, rotor, lag), scored(0.0, gains)
+    monkeypatch.setattr(proposal, "alternatives", lambda *_: [best])
+    monkeypatch.setattr(proposal, "as_rival", lambda judge, best, atoms: scored(best.evidence, *atoms))
+    part = Proposal(None, best, simulated={frozenset({("gains", "elbow")}): 2.0}, others=(other,))
+    shares = {o.atom.candidate.key[0]: o.share for o in answer_set(part, rotor)}
+    assert shares["gains"] / shares["rotor"] == pytest.approx(np.exp(-1.0))
+
+
+def test_equals_share_the_probability_and_odds_do_not_depend_on_the_level(monkeypatch):
+    term, rival = atom("coulomb"), atom("stribeck")
+    for level in (-1e5, 0.0, 1e5):
+        options = [scored(level, term), scored(level, rival)]
+        monkeypatch.setattr(proposal, "alternatives", lambda *_, options=options: options)
+        assert [o.share for o in answer_set(Proposal(None, options[0]), term)] == [0.5, 0.5]

@@ -1,0 +1,129 @@
+"""Which of the combinations that were simulated is the answer, and who could stand in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.diagnosis.compare import open_share
+from torchrl_athletic.diagnosis.proposal import Proposal, answer_set
+from torchrl_athletic.diagnosis.screen import Key
+from torchrl_athletic.diagnosis.search import Scored, keys
+from torchrl_athletic.diagnosis.stages import Decided, Simulated, Trial
+from torchrl_athletic.diagnosis.thresholds import DECISION, SEARCH
+
+Array = NDArray[np.float64]
+
+
+def decide(simulated: Simulated) -> Decided:
+    """Choose a trial by torques and simulation together; recordings kept aside have no part in it."""
+    located, drive, trials = simulated.proposed.located, simulated.proposed.drive, simulated.trials
+    if not trials:
+        return Decided(located, drive)
+    chosen, against, taken = decided_by(trials)
+    told = {keys(t.proposal.best.fit.terms): float(a) for t, a in zip(trials, against, strict=True)}
+    needed = [needed_by(t) if ok else frozenset[Key]() for t, ok in zip(trials, taken, strict=True)]
+    options = (*(t.proposal for t in trials), *simulated.untried)
+    others = others_than(chosen, options, needed)
+    trial = replace(trials[chosen], proposal=replace(trials[chosen].proposal, simulated=told, others=others))
+    beside = tuple(t for k, t in enumerate(trials) if (t.proposal.joints or not k) and k != chosen)
+    decided = Decided(located, drive, trial, beside, torque_is_open(trial))
+    stated = {c.key for c in trial.fitted.hypothesis.terms}
+    sets = {
+        term.candidate.key: answer_set(part, term)
+        for part in decided.evidence
+        for term in part.best.fit.terms
+        if term.candidate.key in stated
+    }
+    return replace(decided, sets=sets)
+
+
+def torque_is_open(trial: Trial) -> bool:
+    """Whether some joint misses torque that noise does not explain, with all numbers within their tolerances."""
+    proposal, small = trial.proposal, {c.key for c in trial.fitted.hypothesis.trims}
+    within = [a for a in proposal.best.fit.terms if a.candidate.key in small]
+    return bool(proposal.judge.is_open(proposal.judge.score(within).fit).any())
+
+
+def needed_by(trial: Trial) -> frozenset[Key]:
+    """Terms of its combination that the simulation needs, as small as they may be."""
+    h, terms = trial.fitted.hypothesis, [a.candidate for a in trial.proposal.best.fit.terms]
+    return frozenset(c.key for c in (*h.terms, *h.trims) if c in terms)
+
+
+def decided_by(trials: Sequence[Trial]) -> tuple[int, Array, list[bool]]:
+    """Which trial torques and simulation speak for, what the simulation says against each, and which are not refuted.
+
+    ``trials``: the preferred one first.
+    """
+    errors, options = [t.window_errors for t in trials], [t.proposal for t in trials]
+    scores, began = [t.scores["train"] for t in trials], trials[0].began
+    floors = [np.maximum([joint["floor"] for joint in s.per_joint.values()], 1e-12) for s in scores]
+    logs = [np.log(np.maximum(e, floor)).sum(1) for e, floor in zip(errors, floors, strict=True)]
+    left = [open_share(s) for s in scores]
+    taken = [
+        bool(np.isfinite(option.behind))
+        and (
+            not option.on_trial or (_against(logs[0] - e) >= SEARCH.decisive and share <= (1 - SEARCH.richer) * left[0])
+        )
+        for option, e, share in zip(options, logs, left, strict=True)
+    ]
+    least = min((k for k, t in enumerate(taken) if t), key=lambda k: left[k])
+    if left[least] <= DECISION.clear:  # a stop that is reached twice says nothing in the mean of all windows
+        for k, error in enumerate(errors):
+            floor = np.maximum(floors[k], floors[least])
+            if left[k] >= DECISION.lost and _misses(error, errors[least], floor, began):
+                taken[k] = False
+    best = min((e for e, t in zip(logs, taken, strict=True) if t), key=lambda e: float(e.mean()))
+    against = np.array([_against(e - best) if t else SEARCH.decisive for e, t in zip(logs, taken, strict=True)])
+    behind = np.array([o.behind if t else np.inf for o, t in zip(options, taken, strict=True)])
+    return int(np.argmin(against + behind)), against, taken
+
+
+def others_than(own: int, options: Sequence[Proposal], needed: Sequence[Collection[Key]]) -> tuple[Scored, ...]:
+    """Combinations beside one of them that are not refuted, and of which the simulation needs what is new.
+
+    For effects that were asked about alone only the simulation speaks, and it has decided.
+
+    Args:
+        options: All of them.
+        needed: Terms that the simulation needs, as small as they may be, of each that was fitted; none of those that it
+            refutes.
+        own: Number of the one.
+    """
+    found = keys(options[own].best.fit.terms)
+    if options[own].alone:
+        return ()
+    return tuple(
+        o.best
+        for k, o in enumerate(options)
+        if k != own and not o.alone and (k >= len(needed) or keys(o.best.fit.terms) - found <= set(needed[k]))
+    )
+
+
+def _misses(worse: Array, better: Array, floor: Array, began: Array) -> bool:
+    """Whether the one misses some joint on two occasions or more, the other follows there, and nowhere the reverse.
+
+    Args:
+        worse: Error of each window. Shape (W, J).
+        better: The same of the other option.
+        floor: Of the error, shape (J,).
+        began: When each window starts [s]. Shape (W,).
+    """
+    if (better > DECISION.follows * np.maximum(worse, floor)).any():
+        return False
+    lost = (worse > DECISION.follows * np.maximum(better, floor)) & (better <= DECISION.follows * floor)
+    return any((np.diff(began[joint]) > DECISION.occasions).any() for joint in lost.T)
+
+
+def _against(worse: Array) -> float:
+    """Twice the log odds against a combination whose windows have larger log errors.
+
+    The square of their paired z-score, beyond the few per cent by which optimisers that stop sooner differ.
+    """
+    error = float(worse.std() / np.sqrt(max(len(worse), 1)))
+    beyond = max(float(worse.mean()) - DECISION.equally_good, 0.0)
+    return float(np.clip((beyond / error) ** 2, 0.0, SEARCH.decisive)) if error > 0 else 0.0

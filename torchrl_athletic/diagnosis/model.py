@@ -1,0 +1,46 @@
+"""The given model: MJCF as a path, as text or as a spec, compiled."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TypeAlias
+
+import mujoco
+
+Model: TypeAlias = str | Path | mujoco.MjSpec
+
+
+def load_model(model: Model) -> tuple[mujoco.MjModel, str, str]:
+    """Compile MJCF given as a path, as text or as a spec.
+
+    Returns:
+        The model, its MJCF and its name.
+
+    Raises:
+        FileNotFoundError: If the path does not exist.
+        ModelError: If MuJoCo cannot compile it.
+    """
+    source = "the model"
+    try:
+        if isinstance(model, mujoco.MjSpec):
+            spec = model.copy()
+        elif isinstance(model, str) and model.lstrip().startswith("<"):
+            spec = mujoco.MjSpec.from_string(model)
+        else:
+            source = str(model)
+            if not Path(model).is_file():
+                raise FileNotFoundError(f"{source}: there is no such model. Name an MJCF file, or pass its text.")
+            spec = mujoco.MjSpec.from_file(str(Path(model).resolve()))  # absolute, or it forgets its folder
+        if spec.modelfiledir and (spec.meshes or spec.textures or spec.hfields):  # its MJCF is written elsewhere
+            spec.meshdir = str(Path(spec.modelfiledir, spec.meshdir).resolve())
+            spec.texturedir = str(Path(spec.modelfiledir, spec.texturedir).resolve())
+        return spec.compile(), spec.to_xml(), spec.modelname or "model"
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise ModelError(
+            f"{source}: MuJoCo cannot compile it ({reason}). Mend it until MuJoCo's viewer opens it."
+        ) from error
+
+
+class ModelError(ValueError):
+    """A model that MuJoCo cannot compile; the message names it and says why."""

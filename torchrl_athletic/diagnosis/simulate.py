@@ -1,0 +1,218 @@
+"""The proposed combinations, fitted and scored in the simulation; and others, where these leave most of the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.diagnosis.compare import follows, open_share, score
+from torchrl_athletic.diagnosis.decide import decided_by, torque_is_open
+from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, idle_terms, without
+from torchrl_athletic.diagnosis.joints import in_torques, standard_joints_of
+from torchrl_athletic.diagnosis.proposal import Proposal
+from torchrl_athletic.diagnosis.result import Score
+from torchrl_athletic.diagnosis.screen import Candidate, Key, is_trim, trims_for
+from torchrl_athletic.diagnosis.search import keys, singles
+from torchrl_athletic.diagnosis.stages import Given, Proposed, Ready, Run, Simulated, Trial
+from torchrl_athletic.diagnosis.thresholds import DECISION, STATEMENT
+from torchrl_athletic.effects import FIT_TRIMS, TRIMS
+
+Array = NDArray[np.float64]
+
+
+def simulate(proposed: Proposed, run: Run) -> Simulated:
+    """Fit and score what was proposed, and more where that leaves most of the motion; Ctrl-C keeps what there is."""
+    done = Simulated(proposed, untried=proposed.options)
+    for stage in (_tried_all, _with_joints, _asked_alone):
+        done = stage(done, run)
+    return done
+
+
+def _tried_all(done: Simulated, run: Run) -> Simulated:
+    """The same with what is not tried yet, as far as time allows; one is tried in any case."""
+    count = len(done.trials) + len(done.untried)
+    while done.untried and not done.stopped and not (done.trials and run.late()):
+        try:
+            trial = _trial(done.untried[0], done.proposed, run)
+        except KeyboardInterrupt:
+            return replace(done, stopped=True)
+        done = replace(done, trials=(*done.trials, trial), untried=done.untried[1:])
+        run.progress.update(len(done.trials) / count)
+    return done
+
+
+def _with_joints(done: Simulated, run: Run) -> Simulated:
+    """The same with the fit of the standard joints, which folds of the recordings made.
+
+    It is asked for unless a combination follows the recordings already: nothing is left then that it could explain.
+    The simulation has to be decisively better with it, since it holds most simple laws as special cases. It gives no
+    names where another combination explains the error, or where one of its numbers stops at a bound. Where a measured
+    torque cuts the chain in two it is not asked for: it knows of no cut.
+    """
+    if not done.trials or done.stopped or run.late() or done.proposed.drive is not None:
+        return done
+    ready, best = done.proposed.located.ready, done.trials[decided_by(done.trials)[0]]
+    if follows(best.scores["train"], DECISION.follows):
+        return done
+    judge = done.trials[0].proposal.judge
+    try:
+        fitted = standard_joints_of(ready.given, run)
+        if fitted is None:
+            return done
+        torques = in_torques(judge, fitted)
+        names = open_share(best.scores["train"]) > STATEMENT.explained and np.isfinite(torques.evidence)
+        proposal = Proposal(judge, torques, DECISION.behind if names else np.inf, on_trial=True, joints=True)
+        trial = scored(proposal, _without_small(fitted, ready.given), ready)
+    except KeyboardInterrupt:
+        return replace(done, stopped=True)
+    return replace(done, trials=(*done.trials, trial))
+
+
+def _asked_alone(done: Simulated, run: Run) -> Simulated:
+    """Where what fits the torques best leaves most of the motion open, each effect alone.
+
+    A combination may mimic the torques of a joint that sticks, and move otherwise. And trims that take all of a
+    small effect's torque for their own, since each is within its tolerance, may not move like it.
+
+    What closes most of the torque comes first. The others that close a material share follow as long as nothing is
+    named and most stays open; of so many, one may look better by chance or stand in, so that more is asked of them.
+    """
+
+    def asked(done: Simulated, proposals: Sequence[Proposal]) -> Simulated:
+        return _tried_all(replace(done, untried=tuple(proposals)), run)
+
+    if not done.trials or done.stopped or run.late() or not (_is_lost(done) or _is_unnamed(done)):
+        return done
+    judge = done.trials[0].proposal.judge
+    known = {keys(p.best.fit.terms) for p in (*(t.proposal for t in done.trials), *done.untried)}
+    material, others = singles(judge)
+    alone = [s for s in material or others if keys(s.fit.terms) not in known]
+    done = asked(done, [Proposal(judge, s, DECISION.behind, alone=True) for s in alone[: DECISION.alone]])
+    later = [
+        Proposal(judge, s, DECISION.behind, on_trial=True, alone=True) for s in alone[DECISION.alone :] if material
+    ]
+    while later and not done.stopped and _is_lost(done) and _is_unnamed(done) and not run.late():
+        done = asked(done, later[: DECISION.alone])
+        later = later[DECISION.alone :]
+    return done
+
+
+def _is_lost(done: Simulated) -> bool:
+    """Whether most of the motion is still open, and torque that noise does not explain."""
+    trial = done.trials[decided_by(done.trials)[0]]
+    return open_share(trial.scores["train"]) >= DECISION.lost and torque_is_open(trial)
+
+
+def _is_unnamed(done: Simulated) -> bool:
+    """Whether nothing is named and the simulation does not follow."""
+    trial = done.trials[decided_by(done.trials)[0]]
+    return not trial.fitted.hypothesis.terms and not follows(trial.scores["train"], DECISION.follows)
+
+
+def _trial(proposal: Proposal, proposed: Proposed, run: Run) -> Trial:
+    """Fit a combination beside the trims that may move in all fits alike, and score it."""
+    ready, drive = proposed.located.ready, proposed.drive
+    given, takes = ready.given, ready.train.takes
+    adjusted = set().union(*map(_adjusted, proposed.options))
+    hypothesis, start = _hypothesis(proposal, drive, adjusted)
+
+    def compute() -> Fitted:
+        return fit(hypothesis, takes, start, given.rng("fit"))
+
+    def decode(content: dict[str, Any]) -> Fitted:
+        samples = np.array(content["samples"]).reshape(-1, len(content["values"]))
+        return Fitted(hypothesis, np.array(content["values"]), samples, content["cost"])
+
+    fitted = run.checkpoint.result(key_of(hypothesis), compute, _encode, decode)
+    direct = keys(drive.best.fit.terms) if drive else ()  # two channels show it
+    idle = [c for c in idle_terms(fitted, takes, given.rng("idle")) if c.key not in direct]
+    return scored(proposal, _without_small(without(fitted, idle), given), ready)
+
+
+def _without_small(fitted: Fitted, given: Given) -> Fitted:
+    """The same fit; what is too small for a finding is a trim."""
+    h, period = fitted.hypothesis, max(1.0 / r.rate for r in given.recordings)
+    small = [t for t in h.terms if is_trim(t, h.values_of(t, fitted.values), period, len(given.joint_names))]
+    return as_trims(fitted, small)
+
+
+def scored(proposal: Proposal, fitted: Fitted, ready: Ready) -> Trial:
+    """A fit with its errors; to choose by them, the windows of the fitted recordings are kept."""
+    results = _results(fitted, ready)
+    _, _, errors, began = results["train"]  # what was kept aside scores the answer, it does not choose it
+    return Trial(proposal, fitted, {split: r[0] for split, r in results.items()}, errors, began)
+
+
+def scores_of(fitted: Fitted, ready: Ready) -> dict[str, Score]:
+    """Errors of a fit, of 'train' and 'heldout'."""
+    return {split: r[0] for split, r in _results(fitted, ready).items()}
+
+
+def _results(fitted: Fitted, ready: Ready) -> dict[str, tuple[Score, Array, Array, Array]]:
+    rng, h, x = ready.given.rng, fitted.hypothesis, fitted.values
+    return {
+        split: score(p.takes, h, x, p.position_noise, rng(split), p.repeatability)
+        for split, p in ready.splits().items()
+    }
+
+
+def _hypothesis(option: Proposal, drive: Proposal | None, adjusted: Collection[Key]) -> tuple[Hypothesis, Array]:
+    """Terms of the mechanics and of the drive, with the values that the torque domain gave them.
+
+    What the two torque channels say of the drive is direct; the simulation may move it by a tenth only.
+
+    Args:
+        option: The mechanics.
+        drive: The drive, if it was looked at alone.
+        adjusted: Trims that may move: the same for all options, which are compared.
+    """
+    terms, start = [], []
+    if drive is not None:
+        for atom, values in zip(drive.best.fit.terms, drive.best.fit.values(), strict=False):
+            narrow = tuple(
+                replace(p, lower=max(p.lower, v - 0.1 * abs(v)), upper=min(p.upper, v + 0.1 * abs(v) + 1e-9))
+                for p, v in zip(atom.candidate.parameters, values, strict=True)
+            )
+            terms.append(replace(atom.candidate, parameters=narrow))
+            start.append(values)
+    fitted = option.best.fit
+    found = fitted.values()
+    terms += [a.candidate for a in fitted.terms]
+    start += found[: fitted.size]
+    known = {a.candidate.key: v for a, v in zip(fitted.atoms, found, strict=True)}
+    trims = [
+        t
+        for t in trims_for(option.judge.bank.takes, FIT_TRIMS)
+        if t.key in adjusted and all(t.moves_beside(c) for c in terms)
+    ]
+    start += [known.get(t.key, np.array([p.nominal for p in t.parameters])) for t in trims]
+    return Hypothesis(tuple(terms), tuple(trims)), np.concatenate(start) if start else np.zeros(0)
+
+
+def _adjusted(option: Proposal) -> set[Key]:
+    """Trims that the torque domain asked for, and those that it was not asked about."""
+    fitted = option.best.fit
+    known = {a.candidate.key: v for a, v in zip(fitted.atoms, fitted.values(), strict=True)}
+    return {t.key for t in trims_for(option.judge.bank.takes, FIT_TRIMS) if _moved(t, known.get(t.key))}
+
+
+def _moved(trim: Candidate, value: Array | None) -> bool:
+    """Whether the torque domain asked for a trim; one that it was not asked about may move in the simulation."""
+    if value is None:
+        return trim.effect not in TRIMS
+    reach = np.array([p.upper - p.nominal for p in trim.parameters])
+    return bool((np.abs(value - [p.nominal for p in trim.parameters]) > DECISION.worth * reach).any())
+
+
+def key_of(hypothesis: Hypothesis) -> str:
+    """Of a fit in the checkpoint; a mass that is found and one that is adjusted have other bounds."""
+    terms, trims = ([f"{c.effect.name}/{c.where}" for c in part] for part in (hypothesis.terms, hypothesis.trims))
+    return " ".join(["fit", *terms, "|", *trims])
+
+
+def _encode(fitted: Fitted) -> dict[str, Any]:
+    return {"values": fitted.values.tolist(), "samples": fitted.samples.tolist(), "cost": fitted.cost}
