@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torchrl_athletic.diagnosis.compare import harms, score
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml
+from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.diagnose import Model, load_model
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.joint_fit import Linearised, descend, linearise, prune, search, weighed
@@ -33,8 +34,8 @@ SCHEMA = "torchrl_athletic/fit/1"
 STAGES = {"quality": 2.0, "search": 60.0, "prune": 20.0, "score": 10.0}
 DRAWS = 24
 """Starts by chance."""
-STEPS = 15
-"""Gauss-Newton iterations after what is not needed has gone."""
+SLOPES = 3
+"""Jacobians at most after what is not needed has gone."""
 INVISIBLE = 1e-3
 """Change of a window's error, in typical errors, that five changes worth mentioning must make to be seen [1]."""
 ALIKE = 1e-4
@@ -116,6 +117,7 @@ def fit(
     *,
     drive: Drive = "command",
     seed: int = 0,
+    time_budget: float | None = None,
     output: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Fit:
@@ -130,6 +132,7 @@ def fit(
         heldout: Takes kept aside: they are scored, and may take back what was corrected at a joint.
         drive: Whether the commanded or the measured torque drives the simulation.
         seed: Of starts and of the choice of windows.
+        time_budget: Time after which the best that was found by then is handed back [s].
         output: Folder for ``fit.json``, ``fit.png``, ``corrected.json`` and ``corrected.xml``; nothing is written
             without.
         progress: Bar to move.
@@ -144,7 +147,7 @@ def fit(
         >>> fit(bench.model, bench.recordings, bench.heldout).parameters[0]  # doctest: +SKIP
         JointParameter(joint='pendulum', effect='coulomb_friction', ...)
     """
-    begun = time.monotonic()
+    begun, deadline = time.monotonic(), Deadline(np.inf if time_budget is None else time_budget)
     progress = progress or Progress(STAGES)
     compiled, xml, name = load_model(model)
     progress.stage("quality")
@@ -158,13 +161,13 @@ def fit(
 
     progress.stage("search")
     begin = starts(h, train, seen, _rng(seed, "starts"), DRAWS)
-    x, problem = search(h, train.takes, begin, _rng(seed, "search"), progress.update)
+    near = search(h, train.takes, begin, _rng(seed, "search"), deadline, progress.update)
     progress.stage("prune")
-    near = linearise(problem, x, free)
-    needed = prune(near, progress.update)
+    needed = prune(near, deadline.part(0.8), progress.update)
     y = near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
-    y = descend(weighed(problem, y), y, needed, STEPS)
-    again = linearise(weighed(problem, y), y, needed)
+    y = descend(weighed(near.problem, y), y, needed, SLOPES, deadline.part(0.85))
+    again = linearise(weighed(near.problem, y), y, needed)
+    x = near.values
 
     progress.stage("score")
     y, needed = _no_worse(h, (y, x), (needed, free), train, seed)
