@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from benchmarks.real_robots.robots import Robot
+from torchrl_athletic.diagnosis.corrected import Simulation
+from torchrl_athletic.diagnosis.replay import Windows, simulate, take_of
 from torchrl_athletic.recordings import Recording, split_at_gaps
 
 Array = NDArray[np.float64]
@@ -52,6 +54,10 @@ class Window:
     """Of the commands. Shape (T, J)."""
     gains: tuple[Array, Array] | None
     """kp and kd where positions were commanded. Shapes (J,)."""
+    recording: Recording
+    """Gap-free."""
+    first: int
+    """Sample of its grid at which the window starts."""
 
     @property
     def kind(self) -> tuple[Any, ...]:
@@ -108,6 +114,8 @@ class Replay:
                 r.time,
                 integral,
                 gains,
+                r,
+                first,
             )
             for first in range(0, len(grid) - length, length)
         ]
@@ -194,6 +202,24 @@ class Replay:
     def mean_square(self, x: Array) -> Array:
         """Of each window. Shape (W, J)."""
         return np.stack([(e**2).mean(0) for e in self.errors(x)])
+
+    def mean_square_of(self, corrected: Simulation) -> Array:
+        """The same of a corrected simulation with laws that plain MuJoCo lacks; same starts, commands and samples."""
+        groups: dict[tuple[int, int], list[int]] = {}
+        for k, w in enumerate(self.windows):
+            groups.setdefault((id(w.recording), id(w.model)), []).append(k)
+        out = np.empty((len(self.windows), len(self.dof)))
+        still, period = np.zeros(len(self.dof)), self.windows[0].step * self.windows[0].substeps
+        for rows in groups.values():
+            first = self.windows[rows[0]]
+            take = take_of(first.recording, first.model, still + 1e-9, period=period)
+            starts = np.array([self.windows[k].first for k in rows])
+            windows = Windows(take, starts, len(first.measured))
+            begin = np.stack([self.windows[k].q for k in rows]), np.stack([self.windows[k].v for k in rows])
+            path = simulate(windows, corrected.hypothesis.build, corrected.values[None], begin)[0]
+            for k, read in zip(rows, path, strict=True):
+                out[k] = (np.clip(read - self.windows[k].measured, -LOST, LOST) ** 2).mean(0)
+        return out
 
     def residual(self, x: Array) -> Array:
         """Whose sum of squares is that of the windows' mean squares."""

@@ -170,7 +170,7 @@ def damper(data: Path, tension: int) -> Robot:
         step = float(np.median(np.diff(rows[:, 0])))
         v, a = (np.asarray(savgol_filter(position, 21, 3, deriv=k, delta=step)) for k in (1, 2))
         force = np.asarray(kip * rows[:, 2] + spring * position + viscous * v + mass * a, dtype=np.float64)
-        time = np.arange(len(rows)) * step
+        time = np.arange(len(rows), dtype=np.float64) * step
         return Recording(time, ("damper",), position[:, None], torque_command=force[:, None], source=path.stem)
 
     slow = () if tension == 0 else ("0.25",)  # by its authors the band of that take was not as it says

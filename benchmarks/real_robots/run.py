@@ -15,20 +15,17 @@ import json
 import resource
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 
 from benchmarks.by_case import Row, run_cases
-from benchmarks.real_robots.replay import NAMES, Replay
+from benchmarks.real_robots.replay import Replay
 from benchmarks.real_robots.rivals import SHORT, by_hand, by_pace, by_sysid
 from benchmarks.real_robots.robots import ROBOTS
-from torchrl_athletic.diagnosis import Fit, fit
-
-Array = NDArray[np.float64]
+from torchrl_athletic.diagnosis import fit
 
 SCORED = 400
 """Windows that the error on the fitted recordings is stated over; those kept aside are all scored."""
@@ -67,7 +64,7 @@ def run(case: str, cfg: Config) -> Row:
     seconds = {"ours": time.monotonic() - begin}
     cpu, memory = time.process_time() - used, _memory()
     train, held = (Replay(robot, group) for group in (robot.recordings, robot.heldout))
-    points = {"given": train.nominal(), "ours": of_fit(ours, train)}
+    points = {"given": train.nominal()}
     if cfg.rivals:
         thinned = train.thinned(cfg.most)
         for rival, fitted in (
@@ -83,12 +80,18 @@ def run(case: str, cfg: Config) -> Row:
     else:
         store = cfg.output.with_suffix(".json")
         known = json.loads(store.read_text()).get(case, {}) if store.exists() else {}
-        points |= {who: np.array(x) for who, x in known.get("parameters", {}).items() if who not in points}
-        seconds |= {who: known["seconds"][who] for who in points if who not in ("given", "ours")}
-    errors = {who: {"train": _rmse(train.thinned(SCORED), x), "heldout": _rmse(held, x)} for who, x in points.items()}
+        points |= {who: np.array(x) for who, x in known.get("parameters", {}).items() if who not in ("given", "ours")}
+        seconds |= {who: known["seconds"][who] for who in points if who != "given"}
+    errors: dict[str, dict[str, list[float]]] = {}
+    medians: dict[str, dict[str, list[float]]] = {}
+    for who in ("given", "ours", *(who for who in points if who != "given")):
+        for split, replay in (("train", train.thinned(SCORED)), ("heldout", held)):
+            square = replay.mean_square_of(ours.corrected) if who == "ours" else replay.mean_square(points[who])
+            errors.setdefault(who, {})[split] = np.sqrt(square.mean(0)).tolist()
+            medians.setdefault(who, {})[split] = np.sqrt(np.median(square, axis=0)).tolist()
     return {
-        "errors": {who: {k: v[0] for k, v in e.items()} for who, e in errors.items()},
-        "medians": {who: {k: v[1] for k, v in e.items()} for who, e in errors.items()},
+        "errors": errors,
+        "medians": medians,
         "parameters": {who: np.round(x, 9).tolist() for who, x in points.items()},
         "joints": list(train.names),
         "unit": robot.unit,
@@ -97,6 +100,7 @@ def run(case: str, cfg: Config) -> Row:
         "seconds": {who: round(s, 1) for who, s in seconds.items()},
         "cpu": round(cpu, 1),
         "memory": round(memory / 1e9, 2),
+        "fitted": [asdict(p) for p in ours.parameters if p.value != p.given],
         "remarks": list(ours.remarks),
     }
 
@@ -114,25 +118,6 @@ def _memory() -> float:
         return 1024.0 * float(line.split()[1])
     except (OSError, ValueError):
         return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-
-
-def _rmse(replay: Replay, x: Array) -> tuple[list[float], list[float]]:
-    """Root mean square over all windows, and of the median window, of each joint."""
-    square = replay.mean_square(x)
-    return np.sqrt(square.mean(0)).tolist(), np.sqrt(np.median(square, axis=0)).tolist()
-
-
-def of_fit(fitted: Fit, replay: Replay) -> Array:
-    """Our parameters as the neutral replay takes them. Shape (10, J)."""
-    x = replay.nominal()
-    row = {"coulomb_friction": 0, "viscous_friction": 1, "reflected_inertia": 2, "actuation_delay": 3,
-           "torque_saturation": 4, "torque_offset": 5, "encoder_offset": 6, "torque_scale": 7}  # fmt: skip
-    gains = {"kp_scale": 8, "kd_scale": 9}
-    for p in fitted.parameters:
-        x[gains[p.name] if p.effect == "gain_mismatch" else row[p.effect], replay.names.index(p.joint)] = p.value
-    limit = NAMES.index("limit")
-    x[limit] = np.minimum(x[limit] * x[NAMES.index("scale")], replay.nominal()[limit])  # it comes before the scale
-    return x
 
 
 def ratio(r: Row) -> float:

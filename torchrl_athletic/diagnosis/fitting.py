@@ -16,6 +16,7 @@ from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, w
 from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.diagnose import Model, load_model
+from torchrl_athletic.diagnosis.extension import extend
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.joint_fit import Linearised, descend, linearise, prune, search, weighed
 from torchrl_athletic.diagnosis.prepare import Drive, Prepared, prepare
@@ -31,7 +32,7 @@ Array = NDArray[np.float64]
 State = Literal["identified", "not needed", "not identified", "taken back"]
 
 SCHEMA = "torchrl_athletic/fit/1"
-STAGES = {"quality": 2.0, "search": 60.0, "prune": 20.0, "score": 10.0}
+STAGES = {"quality": 2.0, "search": 40.0, "extend": 25.0, "prune": 20.0, "score": 10.0}
 DRAWS = 24
 """Starts by chance."""
 SLOPES = 3
@@ -117,6 +118,7 @@ def fit(
     *,
     drive: Drive = "command",
     seed: int = 0,
+    extended: bool = True,
     time_budget: float | None = None,
     output: str | Path | None = None,
     progress: Progress | None = None,
@@ -132,6 +134,7 @@ def fit(
         heldout: Takes kept aside: they are scored, and may take back what was corrected at a joint.
         drive: Whether the commanded or the measured torque drives the simulation.
         seed: Of starts and of the choice of windows.
+        extended: Whether laws beyond the standard joint are tried, and kept where folds ask for them.
         time_budget: Time after which the best that was found by then is handed back [s].
         output: Folder for ``fit.json``, ``fit.png``, ``corrected.json`` and ``corrected.xml``; nothing is written
             without.
@@ -161,7 +164,12 @@ def fit(
 
     progress.stage("search")
     begin = starts(h, train, seen, _rng(seed, "starts"), DRAWS)
-    near = search(h, train.takes, begin, _rng(seed, "search"), deadline, progress.update)
+    near = search(h, train.takes, begin, _rng(seed, "search"), deadline.part(0.55), progress.update)
+    if extended:
+        progress.stage("extend")
+        near = extend(near, train, seen, deadline.part(0.7), progress.update)
+        h = near.problem.hypothesis
+        free = h.bounds[1] > h.bounds[0]
     progress.stage("prune")
     needed = prune(near, deadline.part(0.8), progress.update)
     y = near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])

@@ -162,19 +162,19 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
     astray, joint by joint or of all joints together; folds tell.
     """
     problem, free = near.problem, near.free
-    best, least = near, _stated(near)
+    best, least = near, stated(near)
     for other in (replace(problem, tuning=np.inf), replace(problem, tuning=np.inf, pooled=True)):
-        if len(problem.unit) == 1 and other.pooled or not deadline.allows(3 * near.seconds):
+        if (len(problem.unit) == 1 and other.pooled) or not deadline.allows(3 * near.seconds):
             break
         other = in_units(other, problem.squares(near.errors))
         x = descend(other, near.values, free, 1, deadline, near)
         found = linearise(weighed(other, x), x, free)
-        if (error := _stated(found)) < least:
+        if (error := stated(found)) < least:
             best, least = found, error
     return best
 
 
-def _stated(near: Linearised) -> float:
+def stated(near: Linearised) -> float:
     """Mean square error of folds by what the others say, all joints together."""
     nothing = np.zeros(int(near.free.sum()), dtype=bool)
     return float(folded(near, [nothing], folds_of(near.problem))[0].mean())
@@ -244,9 +244,7 @@ def _steps(problem: Problem, near: Linearised, deadline: Deadline) -> tuple[Arra
     for _ in range(STEPS):
         normal, right = d.T @ d, d.T @ r
         size = np.diag(np.diag(normal))
-        moves = [
-            bounded_least_squares(normal + (RIDGE + much) * size, -right, low - x, high - x) for much in DAMPING
-        ]
+        moves = [bounded_least_squares(normal + (RIDGE + much) * size, -right, low - x, high - x) for much in DAMPING]
         trials = np.clip(x + np.stack(moves), low, high)
         values = np.repeat(near.values[None], len(trials), axis=0)
         values[:, free] = trials * scale
@@ -410,9 +408,7 @@ def folds_of(problem: Problem, count: int = FOLDS) -> NDArray[np.intp]:
     return out
 
 
-def prune(
-    near: Linearised, deadline: Deadline, progress: Callable[[float], None] = lambda fraction: None
-) -> Mask:
+def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None] = lambda fraction: None) -> Mask:
     """Which parameters folds that are kept aside ask for; the others are held at the given model's. Shape (P,), of all.
 
     Backwards: of each joint the parameter goes whose absence costs least to first order, as long as folds that were
@@ -477,11 +473,12 @@ def folded(near: Linearised, trials: Sequence[Mask], fold: NDArray[np.intp], fir
                 out[n, fold == k] = problem.squares(errors)[fold == k]
         else:
             values = np.stack([near.step(fold != k, held) for held in trials])
-            out[:, fold == k] = _part(problem, fold == k).mean_square(values)
+            out[:, fold == k] = part_of(problem, fold == k).mean_square(values)
     return out
 
 
-def _part(problem: Problem, chosen: NDArray[np.bool_]) -> Problem:
+def part_of(problem: Problem, chosen: Mask) -> Problem:
+    """Some of the windows."""
     windows, first = [], 0
     for w in problem.windows:
         keep = chosen[first : first + len(w.start)]
