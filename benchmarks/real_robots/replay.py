@@ -209,10 +209,10 @@ class Replay:
         for k, w in enumerate(self.windows):
             groups.setdefault((id(w.recording), id(w.model)), []).append(k)
         out = np.empty((len(self.windows), len(self.dof)))
-        still, period = np.zeros(len(self.dof)), self.windows[0].step * self.windows[0].substeps
+        quiet = np.full(len(self.dof), 1e-9)
         for rows in groups.values():
             first = self.windows[rows[0]]
-            take = take_of(first.recording, first.model, still + 1e-9, period=period)
+            take = take_of(first.recording, first.model, quiet, period=first.step * first.substeps)
             starts = np.array([self.windows[k].first for k in rows])
             windows = Windows(take, starts, len(first.measured))
             begin = np.stack([self.windows[k].q for k in rows]), np.stack([self.windows[k].v for k in rows])
