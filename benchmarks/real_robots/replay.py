@@ -28,8 +28,6 @@ LOST = 10.0
 """Error of a simulation that diverges [rad, m]."""
 SAME_RATE = 0.002
 """Relative difference of sampling rates below which recordings share a grid."""
-SETTLED = 0.02
-"""Sampling period from which a logged velocity is too coarse to start from [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +88,13 @@ class Replay:
         self.movable = (*NAMES[:7], *(drive if self.targets else ("scale",)))
 
     def _cut(self, r: Recording, model: mujoco.MjModel, period: float) -> list[Window]:
-        """Back to back, with states from a smoothed log."""
+        """Back to back, with states from the smoothed positions: a drive's own velocity may be late or coarse."""
         substeps = int(np.ceil(period / self.given.opt.timestep - 1e-3))
         grid = r.time[0] + period * np.arange(int((r.time[-1] - r.time[0]) / period + 1e-6) + 1)
         q = np.stack([np.interp(grid, r.time, c) for c in r.position.T], -1)
         size = max(5, 2 * round(0.01 / period) + 1)
         smooth = savgol_filter(q, size, 3, axis=0)
         v = savgol_filter(q, size, 3, deriv=1, delta=period, axis=0)
-        if r.velocity is not None and period < SETTLED:
-            v = savgol_filter(np.stack([np.interp(grid, r.time, c) for c in r.velocity.T], -1), size, 3, axis=0)
         length = round(WINDOW / period)
         integral = np.vstack([np.zeros(len(self.names)), np.cumsum(np.diff(r.time)[:, None] * r.command[:-1], 0)])
         gains = None if r.kp is None or r.kd is None else (r.kp, r.kd)

@@ -34,7 +34,6 @@ from torchrl_athletic.effects import (
     ActuationLag,
     AsymmetricFriction,
     Effect,
-    EncoderScale,
     GravityTilt,
     Hysteresis,
     JointSpring,
@@ -61,7 +60,6 @@ LAWS: tuple[Effect, ...] = (
     LinkInertia(),
     LinkComShift(),
     GravityTilt(),
-    EncoderScale(),
 )
 REPLACED: Mapping[str, tuple[str, ...]] = {
     "stribeck_friction": ("coulomb_friction",),
@@ -85,7 +83,7 @@ WIDTHS = (0.03, 0.15)
 """Widths of a hysteresis to start from [rad], on a joint that travels a radian or more."""
 NO_LOAD = 4.0
 """No-load speed to start from, per the root mean square speed [1]."""
-SCREENED = 48
+SCREENED = 32
 """Windows by which laws are screened."""
 GAIN = 0.02
 """Share of the error of folds that a law must save, to first order and in simulation [1]."""

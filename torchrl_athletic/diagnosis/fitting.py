@@ -19,6 +19,7 @@ from torchrl_athletic.diagnosis.diagnose import Model, load_model
 from torchrl_athletic.diagnosis.extension import extend
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.joint_fit import Linearised, descend, linearise, prune, search, weighed
+from torchrl_athletic.diagnosis.memory import free_memory
 from torchrl_athletic.diagnosis.prepare import Drive, Prepared, prepare
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.result import Score
@@ -26,7 +27,7 @@ from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.standard import Seen, seen_in, standard_joints, starts
 from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
 from torchrl_athletic.effects import Parameter
-from torchrl_athletic.recordings import Recording
+from torchrl_athletic.recordings import Recording, thinned
 
 Array = NDArray[np.float64]
 State = Literal["identified", "not needed", "not identified", "taken back"]
@@ -37,6 +38,10 @@ DRAWS = 24
 """Starts by chance."""
 SLOPES = 3
 """Jacobians at most after what is not needed has gone."""
+LONGEST = 300.0
+"""Of the recordings that are fitted, and of those kept aside; longer ones are thinned [s]."""
+FIXED, VALUE = 0.9e9, 600.0
+"""Memory of the libraries and of a batch of simulations, and of one reading of one joint [byte]."""
 INVISIBLE = 1e-3
 """Change of a window's error, in typical errors, that five changes worth mentioning must make to be seen [1]."""
 ALIKE = 1e-4
@@ -120,6 +125,7 @@ def fit(
     seed: int = 0,
     extended: bool = True,
     time_budget: float | None = None,
+    memory: float | None = None,
     output: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Fit:
@@ -136,6 +142,7 @@ def fit(
         seed: Of starts and of the choice of windows.
         extended: Whether laws beyond the standard joint are tried, and kept where folds ask for them.
         time_budget: Time after which the best that was found by then is handed back [s].
+        memory: To take at most, about [byte]; None for half of what is free. Longer recordings are thinned.
         output: Folder for ``fit.json``, ``fit.png``, ``corrected.json`` and ``corrected.xml``; nothing is written
             without.
         progress: Bar to move.
@@ -155,6 +162,10 @@ def fit(
     compiled, xml, name = load_model(model)
     progress.stage("quality")
     order = recordings[0].joint_names if recordings else ()
+    values = ((free_memory() / 2 if memory is None else memory) - FIXED) / VALUE
+    whole = sum(r.duration for r in recordings)
+    recordings, heldout = thinned(recordings, LONGEST, 0.6 * values), thinned(heldout, LONGEST, 0.4 * values)
+    kept = sum(r.duration for r in recordings)
     train = prepare([r.ordered(order) for r in recordings], compiled, drive, xml=xml)
     kernel = train.signals[0].kernel
     held = prepare([r.ordered(order) for r in heldout], compiled, drive, kernel, xml=xml) if heldout else None
@@ -181,6 +192,8 @@ def fit(
     y, needed = _no_worse(h, (y, x), (needed, free), train, seed)
     parameters = _parameters(h, near, again, y, needed, seen)
     remarks = [_binds(p, bounds) for p, bounds in zip(parameters, _free_parameters(h), strict=True)]
+    if kept < 0.99 * whole:
+        remarks.append(f"Of {whole:.0f} s of recordings, {kept:.0f} s were fitted, in stretches over all of them.")
     if held is not None:
         stated = score(held.takes, h, y, held.position_noise, _rng(seed, "heldout"))[0]
         floor = np.array([joint["floor"] for joint in stated.per_joint.values()])
@@ -192,9 +205,9 @@ def fit(
             h.values_of(c, y)[:] = [p.nominal for p in c.parameters]
             h.values_of(c, needed)[:] = False
     nominal = Simulation(compiled, tuple(order), Hypothesis(()), np.zeros(0))
-    kept = tuple(c for c in h.terms if any(h.values_of(c, needed)))
-    values = np.concatenate([h.values_of(c, y) for c in kept]) if kept else np.zeros(0)
-    corrected = replace(nominal, hypothesis=Hypothesis(kept), values=values)
+    terms = tuple(c for c in h.terms if any(h.values_of(c, needed)))
+    numbers = np.concatenate([h.values_of(c, y) for c in terms]) if terms else np.zeros(0)
+    corrected = replace(nominal, hypothesis=Hypothesis(terms), values=numbers)
     result = Fit(
         parameters=parameters,
         nominal=nominal,
