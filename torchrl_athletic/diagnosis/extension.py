@@ -29,7 +29,7 @@ from torchrl_athletic.diagnosis.joint_fit import (
 )
 from torchrl_athletic.diagnosis.prepare import Prepared
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.diagnosis.standard import ROOM, Seen
+from torchrl_athletic.diagnosis.standard import ROOM, Seen, agreement
 from torchrl_athletic.effects import (
     ActuationLag,
     AsymmetricFriction,
@@ -118,9 +118,9 @@ def extend(
         progress((k + 0.6) / ROUNDS)
         if not chosen:
             break
-        better = _with(near, chosen, deadline)
+        better = _with(near, chosen, prepared, deadline)
         if stated(better) > (1 - GAIN / 2) * stated(near) and len(chosen) > 1:  # they get into each other's way
-            better = _with(near, chosen[:1], deadline)
+            better = _with(near, chosen[:1], prepared, deadline)
         if stated(better) > (1 - GAIN / 2) * stated(near):
             break
         near = better
@@ -201,10 +201,10 @@ def _free(h: Hypothesis) -> Mask:
     return np.asarray(h.bounds[1] > h.bounds[0])
 
 
-def _with(near: Linearised, chosen: Sequence[Offer], deadline: Deadline) -> Linearised:
+def _with(near: Linearised, chosen: Sequence[Offer], prepared: Prepared, deadline: Deadline) -> Linearised:
     """The fit with some laws."""
     h, x = _joined(near, chosen)
-    problem = replace(near.problem, hypothesis=h)
+    problem = replace(near.problem, hypothesis=h, torques=agreement(h, prepared))
     x = descend(weighed(problem, x), x, _free(h), 2, deadline)
     return linearise(weighed(problem, x), x, _free(h))
 
@@ -215,7 +215,15 @@ def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> lis
     mask = np.zeros(count, dtype=bool)
     mask[np.linspace(0, count - 1, min(SCREENED, count)).astype(int)] = True
     rows = mask[problem.window]
-    few = replace(near, problem=part_of(problem, mask), errors=near.errors[rows], columns=near.columns[rows])
+    part, nothing = replace(part_of(problem, mask), torques=None), np.zeros((0, int(near.free.sum())))
+    few = replace(
+        near,
+        problem=part,
+        errors=near.errors[rows],
+        columns=near.columns[rows],
+        pull=nothing[:, 0],
+        pull_columns=nothing,
+    )
     fold = folds_of(few.problem)
     before = _cost(few, folded(few, [_nothing(few)], fold, first_order=True))[0]
     gains: list[tuple[float, Offer]] = []
@@ -275,4 +283,5 @@ def _beside(near: Linearised, offer: Offer) -> Linearised:
             if free[here]:
                 columns[:, at[here]] = near.columns[:, column[there]]
     columns[:, at[free & own]] = new.columns
-    return Linearised(problem, x, free, new.errors, columns, new.seconds)
+    nothing = np.zeros((0, int(free.sum())))
+    return Linearised(problem, x, free, new.errors, columns, nothing[:, 0], nothing, new.seconds)

@@ -24,7 +24,7 @@ from torchrl_athletic.diagnosis.prepare import Drive, Prepared, prepare
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.diagnosis.standard import Seen, seen_in, standard_joints, starts
+from torchrl_athletic.diagnosis.standard import Seen, agreement, seen_in, standard_joints, starts
 from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
 from torchrl_athletic.effects import Parameter
 from torchrl_athletic.recordings import Recording, thinned
@@ -175,7 +175,9 @@ def fit(
 
     progress.stage("search")
     begin = starts(h, train, seen, _rng(seed, "starts"), DRAWS)
-    near = search(h, train.takes, begin, _rng(seed, "search"), deadline.part(0.55), progress.update)
+    near = search(
+        h, train.takes, begin, _rng(seed, "search"), deadline.part(0.55), agreement(h, train), progress.update
+    )
     if extended:
         progress.stage("extend")
         near = extend(near, train, seen, deadline.part(0.7), progress.update)
@@ -291,7 +293,7 @@ def spread_of(near: Linearised) -> Array:
     The sandwich estimate (White 1980), clustered by window.
     """
     scale = near.problem.hypothesis.scale[near.free]
-    normal = near.normal.sum(0)
+    normal = near.normal.sum(0) + near.pull_columns.T @ near.pull_columns
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.pinv(normal / size / size[:, None], rcond=1e-8, hermitian=True) / size / size[:, None]
     middle = near.right.T @ near.right

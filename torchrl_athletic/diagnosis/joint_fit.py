@@ -19,6 +19,7 @@ from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis, draw_windows
 from torchrl_athletic.diagnosis.replay import Take, Windows, simulate
 from torchrl_athletic.diagnosis.screen import bounded_least_squares
+from torchrl_athletic.diagnosis.standard import Agreement
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -61,6 +62,8 @@ DOUBT = 0.5
 """Standard errors by which a parameter has to help where it was not fitted [1]."""
 RIDGE = 1e-6
 """Pull towards the solution where windows say nothing, per what they say [1]."""
+TORQUES = 0.02
+"""Share of a joint's squared error that it is worth to halve the unexplained variance of its torque [1]."""
 FINITE = 1e-2
 """Step of the finite differences, in units of a parameter [1]."""
 
@@ -79,6 +82,14 @@ class Problem:
     """Typical errors at which a window weighs half [1]; infinite for plain least squares."""
     pooled: bool = False
     """Whether all joints have one unit, as they have in an error that is stated of all."""
+    torques: Agreement | None = None
+    """What the torques say of the parameters; a fit pays for contradicting them."""
+
+    def pull(self, values: Array) -> Array:
+        """Rows that the least squares has beside the windows'. Shape (R, K) for values (K, P)."""
+        if self.torques is None:
+            return np.zeros((0, len(values)))
+        return np.sqrt(TORQUES * len(self.weight)) * self.torques.rows(values)
 
     def predict(self, values: Array) -> Iterator[tuple[Windows, Array]]:
         """Errors of blocks of windows, thinned. Shapes (K, W, length, J) for values (K, P)."""
@@ -120,14 +131,21 @@ class Problem:
 
 
 def problem_of(
-    h: Hypothesis, takes: Sequence[Take], seconds: float, most: int, rng: np.random.Generator, x: Array
+    h: Hypothesis,
+    takes: Sequence[Take],
+    seconds: float,
+    most: int,
+    rng: np.random.Generator,
+    x: Array,
+    torques: Agreement | None = None,
 ) -> Problem:
     """Windows of some length, each started where its state is known best, weighed by how values (P,) follow them."""
     windows = [well_started(w) for w in draw_windows(takes, seconds, most, rng)]
     if seconds == WINDOW and (few := sum(len(w.start) for w in windows)) < min(ENOUGH, most):
         windows = [_overlapping(w, -(-min(ENOUGH, most) // few)) for w in windows]
     count = sum(len(w.start) for w in windows)
-    return weighed(Problem(h, tuple(windows), np.ones(len(takes[0].address.dof)), np.ones(count)), x)
+    unit = np.ones(len(takes[0].address.dof))
+    return weighed(Problem(h, tuple(windows), unit, np.ones(count), torques=torques), x)
 
 
 def weighed(problem: Problem, x: Array) -> Problem:
@@ -239,7 +257,9 @@ def _steps(problem: Problem, near: Linearised, deadline: Deadline) -> tuple[Arra
     h, free, weight = problem.hypothesis, near.free, problem.row_weight
     scale = h.scale[free]
     low, high = (side[free] / scale for side in h.bounds)
-    x, r, d = near.values[free] / scale, near.errors * weight, near.columns * weight[:, None]
+    x = near.values[free] / scale
+    r = np.concatenate([near.errors * weight, near.pull])
+    d = np.concatenate([near.columns * weight[:, None], near.pull_columns])
     begin = cost = float(r @ r)
     for _ in range(STEPS):
         normal, right = d.T @ d, d.T @ r
@@ -248,7 +268,7 @@ def _steps(problem: Problem, near: Linearised, deadline: Deadline) -> tuple[Arra
         trials = np.clip(x + np.stack(moves), low, high)
         values = np.repeat(near.values[None], len(trials), axis=0)
         values[:, free] = trials * scale
-        errors = problem.errors(values) * weight[:, None]
+        errors = np.concatenate([problem.errors(values) * weight[:, None], problem.pull(values)])
         costs = (errors**2).sum(0)
         best = int(np.argmin(costs))
         if not costs[best] < cost:
@@ -269,6 +289,7 @@ def search(
     begin: Array,
     rng: np.random.Generator,
     deadline: Deadline,
+    torques: Agreement | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Linearised:
     """Fit from several starts, over growing horizons.
@@ -279,6 +300,7 @@ def search(
         begin: Starts, of which the first is the given model. Shape (K, P).
         rng: Draws windows.
         deadline: When to come to an end.
+        torques: What they say of the parameters.
         progress: Told the finished fraction.
 
     Returns:
@@ -286,11 +308,11 @@ def search(
     """
     free = h.bounds[1] > h.bounds[0]
     count = affordable(h, takes, deadline)
-    full = problem_of(h, takes, WINDOW, count, rng, begin[0])
-    few = problem_of(h, takes, WINDOW, COMPARED, rng, begin[0]) if count > COMPARED else full
+    full = problem_of(h, takes, WINDOW, count, rng, begin[0], torques)
+    few = problem_of(h, takes, WINDOW, COMPARED, rng, begin[0], torques) if count > COMPARED else full
     points = list(begin)
     for horizon, (seconds, kept) in enumerate(zip(HORIZONS, KEPT, strict=True)):
-        problem = problem_of(h, takes, seconds, SEARCHED, rng, points[0])
+        problem = problem_of(h, takes, seconds, SEARCHED, rng, points[0], torques)
         if not horizon:
             points = _mixed(h, problem.mean_square(begin), begin, kept)
         points = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3)) for x in points]
@@ -318,6 +340,7 @@ def _best(problem: Problem, points: Sequence[Array], count: int) -> list[Array]:
     square = problem.mean_square(np.stack(distinct))
     unit = np.sqrt(np.maximum(np.median(square, axis=1).min(0), 1e-18))
     cost = window_cost(replace(problem, unit=unit), square).mean(1)
+    cost = cost + (problem.pull(np.stack(distinct)) ** 2).sum(0) / (len(problem.weight) * len(unit))
     return [distinct[k] for k in np.argsort(cost)[:count]]
 
 
@@ -333,6 +356,10 @@ class Linearised:
     """As the problem's. Shape (N,)."""
     columns: Array
     """Their Jacobian. Shape (N, P)."""
+    pull: Array
+    """The torques' rows. Shape (R,)."""
+    pull_columns: Array
+    """Shape (R, P)."""
     seconds: float = 0.0
     """That it took [s]."""
 
@@ -367,9 +394,11 @@ class Linearised:
         low, high = ((side[self.free] - start) / scale for side in h.bounds)
         home = (h.nominal[self.free] - start) / scale
         low, high = np.where(held, home, low), np.where(held, home, high)
-        n = self.normal[windows].sum(0)
+        share, columns = float(np.mean(windows)), self.pull_columns
+        n = self.normal[windows].sum(0) + share * columns.T @ columns
         n = n + RIDGE * np.diag(np.diag(n))
-        return bounded_least_squares(n, -self.right[windows].sum(0), low, high)
+        right = self.right[windows].sum(0) + share * columns.T @ self.pull
+        return bounded_least_squares(n, -right, low, high)
 
 
 def linearise(problem: Problem, x: Array, free: Mask) -> Linearised:
@@ -380,9 +409,9 @@ def linearise(problem: Problem, x: Array, free: Mask) -> Linearised:
     sign = np.where(x[free] + step * scale > h.bounds[1][free], -1.0, 1.0)
     values = np.repeat(x[None], int(free.sum()) + 1, axis=0)
     values[1:, free] += np.diag(sign * step * scale)
-    e = problem.errors(values)
-    columns = (e[:, 1:] - e[:, :1]) / (sign * step)
-    return Linearised(problem, x, free, e[:, 0], columns, time.monotonic() - begin)
+    e, pull = problem.errors(values), problem.pull(values)
+    columns, pull_columns = ((y[:, 1:] - y[:, :1]) / (sign * step) for y in (e, pull))
+    return Linearised(problem, x, free, e[:, 0], columns, pull[:, 0], pull_columns, time.monotonic() - begin)
 
 
 def folds_of(problem: Problem, count: int = FOLDS) -> NDArray[np.intp]:
