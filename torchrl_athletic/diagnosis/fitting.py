@@ -16,9 +16,9 @@ from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, w
 from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.diagnose import Model, load_model
-from torchrl_athletic.diagnosis.extension import extend
+from torchrl_athletic.diagnosis.extension import extend, with_gear
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.joint_fit import Linearised, descend, linearise, prune, search, weighed
+from torchrl_athletic.diagnosis.joint_fit import Linearised, descend, linearise, prune, search, weighed, window_cost
 from torchrl_athletic.diagnosis.memory import free_memory
 from torchrl_athletic.diagnosis.prepare import Drive, Prepared, prepare
 from torchrl_athletic.diagnosis.progress import Progress
@@ -42,6 +42,10 @@ LONGEST = 300.0
 """Of the recordings that are fitted, and of those kept aside; longer ones are thinned [s]."""
 FIXED, VALUE = 0.9e9, 600.0
 """Memory of the libraries and of a batch of simulations, and of one reading of one joint [byte]."""
+ALSO = "the same motion follows from"
+"""Why a parameter has no number where another one does as well."""
+SAME = 1.01
+"""Error up to which a fit without parameters that have no number of their own follows as well [1]."""
 INVISIBLE = 1e-3
 """Change of a window's error, in typical errors, that five changes worth mentioning must make to be seen [1]."""
 ALIKE = 1e-4
@@ -180,6 +184,7 @@ def fit(
     )
     if extended:
         progress.stage("extend")
+        near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.65))
         near = extend(near, train, seen, deadline.part(0.7), progress.update)
         h = near.problem.hypothesis
         free = h.bounds[1] > h.bounds[0]
@@ -188,6 +193,9 @@ def fit(
     y = near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
     y = descend(weighed(near.problem, y), y, needed, SLOPES, deadline.part(0.85))
     again = linearise(weighed(near.problem, y), y, needed)
+    if deadline.part(0.85).allows(3 * again.seconds):
+        again, needed = _without_unknown(near, again, needed, seen, deadline.part(0.9))
+        y = again.values
     x = near.values
 
     progress.stage("score")
@@ -265,7 +273,7 @@ def _parameters(
     h: Hypothesis, near: Linearised, again: Linearised, y: Array, needed: NDArray[np.bool_], seen: Seen
 ) -> tuple[JointParameter, ...]:
     """All free parameters, with what the fit of all of them and that of the needed ones say."""
-    doubt, remark = spread_of(near), _doubts(near, seen)
+    doubt, reasons = spread_of(near), _reasons(near, again, needed, seen)
     own = dict(zip(np.flatnonzero(again.free), spread_of(again), strict=True))
     out, at = [], np.flatnonzero(near.free)
     place = [(c, p) for c in h.terms for p in c.parameters]
@@ -273,9 +281,7 @@ def _parameters(
         c, p = place[i]
         centre, sigma = (y[i], own.get(i, doubt[k])) if needed[i] else (near.values[i], doubt[k])
         low, high = np.clip([centre - 1.96 * sigma, centre + 1.96 * sigma], p.lower, p.upper)
-        why = remark[k]
-        if not why and 1.96 * min(sigma, doubt[k]) > max(WIDE * p.scale, abs(centre)):
-            why = "its interval is wider than the number itself"
+        why = reasons[k]
         if why and c.effect.name == "torque_saturation":
             low, high = float(seen.asked[c.joint]), p.upper
         state: State = "not identified" if why else "identified" if needed[i] else "not needed"
@@ -285,6 +291,37 @@ def _parameters(
             )
         )
     return tuple(out)
+
+
+def _reasons(near: Linearised, again: Linearised, needed: NDArray[np.bool_], seen: Seen) -> list[str]:
+    """Why each parameter of the fit of all has no number of its own, or empty."""
+    doubt, out = spread_of(near), _doubts(near, seen)
+    own = dict(zip(np.flatnonzero(again.free), spread_of(again), strict=True))
+    parameters = near.problem.hypothesis.parameters
+    for k, i in enumerate(np.flatnonzero(near.free)):
+        p = parameters[i]
+        centre, sigma = (again.values[i], own.get(i, doubt[k])) if needed[i] else (near.values[i], doubt[k])
+        if not out[k] and 1.96 * min(sigma, doubt[k]) > max(WIDE * p.scale, abs(centre)):
+            out[k] = "its interval is wider than the number itself"
+    return out
+
+
+def _without_unknown(
+    near: Linearised, again: Linearised, needed: NDArray[np.bool_], seen: Seen, deadline: Deadline
+) -> tuple[Linearised, NDArray[np.bool_]]:
+    """The fit with what has no number of its own as the given model has it, unless it follows the motion worse then."""
+    unknown = np.zeros(len(needed), dtype=bool)
+    unknown[near.free] = [bool(why) and not why.startswith(ALSO) for why in _reasons(near, again, needed, seen)]
+    unknown &= needed
+    if not unknown.any():
+        return again, needed
+    problem, left = again.problem, needed & ~unknown
+    x = np.where(unknown, problem.hypothesis.nominal, again.values)
+    x = descend(weighed(problem, x), x, left, 2, deadline)
+    costs = [
+        window_cost(problem, problem.squares(problem.errors(v[None])[:, 0])[None]).mean() for v in (again.values, x)
+    ]
+    return (linearise(weighed(problem, x), x, left), left) if costs[1] < SAME * costs[0] else (again, needed)
 
 
 def spread_of(near: Linearised) -> Array:
@@ -317,7 +354,7 @@ def _doubts(near: Linearised, seen: Seen) -> list[str]:
         for k in np.flatnonzero(part > SHARE) if value < ALIKE else ():
             others = [own[index[n]] for n in np.argsort(-part) if n != k and part[n] > SHARE][:2]
             names = " and ".join(_words(c, p) for c, p in others)
-            out[index[k]] = out[index[k]] or f"the same motion follows from {names}"
+            out[index[k]] = out[index[k]] or f"{ALSO} {names}"
     return out
 
 

@@ -314,9 +314,10 @@ def search(
     for horizon, (seconds, kept) in enumerate(zip(HORIZONS, KEPT, strict=True)):
         problem = problem_of(h, takes, seconds, SEARCHED, rng, points[0], torques)
         if not horizon:
-            points = _mixed(h, problem.mean_square(begin), begin, kept)
-        points = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3)) for x in points]
-        points = _best(few, [*points, *begin[:2]], kept)
+            half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
+            points = [p for q in (problem, few) for p in _mixed(h, q.mean_square(begin), begin, half)]
+        ends = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3)) for x in points]
+        points = _best(few, [*ends, *points, *begin[:2]], kept)
         progress((horizon + 1) / 4)
     ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
     progress(0.7)

@@ -234,7 +234,7 @@ def agreement(h: Hypothesis, prepared: Prepared) -> Agreement:
         if c.effect.name == "torque_scale":
             scales[c.joint] = index_of[id(c), 0]
         elif c.effect.name not in NONLINEAR:
-            prints.append((c, _columns(c, prepared)))
+            prints.append((c, columns_of(c, prepared)))
     parts = []
     for j in range(len(prepared.takes[0].address.dof)):
         good = np.concatenate([s.valid[:, j] for s in prepared.signals])
@@ -265,7 +265,7 @@ def agreement(h: Hypothesis, prepared: Prepared) -> Agreement:
     return Agreement(tuple(parts))
 
 
-def _columns(c: Candidate, prepared: Prepared) -> list[Array]:
+def columns_of(c: Candidate, prepared: Prepared) -> list[Array]:
     """A term's fingerprint in each piece. Shapes (N, J, K)."""
     out = []
     for s in prepared.signals:
