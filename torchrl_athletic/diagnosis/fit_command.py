@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from torchrl_athletic.diagnosis import command
 from torchrl_athletic.diagnosis.diagnose import ModelError
 from torchrl_athletic.diagnosis.fitting import STAGES, Fit, JointParameter, fit
+from torchrl_athletic.diagnosis.inputs import checked, inputs
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.recordings import FetchError, RecordingError
 
@@ -29,28 +29,42 @@ class FitConfig:
     """Folder for fit.json, fit.png, corrected.xml and corrected.json."""
     columns: Path | None = None
     """JSON column map for foreign names and units."""
+    lock: tuple[str, ...] = ()
+    """Joints that stood still, as NAME or NAME=POSITION: they become part of their links in the model."""
+    check: bool = False
+    """Say all that is wrong with the inputs, and do nothing else."""
     drive: Literal["command", "measured"] = "command"
     """Torque that drives the simulation: what was commanded, or what was measured."""
     dataset: Literal["emps", "two_link_arm", "pendulum", "xl330", "unbalanced_disk"] | None = None
     """Fit a public recording of a real robot instead."""
+    time_budget: float | None = None
+    """Time after which the best that was found by then is handed back [s]."""
+    memory: float | None = None
+    """Memory that it may take [GB]; half of what is free unless said. Of longer logs, stretches are fitted."""
     seed: int = 0
     """Of starts and of the choice of windows."""
 
 
 def main(config: FitConfig) -> Fit:
     """Run a fit, print its table, and leave the files in ``config.output``."""
-    same = {f.name: getattr(config, f.name) for f in fields(config)}
+    if config.check:
+        text, usable = checked(config)
+        print(text)
+        sys.exit(0 if usable else 1)
     try:
         if config.output.is_file():  # said now, not after the fit
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
-        model, recordings, heldout = command.inputs(command.Config(**same))
+        given = inputs(config)
+        print("\n".join(given.notes), end="\n" if given.notes else "")
         with Progress(STAGES) as progress:
             fitted = fit(
-                model,
-                recordings,
-                heldout,
+                given.model,
+                given.recordings,
+                given.heldout,
                 drive=config.drive,
                 seed=config.seed,
+                time_budget=config.time_budget,
+                memory=config.memory,
                 output=config.output,
                 progress=progress,
             )

@@ -40,6 +40,7 @@ SLOPES = 3
 """Jacobians at most after what is not needed has gone."""
 LONGEST = 300.0
 """Of the recordings that are fitted, and of those kept aside; longer ones are thinned [s]."""
+GIGABYTE = 2.0**30
 FIXED, VALUE = 0.9e9, 600.0
 """Memory of the libraries and of a batch of simulations, and of one reading of one joint [byte]."""
 ALSO = "the same motion follows from"
@@ -146,7 +147,7 @@ def fit(
         seed: Of starts and of the choice of windows.
         extended: Whether laws beyond the standard joint are tried, and kept where folds ask for them.
         time_budget: Time after which the best that was found by then is handed back [s].
-        memory: To take at most, about [byte]; None for half of what is free. Longer recordings are thinned.
+        memory: To take at most, about [GB]; None for half of what is free. Longer recordings are thinned.
         output: Folder for ``fit.json``, ``fit.png``, ``corrected.json`` and ``corrected.xml``; nothing is written
             without.
         progress: Bar to move.
@@ -166,7 +167,7 @@ def fit(
     compiled, xml, name = load_model(model)
     progress.stage("quality")
     order = recordings[0].joint_names if recordings else ()
-    values = ((free_memory() / 2 if memory is None else memory) - FIXED) / VALUE
+    values = ((free_memory() / 2 if memory is None else memory * GIGABYTE) - FIXED) / VALUE
     whole = sum(r.duration for r in recordings)
     recordings, heldout = thinned(recordings, LONGEST, 0.6 * values), thinned(heldout, LONGEST, 0.4 * values)
     kept = sum(r.duration for r in recordings)
