@@ -57,12 +57,12 @@ def main(cfg: Config) -> None:
 def run(case: str, cfg: Config) -> Row:
     """Fit one robot in every way, and score each on what was kept aside."""
     robot = ROBOTS[case](cfg.data)
-    _forget_memory()
+    forget_memory()
     begin, used = time.monotonic(), time.process_time()
     folder = None if cfg.fits is None else cfg.fits / "".join(c if c.isalnum() else "_" for c in case)
     ours = fit(robot.xml, robot.recordings, robot.heldout, seed=cfg.seed, output=folder)
     seconds = {"ours": time.monotonic() - begin}
-    cpu, memory = time.process_time() - used, _memory()
+    cpu, memory = time.process_time() - used, most_memory()
     train, held = (Replay(robot, group) for group in (robot.recordings, robot.heldout))
     points = {"given": train.nominal()}
     if cfg.rivals:
@@ -105,13 +105,13 @@ def run(case: str, cfg: Config) -> Row:
     }
 
 
-def _forget_memory() -> None:
-    """Let :func:`_memory` start anew, where Linux allows it."""
+def forget_memory() -> None:
+    """Let :func:`most_memory` start anew, where Linux allows it."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
-def _memory() -> float:
+def most_memory() -> float:
     """Most memory that this process held since [byte]; what it loaded before counts."""
     try:
         [line] = [x for x in Path("/proc/self/status").read_text().splitlines() if x.startswith("VmHWM")]
