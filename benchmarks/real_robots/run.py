@@ -132,6 +132,14 @@ def worse(r: Row) -> list[str]:
     return [name for name, g, o in zip(r["joints"], given, ours, strict=True) if o > WORSE * g]
 
 
+def dry_friction(r: Row) -> float:
+    """Of the first joint, by whatever law it was named: what opposes slow motion, both ways' mean [N·m, N]."""
+    own = {p["effect"] + "." + p["name"]: p["value"] for p in r["fitted"] if p["joint"] == r["joints"][0]}
+    both_ways = [own.get(f"asymmetric_friction.coulomb_{side}", 0.0) for side in ("positive", "negative")]
+    alone = ("coulomb_friction.torque", "stribeck_friction.coulomb", "load_dependent_friction.coulomb")
+    return float(np.mean(both_ways) + sum(own.get(name, 0.0) for name in (*alone, "hysteresis.torque")))
+
+
 def table(rows: Mapping[str, Row]) -> str:
     """The results as Markdown."""
     rivals = list(dict.fromkeys(who for r in rows.values() for who in r["errors"]))
@@ -159,6 +167,9 @@ def table(rows: Mapping[str, Row]) -> str:
         lines.append(
             f"| {case} | {takes} | {r['cpu']:.0f} s | {r['memory']:.2f} GB | {times} | {r['commit']} | {r['machine']} |"
         )
+    damped = {case: dry_friction(r) for case, r in rows.items() if case.startswith("damper")}
+    if damped:
+        lines += ["", "Dry friction that was fitted: " + ", ".join(f"{c} {1e-3 * f:.2f} kN" for c, f in damped.items())]
     remarks = [f"- {case}: {text}" for case, r in rows.items() for text in r["remarks"]]
     return "\n".join([*lines, "", *remarks]).rstrip() + "\n"
 
