@@ -9,10 +9,14 @@ from pathlib import Path
 from typing import Literal
 
 from torchrl_athletic.diagnosis.diagnose import ModelError
+from torchrl_athletic.diagnosis.extension import GEARS, LAWS
 from torchrl_athletic.diagnosis.fitting import STAGES, Fit, JointParameter, fit
 from torchrl_athletic.diagnosis.inputs import checked, inputs
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.recordings import FetchError, RecordingError
+
+BEYOND = frozenset(law.name for law in (*LAWS, *GEARS))
+"""Laws that may have several numbers, so that each is said by its name."""
 
 
 @dataclass(frozen=True)
@@ -84,15 +88,16 @@ def fit_table(fitted: Fit) -> str:
 
 def _lines(fitted: Fit) -> Iterator[str]:
     wide = max((len(p.joint) for p in fitted.parameters), default=5)
-    yield f"{'joint':<{wide}}  {'parameter':<28}{'given':>12}{'fitted':>12}  95 %"
+    long = max((len(_name(p)) for p in fitted.parameters), default=26) + 2
+    yield f"{'joint':<{wide}}  {'parameter':<{long}}{'given':>12}{'fitted':>12}  95 %"
     for p in fitted.parameters:
-        yield f"{p.joint:<{wide}}  {_name(p):<28}{p.given:>12.4g}{_value(p):>12}  {_interval(p)}"
+        yield f"{p.joint:<{wide}}  {_name(p):<{long}}{p.given:>12.4g}{_value(p):>12}  {_interval(p)}"
     for split, words in (("heldout", "kept aside"), ("train", "fitted")):
         if split in fitted.scores:
             yield ""
-            yield f"{f'error over 0.5 s, {words}':<{wide + 30}}{'given':>12}{'fitted':>12}{'floor':>12}"
+            yield f"{f'error over 0.5 s, {words}':<{wide + long + 2}}{'given':>12}{'fitted':>12}{'floor':>12}"
             for joint, e in fitted.scores[split].per_joint.items():
-                yield f"  {joint:<{wide + 28}}{e['before']:>12.4g}{e['after']:>12.4g}{e['floor']:>12.4g}"
+                yield f"  {joint:<{wide + long}}{e['before']:>12.4g}{e['after']:>12.4g}{e['floor']:>12.4g}"
     if fitted.remarks:
         yield ""
         yield from fitted.remarks
@@ -100,7 +105,8 @@ def _lines(fitted: Fit) -> Iterator[str]:
 
 def _name(p: JointParameter) -> str:
     words, unit = p.effect.replace("_", " "), "" if p.unit == "1" else f" [{p.unit}]"
-    return (f"{words}, {p.name.removesuffix('_scale')}" if p.effect == "gain_mismatch" else words) + unit
+    several = p.effect == "gain_mismatch" or p.effect in BEYOND
+    return (f"{words}, {p.name.removesuffix('_scale').replace('_', ' ')}" if several else words) + unit
 
 
 def _value(p: JointParameter) -> str:
