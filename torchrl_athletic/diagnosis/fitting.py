@@ -180,22 +180,20 @@ def fit(
 
     progress.stage("search")
     begin = starts(h, train, seen, _rng(seed, "starts"), DRAWS)
-    near = search(
-        h, train.takes, begin, _rng(seed, "search"), deadline.part(0.55), agreement(h, train), progress.update
-    )
+    near = search(h, train.takes, begin, _rng(seed, "search"), deadline.part(0.5), agreement(h, train), progress.update)
     if extended:
         progress.stage("extend")
-        near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.65))
-        near = extend(near, train, seen, deadline.part(0.7), progress.update)
+        near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.6))
+        near = extend(near, train, seen, deadline.part(0.62), progress.update)
         h = near.problem.hypothesis
         free = h.bounds[1] > h.bounds[0]
     progress.stage("prune")
-    needed = prune(near, deadline.part(0.8), progress.update)
+    needed = prune(near, deadline.part(0.7), progress.update)
     y = near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
-    y = descend(weighed(near.problem, y), y, needed, SLOPES, deadline.part(0.85))
+    y = descend(weighed(near.problem, y), y, needed, SLOPES, deadline.part(0.76))
     again = linearise(weighed(near.problem, y), y, needed)
-    if deadline.part(0.85).allows(3 * again.seconds):
-        again, needed = _without_unknown(near, again, needed, seen, deadline.part(0.9))
+    if deadline.part(0.78).allows(3 * again.seconds):
+        again, needed = _without_unknown(near, again, needed, seen, deadline.part(0.8))
         y = again.values
     x = near.values
 
