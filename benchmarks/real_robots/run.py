@@ -123,7 +123,7 @@ def most_memory() -> float:
 def ratio(r: Row) -> float:
     """Error kept aside per that of the best rival, joints pooled."""
     pooled = {who: float(np.sqrt(np.mean(np.square(e["heldout"])))) for who, e in r["errors"].items()}
-    return pooled["ours"] / min((e for who, e in pooled.items() if who not in ("given", "ours")), default=np.nan)
+    return pooled["ours"] / min((e for who, e in pooled.items() if who not in ("given", "ours")), default=float("nan"))
 
 
 def worse(r: Row) -> list[str]:
@@ -153,10 +153,10 @@ def table(rows: Mapping[str, Row]) -> str:
     ]
     for case, r in rows.items():
         cells = " | ".join(_cell(r, who) for who in rivals)
-        lines.append(f"| {case} | {cells} | {ratio(r):.2f} | {', '.join(worse(r)) or 'none'} | {r['looked_at']} |")
+        lines.append(f"| {case} | {cells} | {_said(ratio(r))} | {', '.join(worse(r)) or 'none'} | {r['looked_at']} |")
     lines += [
         "",
-        f"Median of the ratios: {np.median([ratio(r) for r in rows.values()]):.2f}.",
+        f"Median of the ratios: {_said(float(np.nanmedian([ratio(r) for r in rows.values()])))}.",
         "",
         "| robot | log | CPU time, ours | memory, ours | time: ours, rivals | commit | machine |",
         "|---|---|---|---|---|---|---|",
@@ -172,6 +172,10 @@ def table(rows: Mapping[str, Row]) -> str:
         lines += ["", "Dry friction that was fitted: " + ", ".join(f"{c} {1e-3 * f:.2f} kN" for c, f in damped.items())]
     remarks = [f"- {case}: {text}" for case, r in rows.items() for text in r["remarks"]]
     return "\n".join([*lines, "", *remarks]).rstrip() + "\n"
+
+
+def _said(number: float) -> str:
+    return "" if np.isnan(number) else f"{number:.2f}"
 
 
 def _cell(r: Row, who: str) -> str:
