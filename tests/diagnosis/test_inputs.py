@@ -26,6 +26,7 @@ class Flags:
     heldout: tuple[Path, ...] = ()
     columns: Path | None = None
     lock: tuple[str, ...] = ()
+    drive: str = "command"
     dataset: str | None = None
 
 
@@ -49,10 +50,12 @@ def test_targets_without_gains_take_the_models(tmp_path):
         read_recordings(tmp_path / "log.csv")
 
 
-def test_a_measured_torque_is_the_command_where_there_is_no_other(tmp_path):
+def test_a_measured_torque_is_the_command_where_that_is_said(tmp_path):
     time = np.arange(100) / 100
     np.savez(tmp_path / "a.npz", time=time, joint_names=["hip"], position=time[:, None], torque_measured=time[:, None])
-    [read] = read_recordings(tmp_path / "a.npz")
+    with pytest.raises(RecordingError, match="a measured torque, but no command"):
+        read_recordings(tmp_path / "a.npz", ColumnMap(torque_semantics="link_side"))
+    [read] = read_recordings(tmp_path / "a.npz", ColumnMap(measured_drives=True))
     np.testing.assert_array_equal(read.torque_command[:, 0], time)
     assert read.torque_measured is None
     assert read.driven_by_measured_torque() is read

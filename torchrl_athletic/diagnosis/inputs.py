@@ -34,6 +34,8 @@ class Asked(Protocol):
     @property
     def lock(self) -> tuple[str, ...]: ...
     @property
+    def drive(self) -> str: ...
+    @property
     def dataset(self) -> str | None: ...
 
 
@@ -94,8 +96,9 @@ def inputs(asked: Asked, demo: int = 0) -> Inputs:
 
 
 def columns_for(asked: Asked) -> ColumnMap:
-    """The column map that is asked for, or none, with the gains of the model's position actuators."""
+    """The column map that is asked for, or none, with what else the flags and the model say of the files."""
     columns = ColumnMap() if asked.columns is None else ColumnMap.load(asked.columns)
+    columns = replace(columns, measured_drives=columns.measured_drives or asked.drive == "measured")
     if asked.model is None or not Path(asked.model).is_file():
         return columns
     return replace(columns, model_gains=gains_of(load_model(asked.model)[0]))

@@ -195,6 +195,8 @@ class ColumnMap:
     command_file: str | None = None
     """Name of the file beside each file of states that holds its commands, with stamps of the same name. Its columns
     are called ``<name>:<column>``, and are put on the stamps of the states by zero-order hold, never ahead."""
+    measured_drives: bool = False
+    """Whether a measured torque may stand for a command that was not logged."""
     ignore: tuple[str, ...] = ()
     """Fields not to look for, such as ``("torque_measured",)`` when the driver fills it with zeros."""
     state_topic: str | None = None

@@ -87,6 +87,11 @@ def recording_from_take(take: Take, columns: ColumnMap) -> Recording:
         kp, kd = (own if given is None else given for given, own in zip((kp, kd), of_model, strict=True))
         metadata["gains"] = "of the model"
     if "torque_measured" in signals and not {"torque_command", "position_target"} & signals.keys():
+        if not columns.measured_drives:
+            raise RecordingError(
+                f"{take.source}: there is a measured torque, but no command. Let it drive the simulation, with --drive "
+                "measured or ColumnMap(measured_drives=True), or name the command."
+            )
         signals["torque_command"], semantics = signals.pop("torque_measured"), None
         metadata["driven_by"] = "torque_measured"
     if not_read := [name for name in take.fields if name not in used.union(_TEXTS)]:
@@ -293,7 +298,7 @@ def _semantics(take: Take, columns: ColumnMap, measured: Column | None) -> Any:
     if measured is None:
         return said
     semantics = columns.torque_semantics or said or ("current_derived" if measured.is_current() else None)
-    if semantics is None and not _is_all_there_is(take, columns):
+    if semantics is None and not (columns.measured_drives and _is_all_there_is(take, columns)):
         raise RecordingError(
             f"{take.source}: torque_measured needs torque_semantics. Give a column map: "
             "ColumnMap(torque_semantics='link_side') for a torque sensor, 'current_derived' for motor current times a "
