@@ -8,12 +8,9 @@ replaced, the others stay. The reports go to ``--reports``.
 
 from __future__ import annotations
 
-import json
-import os
-import platform
-import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +18,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+sys.path.append(str(Path(__file__).parents[1]))
+
+from benchmarks.by_case import Row, run_cases
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
 from torchrl_athletic.diagnosis.report import summary_figure
 from torchrl_athletic.recordings import Recording
@@ -40,17 +40,10 @@ class Config:
 
 
 def main(cfg: Config) -> None:
-    store = cfg.output.with_suffix(".json")
-    rows = json.loads(store.read_text()) if store.exists() else {}
-    for case in cfg.cases:
-        rows[case] = run(case, cfg)
-        store.parent.mkdir(parents=True, exist_ok=True)
-        store.write_text(json.dumps(rows, indent=1, ensure_ascii=False) + "\n")
-        cfg.output.write_text(table(rows))
-        print(table({case: rows[case]}))
+    run_cases(cfg.cases, lambda case: run(case, cfg), table, cfg.output)
 
 
-def run(case: str, cfg: Config) -> dict[str, object]:
+def run(case: str, cfg: Config) -> Row:
     """Diagnose one data set and score it on the recordings kept aside."""
     name, _, drive = case.partition(":")
     data = load_dataset(name)
@@ -87,12 +80,10 @@ def run(case: str, cfg: Config) -> dict[str, object]:
         "unexplained": f"{answer.unexplained_share:.0%}",
         "remarks": list(answer.remarks),
         "seconds": round(seconds),
-        "commit": _commit(),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
     }
 
 
-def table(rows: dict[str, dict[str, object]]) -> str:
+def table(rows: Mapping[str, Row]) -> str:
     """The results as Markdown."""
     lines = [
         "Made by `python benchmarks/real_recordings.py`. Errors are on recordings kept aside. "
@@ -160,11 +151,6 @@ METRICS = {
 
 def _texts(value: object) -> list[str]:
     return [str(text) for text in value] if isinstance(value, list) else []
-
-
-def _commit() -> str:
-    done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    return done.stdout.strip() or os.environ.get("COMMIT", "unknown")
 
 
 if __name__ == "__main__":

@@ -127,7 +127,7 @@ def swinging() -> Fit:
     time = np.arange(300) / RATE
     noise = 1e-6 * np.random.default_rng(0).standard_normal(len(time))
     position = 0.05 * np.exp(-decay * time) * np.cos(speed * time) + noise
-    return fit(pendulum(STEP), [recording(np.zeros((300, 1)), position[:, None])])
+    return fit(pendulum(STEP), [recording(np.zeros((300, 1)), position[:, None])], extended=False)
 
 
 def test_free_swings_tell_damping_and_rotor(swinging):
@@ -145,7 +145,7 @@ def test_without_torque_nothing_is_known_of_the_drive(swinging):
 def test_a_bound_that_binds_is_said():
     command = smooth_torque(3.0, 2.5, 3)
     in_other_units = recording(command / 40, integrated(command))
-    fitted = fit(pendulum(STEP), [in_other_units])
+    fitted = fit(pendulum(STEP), [in_other_units], extended=False)
     assert parameter(fitted, "torque_scale").value == pytest.approx(20)
     assert any("torque scale" in r and "bound of 20" in r for r in fitted.remarks)
 
@@ -154,7 +154,7 @@ def test_a_bound_that_binds_is_said():
 def test_a_fit_never_ends_worse_than_it_began(seed):
     """Not even of a motion that has nothing to do with the command."""
     position = integrated(smooth_torque(2.0, 2.5, seed), friction=0.1)
-    fitted = fit(pendulum(STEP), [recording(smooth_torque(2.0, 1.5, seed + 10), position)], seed=seed)
+    fitted = fit(pendulum(STEP), [recording(smooth_torque(2.0, 1.5, seed + 10), position)], seed=seed, extended=False)
     score = fitted.scores["train"]
     assert score.after <= score.before
 

@@ -15,6 +15,7 @@ from torchrl_athletic.diagnosis.continuation import recall, remember
 from torchrl_athletic.diagnosis.diagnose import diagnose
 from torchrl_athletic.diagnosis.fitting import Fit
 from torchrl_athletic.diagnosis.folder import locked
+from torchrl_athletic.diagnosis.inputs import checked, inputs
 from torchrl_athletic.diagnosis.model import ModelError
 from torchrl_athletic.diagnosis.outcome import Diagnosis
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
@@ -51,6 +52,10 @@ class Config:
     """Mass fastened to the end of the last link while the files of --continue were recorded, as the plan asked [kg]."""
     columns: Path | None = None
     """JSON column map for foreign names and units."""
+    lock: tuple[str, ...] = ()
+    """Joints that stood still, as NAME or NAME=POSITION: they become part of their links in the model."""
+    check: bool = False
+    """Say all that is wrong with the inputs, and do nothing else."""
     drive: Literal["command", "measured"] = "command"
     """Torque that drives the simulation: what was commanded, or what was measured."""
     base: Base = "recorded"
@@ -82,6 +87,10 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
         hand_over: What ``--uan`` asks for, since a diagnosis knows of no training:
             :func:`~torchrl_athletic.training.learn_remainder`.
     """
+    if config.check:
+        text, usable = checked(config)
+        print(text)
+        sys.exit(0 if usable else 1)
     if config.fit_only:
         from torchrl_athletic.diagnosis import fit_command  # which takes its inputs from here
 
@@ -104,13 +113,14 @@ def _main(asked: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
         highest = config.highest_frequency
         if highest is not None and not highest > 0:
             raise RecordingError(f"--highest-frequency is {highest} Hz. Give more than 0, or leave it out.")
-        model, recordings, heldout = inputs(config)
+        given = inputs(config, config.demo)
+        print("\n".join(given.notes), end="\n" if given.notes else "")
         new = joined(config)
         with Progress() as progress:
             diagnosis = diagnose(
-                model,
-                recordings,
-                heldout,
+                given.model,
+                given.recordings,
+                given.heldout,
                 joined=new,
                 drive=config.drive,
                 base=config.base,
@@ -162,27 +172,3 @@ def joined(config: Config) -> list[Recording]:
     """The new recordings."""
     columns = None if config.columns is None else ColumnMap.load(config.columns)
     return read_recordings(config.continue_with, columns) if config.continue_with else []
-
-
-def inputs(config: Config) -> tuple[Path | str, list[Recording], list[Recording]]:
-    """Model, recordings to fit and recordings kept aside: the user's, a public dataset's, or the demo's.
-
-    Raises:
-        RecordingError: If recordings are named without a model, or a model without recordings.
-    """
-    if config.dataset is not None:
-        from torchrl_athletic.recordings.datasets import load_dataset
-
-        dataset = load_dataset(config.dataset)
-        return dataset.model, list(dataset.recordings), list(dataset.heldout)
-    if config.model is None and not config.recordings:
-        from torchrl_athletic.recordings.demo import concealed_demo
-
-        demo = concealed_demo(config.demo)
-        return demo.model_xml, list(demo.recordings), list(demo.heldout)
-    if config.model is None or not config.recordings:
-        missing = "--model" if config.model is None else "--recordings"
-        raise RecordingError(f"{missing} is missing. Give both, or --dataset NAME, or nothing at all for the demo.")
-    columns = None if config.columns is None else ColumnMap.load(config.columns)
-    heldout = read_recordings(config.heldout, columns) if config.heldout else []
-    return config.model, read_recordings(config.recordings, columns), heldout

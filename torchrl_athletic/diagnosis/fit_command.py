@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from torchrl_athletic.diagnosis import command
+from torchrl_athletic.diagnosis.extension import GEARS, LAWS
 from torchrl_athletic.diagnosis.fitting import STAGES, Fit, JointParameter, fit
+from torchrl_athletic.diagnosis.inputs import checked, inputs
 from torchrl_athletic.diagnosis.model import ModelError
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.recordings import FetchError, RecordingError
+
+BEYOND = frozenset(law.name for law in (*LAWS, *GEARS))
+"""Laws that may have several numbers, so that each is said by its name."""
 
 
 @dataclass(frozen=True)
@@ -29,28 +33,42 @@ class FitConfig:
     """Folder for fit.json, fit.png, corrected.xml and corrected.json."""
     columns: Path | None = None
     """JSON column map for foreign names and units."""
+    lock: tuple[str, ...] = ()
+    """Joints that stood still, as NAME or NAME=POSITION: they become part of their links in the model."""
+    check: bool = False
+    """Say all that is wrong with the inputs, and do nothing else."""
     drive: Literal["command", "measured"] = "command"
     """Torque that drives the simulation: what was commanded, or what was measured."""
     dataset: Literal["emps", "two_link_arm", "pendulum", "xl330", "unbalanced_disk"] | None = None
     """Fit a public recording of a real robot instead."""
+    time_budget: float | None = None
+    """Time after which the best that was found by then is handed back [s]."""
+    memory: float | None = None
+    """Memory that it may take [GB]; half of what is free unless said. Of longer logs, stretches are fitted."""
     seed: int = 0
     """Of starts and of the choice of windows."""
 
 
 def main(config: FitConfig) -> Fit:
     """Run a fit, print its table, and leave the files in ``config.output``."""
-    same = {f.name: getattr(config, f.name) for f in fields(config)}
+    if config.check:
+        text, usable = checked(config)
+        print(text)
+        sys.exit(0 if usable else 1)
     try:
         if config.output.is_file():  # said now, not after the fit
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
-        model, recordings, heldout = command.inputs(command.Config(**same))
+        given = inputs(config)
+        print("\n".join(given.notes), end="\n" if given.notes else "")
         with Progress(STAGES) as progress:
             fitted = fit(
-                model,
-                recordings,
-                heldout,
+                given.model,
+                given.recordings,
+                given.heldout,
                 drive=config.drive,
                 seed=config.seed,
+                time_budget=config.time_budget,
+                memory=config.memory,
                 output=config.output,
                 progress=progress,
             )
@@ -70,15 +88,16 @@ def fit_table(fitted: Fit) -> str:
 
 def _lines(fitted: Fit) -> Iterator[str]:
     wide = max((len(p.joint) for p in fitted.parameters), default=5)
-    yield f"{'joint':<{wide}}  {'parameter':<28}{'given':>12}{'fitted':>12}  95 %"
+    long = max((len(_name(p)) for p in fitted.parameters), default=26) + 2
+    yield f"{'joint':<{wide}}  {'parameter':<{long}}{'given':>12}{'fitted':>12}  95 %"
     for p in fitted.parameters:
-        yield f"{p.joint:<{wide}}  {_name(p):<28}{p.given:>12.4g}{_value(p):>12}  {_interval(p)}"
+        yield f"{p.joint:<{wide}}  {_name(p):<{long}}{p.given:>12.4g}{_value(p):>12}  {_interval(p)}"
     for split, words in (("heldout", "kept aside"), ("train", "fitted")):
         if split in fitted.scores:
             yield ""
-            yield f"{f'error over 0.5 s, {words}':<{wide + 30}}{'given':>12}{'fitted':>12}{'floor':>12}"
+            yield f"{f'error over 0.5 s, {words}':<{wide + long + 2}}{'given':>12}{'fitted':>12}{'floor':>12}"
             for joint, e in fitted.scores[split].per_joint.items():
-                yield f"  {joint:<{wide + 28}}{e['before']:>12.4g}{e['after']:>12.4g}{e['floor']:>12.4g}"
+                yield f"  {joint:<{wide + long}}{e['before']:>12.4g}{e['after']:>12.4g}{e['floor']:>12.4g}"
     if fitted.remarks:
         yield ""
         yield from fitted.remarks
@@ -86,7 +105,8 @@ def _lines(fitted: Fit) -> Iterator[str]:
 
 def _name(p: JointParameter) -> str:
     words, unit = p.effect.replace("_", " "), "" if p.unit == "1" else f" [{p.unit}]"
-    return (f"{words}, {p.name.removesuffix('_scale')}" if p.effect == "gain_mismatch" else words) + unit
+    several = p.effect == "gain_mismatch" or p.effect in BEYOND
+    return (f"{words}, {p.name.removesuffix('_scale').replace('_', ' ')}" if several else words) + unit
 
 
 def _value(p: JointParameter) -> str:

@@ -14,27 +14,39 @@ from numpy.typing import NDArray
 from torchrl_athletic.diagnosis.compare import harms, score
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml
+from torchrl_athletic.diagnosis.deadline import Deadline
+from torchrl_athletic.diagnosis.extension import extend, with_gear
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.joint_fit import Linearised, descend, linearise, prune, search, weighed
+from torchrl_athletic.diagnosis.joint_fit import Linearised, descend, linearise, prune, search, weighed, window_cost
+from torchrl_athletic.diagnosis.memory import free_memory
 from torchrl_athletic.diagnosis.model import Model, load_model
 from torchrl_athletic.diagnosis.prepare import Drive, Prepared, prepare
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.diagnosis.standard import Seen, seen_in, standard_joints, starts
+from torchrl_athletic.diagnosis.standard import Seen, agreement, seen_in, standard_joints, starts
 from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
 from torchrl_athletic.effects import Parameter
-from torchrl_athletic.recordings import Recording
+from torchrl_athletic.recordings import Recording, thinned
 
 Array = NDArray[np.float64]
 State = Literal["identified", "not needed", "not identified", "taken back"]
 
 SCHEMA = "torchrl_athletic/fit/1"
-STAGES = {"quality": 2.0, "search": 60.0, "prune": 20.0, "score": 10.0}
+STAGES = {"quality": 2.0, "search": 40.0, "extend": 25.0, "prune": 20.0, "score": 10.0}
 DRAWS = 24
 """Starts by chance."""
-STEPS = 15
-"""Gauss-Newton iterations after what is not needed has gone."""
+SLOPES = 3
+"""Jacobians at most after what is not needed has gone."""
+LONGEST = 300.0
+"""Of the recordings that are fitted, and of those kept aside; longer ones are thinned [s]."""
+GIGABYTE = 2.0**30
+FIXED, VALUE = 0.9e9, 600.0
+"""Memory of the libraries and of a batch of simulations, and of one reading of one joint [byte]."""
+ALSO = "the same motion follows from"
+"""Why a parameter has no number where another one does as well."""
+SAME = 1.01
+"""Error up to which a fit without parameters that have no number of their own follows as well [1]."""
 INVISIBLE = 1e-3
 """Change of a window's error, in typical errors, that five changes worth mentioning must make to be seen [1]."""
 ALIKE = 1e-4
@@ -116,6 +128,9 @@ def fit(
     *,
     drive: Drive = "command",
     seed: int = 0,
+    extended: bool = True,
+    time_budget: float | None = None,
+    memory: float | None = None,
     output: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Fit:
@@ -130,6 +145,9 @@ def fit(
         heldout: Takes kept aside: they are scored, and may take back what was corrected at a joint.
         drive: Whether the commanded or the measured torque drives the simulation.
         seed: Of starts and of the choice of windows.
+        extended: Whether laws beyond the standard joint are tried, and kept where folds ask for them.
+        time_budget: Time after which the best that was found by then is handed back [s].
+        memory: To take at most, about [GB]; None for half of what is free. Longer recordings are thinned.
         output: Folder for ``fit.json``, ``fit.png``, ``corrected.json`` and ``corrected.xml``; nothing is written
             without.
         progress: Bar to move.
@@ -144,11 +162,15 @@ def fit(
         >>> fit(bench.model, bench.recordings, bench.heldout).parameters[0]  # doctest: +SKIP
         JointParameter(joint='pendulum', effect='coulomb_friction', ...)
     """
-    begun = time.monotonic()
+    begun, deadline = time.monotonic(), Deadline(np.inf if time_budget is None else time_budget)
     progress = progress or Progress(STAGES)
     compiled, xml, name = load_model(model)
     progress.stage("quality")
     order = recordings[0].joint_names if recordings else ()
+    values = ((free_memory() / 2 if memory is None else memory * GIGABYTE) - FIXED) / VALUE
+    whole = sum(r.duration for r in recordings)
+    recordings, heldout = thinned(recordings, LONGEST, 0.6 * values), thinned(heldout, LONGEST, 0.4 * values)
+    kept = sum(r.duration for r in recordings)
     train = prepare([r.ordered(order) for r in recordings], compiled, drive, xml=xml)
     kernel = train.signals[0].kernel
     held = prepare([r.ordered(order) for r in heldout], compiled, drive, kernel, xml=xml) if heldout else None
@@ -158,18 +180,29 @@ def fit(
 
     progress.stage("search")
     begin = starts(h, train, seen, _rng(seed, "starts"), DRAWS)
-    x, problem = search(h, train.takes, begin, _rng(seed, "search"), progress.update)
+    near = search(h, train.takes, begin, _rng(seed, "search"), deadline.part(0.5), agreement(h, train), progress.update)
+    if extended:
+        progress.stage("extend")
+        near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.6))
+        near = extend(near, train, seen, deadline.part(0.62), progress.update)
+        h = near.problem.hypothesis
+        free = h.bounds[1] > h.bounds[0]
     progress.stage("prune")
-    near = linearise(problem, x, free)
-    needed = prune(near, progress.update)
+    needed = prune(near, deadline.part(0.7), progress.update)
     y = near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
-    y = descend(weighed(problem, y), y, needed, STEPS)
-    again = linearise(weighed(problem, y), y, needed)
+    y = descend(weighed(near.problem, y), y, needed, SLOPES, deadline.part(0.76))
+    again = linearise(weighed(near.problem, y), y, needed)
+    if deadline.part(0.78).allows(3 * again.seconds):
+        again, needed = _without_unknown(near, again, needed, seen, deadline.part(0.8))
+        y = again.values
+    x = near.values
 
     progress.stage("score")
     y, needed = _no_worse(h, (y, x), (needed, free), train, seed)
     parameters = _parameters(h, near, again, y, needed, seen)
     remarks = [_binds(p, bounds) for p, bounds in zip(parameters, _free_parameters(h), strict=True)]
+    if kept < 0.99 * whole:
+        remarks.append(f"Of {whole:.0f} s of recordings, {kept:.0f} s were fitted, in stretches over all of them.")
     if held is not None:
         stated = score(held.takes, h, y, held.position_noise, _rng(seed, "heldout"))[0]
         floor = np.array([joint["floor"] for joint in stated.per_joint.values()])
@@ -181,9 +214,9 @@ def fit(
             h.values_of(c, y)[:] = [p.nominal for p in c.parameters]
             h.values_of(c, needed)[:] = False
     nominal = Simulation(compiled, tuple(order), Hypothesis(()), np.zeros(0))
-    kept = tuple(c for c in h.terms if any(h.values_of(c, needed)))
-    values = np.concatenate([h.values_of(c, y) for c in kept]) if kept else np.zeros(0)
-    corrected = replace(nominal, hypothesis=Hypothesis(kept), values=values)
+    terms = tuple(c for c in h.terms if any(h.values_of(c, needed)))
+    numbers = np.concatenate([h.values_of(c, y) for c in terms]) if terms else np.zeros(0)
+    corrected = replace(nominal, hypothesis=Hypothesis(terms), values=numbers)
     result = Fit(
         parameters=parameters,
         nominal=nominal,
@@ -239,7 +272,7 @@ def _parameters(
     h: Hypothesis, near: Linearised, again: Linearised, y: Array, needed: NDArray[np.bool_], seen: Seen
 ) -> tuple[JointParameter, ...]:
     """All free parameters, with what the fit of all of them and that of the needed ones say."""
-    doubt, remark = spread_of(near), _doubts(near, seen)
+    doubt, reasons = spread_of(near), _reasons(near, again, needed, seen)
     own = dict(zip(np.flatnonzero(again.free), spread_of(again), strict=True))
     out, at = [], np.flatnonzero(near.free)
     place = [(c, p) for c in h.terms for p in c.parameters]
@@ -247,9 +280,7 @@ def _parameters(
         c, p = place[i]
         centre, sigma = (y[i], own.get(i, doubt[k])) if needed[i] else (near.values[i], doubt[k])
         low, high = np.clip([centre - 1.96 * sigma, centre + 1.96 * sigma], p.lower, p.upper)
-        why = remark[k]
-        if not why and 1.96 * min(sigma, doubt[k]) > max(WIDE * p.scale, abs(centre)):
-            why = "its interval is wider than the number itself"
+        why = reasons[k]
         if why and c.effect.name == "torque_saturation":
             low, high = float(seen.asked[c.joint]), p.upper
         state: State = "not identified" if why else "identified" if needed[i] else "not needed"
@@ -261,13 +292,44 @@ def _parameters(
     return tuple(out)
 
 
+def _reasons(near: Linearised, again: Linearised, needed: NDArray[np.bool_], seen: Seen) -> list[str]:
+    """Why each parameter of the fit of all has no number of its own, or empty."""
+    doubt, out = spread_of(near), _doubts(near, seen)
+    own = dict(zip(np.flatnonzero(again.free), spread_of(again), strict=True))
+    parameters = near.problem.hypothesis.parameters
+    for k, i in enumerate(np.flatnonzero(near.free)):
+        p = parameters[i]
+        centre, sigma = (again.values[i], own.get(i, doubt[k])) if needed[i] else (near.values[i], doubt[k])
+        if not out[k] and 1.96 * min(sigma, doubt[k]) > max(WIDE * p.scale, abs(centre)):
+            out[k] = "its interval is wider than the number itself"
+    return out
+
+
+def _without_unknown(
+    near: Linearised, again: Linearised, needed: NDArray[np.bool_], seen: Seen, deadline: Deadline
+) -> tuple[Linearised, NDArray[np.bool_]]:
+    """The fit with what has no number of its own as the given model has it, unless it follows the motion worse then."""
+    unknown = np.zeros(len(needed), dtype=bool)
+    unknown[near.free] = [bool(why) and not why.startswith(ALSO) for why in _reasons(near, again, needed, seen)]
+    unknown &= needed
+    if not unknown.any():
+        return again, needed
+    problem, left = again.problem, needed & ~unknown
+    x = np.where(unknown, problem.hypothesis.nominal, again.values)
+    x = descend(weighed(problem, x), x, left, 2, deadline)
+    costs = [
+        window_cost(problem, problem.squares(problem.errors(v[None])[:, 0])[None]).mean() for v in (again.values, x)
+    ]
+    return (linearise(weighed(problem, x), x, left), left) if costs[1] < SAME * costs[0] else (again, needed)
+
+
 def spread_of(near: Linearised) -> Array:
     """Standard deviation of each free parameter; windows are independent of each other, samples are not. Shape (P,).
 
     The sandwich estimate (White 1980), clustered by window.
     """
     scale = near.problem.hypothesis.scale[near.free]
-    normal = near.normal.sum(0)
+    normal = near.normal.sum(0) + near.pull_columns.T @ near.pull_columns
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.pinv(normal / size / size[:, None], rcond=1e-8, hermitian=True) / size / size[:, None]
     middle = near.right.T @ near.right
@@ -291,7 +353,7 @@ def _doubts(near: Linearised, seen: Seen) -> list[str]:
         for k in np.flatnonzero(part > SHARE) if value < ALIKE else ():
             others = [own[index[n]] for n in np.argsort(-part) if n != k and part[n] > SHARE][:2]
             names = " and ".join(_words(c, p) for c, p in others)
-            out[index[k]] = out[index[k]] or f"the same motion follows from {names}"
+            out[index[k]] = out[index[k]] or f"{ALSO} {names}"
     return out
 
 

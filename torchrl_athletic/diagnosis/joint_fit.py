@@ -1,40 +1,54 @@
 """The search for the standard joints' numbers, in simulation: several starts, growing horizons, one least squares.
 
-What is minimised is the error that is stated, over windows of half a second, joint by joint in units of what it was. A
-search never ends worse than it began: the given model is one of its starts.
+What is minimised is the error that is stated, over windows of half a second. A search never ends worse than it began:
+the given model is one of its starts.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from mujoco import minimize
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.compare import well_started
+from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis, draw_windows
 from torchrl_athletic.diagnosis.replay import Take, Windows, simulate
 from torchrl_athletic.diagnosis.screen import bounded_least_squares
+from torchrl_athletic.diagnosis.standard import Agreement
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 HORIZONS = (0.1, 0.2)
 """Windows of the searches that forgive a poor start, before those of :data:`WINDOW` [s]."""
 SEARCHED = 24
 """Windows of those searches."""
-STEPS = (5, 5, 8, 15)
-"""Gauss-Newton iterations for each horizon, for that of :data:`WINDOW`, and for the best of them."""
+COMPARED = 40
+"""Windows of half a second by which the best of their ends are compared and improved."""
 KEPT = (4, 2)
 """Starts that go on to each further horizon."""
+SLOPES = (2, 2, 3)
+"""Jacobians for each start at those horizons, at half a second, and for the best of them at the end."""
+STEPS = 5
+"""Steps by one Jacobian, which each of them mends (Broyden 1965)."""
+DAMPING = (0.0, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
+"""Of the steps that are tried at once (Levenberg, Marquardt), per the normal equations' diagonal [1]."""
+FLAT = 1e-3
+"""Share of the cost that a step or a Jacobian must save to go on [1]."""
 GRAIN = 0.005
 """Between samples of a window that are compared [s]: half a second holds no faster motion worth it."""
 AT_ONCE = 200
 """Windows simulated at a time: bounds the memory."""
-WORK = 6e5
+WORK = 5e6
 """Physics steps of all windows, parameters and joints that one Jacobian may cost; more windows are thinned."""
-FEWEST, MOST = 40, 400
+SHARE = 0.02
+"""Of a time budget that one Jacobian may take [1]."""
+FEWEST, MOST = 20, 400
 """Windows of a fit at least, if there are so many, and at most."""
 ENOUGH = 60
 """Windows of half a second; fewer are made up by some that overlap."""
@@ -48,6 +62,8 @@ DOUBT = 0.5
 """Standard errors by which a parameter has to help where it was not fitted [1]."""
 RIDGE = 1e-6
 """Pull towards the solution where windows say nothing, per what they say [1]."""
+TORQUES = 0.02
+"""Share of a joint's squared error that it is worth to halve the unexplained variance of its torque [1]."""
 FINITE = 1e-2
 """Step of the finite differences, in units of a parameter [1]."""
 
@@ -64,6 +80,16 @@ class Problem:
     """Of each window [1]. Shape (W,)."""
     tuning: float = TUNING
     """Typical errors at which a window weighs half [1]; infinite for plain least squares."""
+    pooled: bool = False
+    """Whether all joints have one unit, as they have in an error that is stated of all."""
+    torques: Agreement | None = None
+    """What the torques say of the parameters; a fit pays for contradicting them."""
+
+    def pull(self, values: Array) -> Array:
+        """Rows that the least squares has beside the windows'. Shape (R, K) for values (K, P)."""
+        if self.torques is None:
+            return np.zeros((0, len(values)))
+        return np.sqrt(TORQUES * len(self.weight)) * self.torques.rows(values)
 
     def predict(self, values: Array) -> Iterator[tuple[Windows, Array]]:
         """Errors of blocks of windows, thinned. Shapes (K, W, length, J) for values (K, P)."""
@@ -78,37 +104,48 @@ class Problem:
         """Of each window and joint [rad², m²]. Shape (K, W, J) for values (K, P)."""
         return np.concatenate([(error**2).mean(2) for _, error in self.predict(values)], axis=1)
 
-    def residual(self, values: Array) -> Array:
-        """Errors in units, each window's of the weight that its length gives it. Shape (N, K) for values (K, P)."""
-        parts, first = [], 0
-        for block, error in self.predict(values):
-            weight = np.sqrt(self.weight[first : first + len(block.start)] / error.shape[2])
-            parts.append((error / self.unit * weight[:, None, None]).reshape(len(values), -1))
-            first += len(block.start)
+    def errors(self, values: Array) -> Array:
+        """Such that their squares sum up to :meth:`mean_square`. Shape (N, K) for values (K, P)."""
+        parts = [(e / np.sqrt(e.shape[2])).reshape(len(values), -1) for _, e in self.predict(values)]
         return np.concatenate(parts, axis=1).T
 
-    def blocks(self) -> NDArray[np.intp]:
-        """Window of each row of the residual. Shape (N,)."""
-        sizes = []
+    @cached_property
+    def window(self) -> NDArray[np.intp]:
+        """Window of each row of the errors; those of a window follow each other. Shape (N,)."""
+        joints, sizes = len(self.unit), []
         for w in self.windows:
             every = max(1, round(GRAIN / w.take.period))
-            sizes += [len(range(every - 1, w.length, every)) * w.measured.shape[2]] * len(w.start)
+            sizes += [len(range(every - 1, w.length, every)) * joints] * len(w.start)
         return np.repeat(np.arange(len(sizes)), sizes)
 
-    def rmse(self, values: Array) -> Array:
-        """Of each joint over all windows [rad, m]. Shape (K, J) for values (K, P)."""
-        return np.asarray(np.sqrt(self.mean_square(values).mean(1)))
+    @property
+    def row_weight(self) -> Array:
+        """What each row of the errors is multiplied by for the least squares. Shape (N,)."""
+        return np.asarray(np.sqrt(self.weight[self.window]) / np.tile(self.unit, len(self.window) // len(self.unit)))
+
+    def squares(self, errors: Array) -> Array:
+        """Mean squares, shape (W, J), of errors (N,)."""
+        first = np.flatnonzero(np.diff(self.window, prepend=-1))
+        rows = (errors.reshape(-1, len(self.unit))) ** 2
+        return np.asarray(np.add.reduceat(rows, first // len(self.unit), axis=0), dtype=np.float64)
 
 
 def problem_of(
-    h: Hypothesis, takes: Sequence[Take], seconds: float, most: int, rng: np.random.Generator, x: Array
+    h: Hypothesis,
+    takes: Sequence[Take],
+    seconds: float,
+    most: int,
+    rng: np.random.Generator,
+    x: Array,
+    torques: Agreement | None = None,
 ) -> Problem:
     """Windows of some length, each started where its state is known best, weighed by how values (P,) follow them."""
     windows = [well_started(w) for w in draw_windows(takes, seconds, most, rng)]
-    if seconds == WINDOW and (few := sum(len(w.start) for w in windows)) < ENOUGH:
-        windows = [_overlapping(w, -(-ENOUGH // few)) for w in windows]
+    if seconds == WINDOW and (few := sum(len(w.start) for w in windows)) < min(ENOUGH, most):
+        windows = [_overlapping(w, -(-min(ENOUGH, most) // few)) for w in windows]
     count = sum(len(w.start) for w in windows)
-    return weighed(Problem(h, tuple(windows), np.ones(len(takes[0].address.dof)), np.ones(count)), x)
+    unit = np.ones(len(takes[0].address.dof))
+    return weighed(Problem(h, tuple(windows), unit, np.ones(count), torques=torques), x)
 
 
 def weighed(problem: Problem, x: Array) -> Problem:
@@ -116,9 +153,13 @@ def weighed(problem: Problem, x: Array) -> Problem:
 
     Cauchy weights (Holland, Welsch 1977) of whole windows; none for plain least squares.
     """
-    square = problem.mean_square(x[None])[0]
+    return in_units(problem, problem.mean_square(x[None])[0])
+
+
+def in_units(problem: Problem, square: Array) -> Problem:
+    """:func:`weighed` by mean squares (W, J)."""
     typical = square.mean(0) if np.isinf(problem.tuning) else np.median(square, axis=0)
-    unit = np.sqrt(np.maximum(typical, 1e-18))
+    unit = np.sqrt(np.maximum(np.full_like(typical, typical.mean()) if problem.pooled else typical, 1e-18))
     ratio = (square / unit**2).mean(1)
     return replace(problem, unit=unit, weight=1.0 / (1.0 + ratio / problem.tuning**2))
 
@@ -132,26 +173,29 @@ def window_cost(problem: Problem, square: Array) -> Array:
     )
 
 
-def more_telling(problem: Problem, x: Array) -> tuple[Array, Problem]:
-    """The weighed solution or that of plain least squares, whichever follows folds better that did not fit it.
+def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
+    """The solution of whichever weights follow folds best that it was not fitted to: the weighed one, or a plain one.
 
     What is asked is the error that is stated. Plain least squares minimises it where a few wild windows do not lead it
-    astray; folds tell.
-
-    Args:
-        problem: The weighed one.
-        x: Its solution. Shape (P,).
+    astray, joint by joint or of all joints together; folds tell.
     """
-    free = problem.hypothesis.bounds[1] > problem.hypothesis.bounds[0]
-    plain = weighed(replace(problem, tuning=np.inf), x)
-    other = descend(plain, x, free, STEPS[-1])
-    fold = folds_of(problem)
-    nothing = np.zeros(int(free.sum()), dtype=bool)
-    error = [
-        (_folded(linearise(p, at, free), [nothing], fold)[0] / plain.unit**2).mean()
-        for p, at in ((problem, x), (plain, other))
-    ]
-    return (other, weighed(plain, other)) if error[1] < error[0] else (x, problem)
+    problem, free = near.problem, near.free
+    best, least = near, stated(near)
+    for other in (replace(problem, tuning=np.inf), replace(problem, tuning=np.inf, pooled=True)):
+        if (len(problem.unit) == 1 and other.pooled) or not deadline.allows(3 * near.seconds):
+            break
+        other = in_units(other, problem.squares(near.errors))
+        x = descend(other, near.values, free, 1, deadline, near)
+        found = linearise(weighed(other, x), x, free)
+        if (error := stated(found)) < least:
+            best, least = found, error
+    return best
+
+
+def stated(near: Linearised) -> float:
+    """Mean square error of folds by what the others say, all joints together."""
+    nothing = np.zeros(int(near.free.sum()), dtype=bool)
+    return float(folded(near, [nothing], folds_of(near.problem))[0].mean())
 
 
 def _overlapping(w: Windows, times: int) -> Windows:
@@ -163,42 +207,80 @@ def _overlapping(w: Windows, times: int) -> Windows:
     return Windows(w.take, starts[starts + w.length <= last], w.length)
 
 
-def affordable(h: Hypothesis, takes: Sequence[Take]) -> int:
-    """Windows of half a second that one Jacobian can afford."""
+def affordable(h: Hypothesis, takes: Sequence[Take], deadline: Deadline) -> int:
+    """Windows of half a second that one Jacobian can afford; of a time budget, by what a few of them take."""
     steps = WINDOW / float(takes[0].model.opt.timestep)
     joints = len(takes[0].address.dof)
     free = int((h.bounds[1] > h.bounds[0]).sum()) + 1
-    return int(np.clip(WORK / (steps * joints * free), FEWEST, MOST))
+    count = WORK / (steps * joints * free)
+    if np.isfinite(deadline.seconds):
+        tried = problem_of(h, takes, WINDOW, 10, np.random.default_rng(0), h.nominal)
+        begin = time.monotonic()
+        tried.mean_square(np.repeat(h.nominal[None], free, axis=0))
+        each = (time.monotonic() - begin) / max(len(tried.weight), 1)
+        count = min(count, SHARE * deadline.seconds / each)
+    return int(np.clip(count, FEWEST, MOST))
 
 
-def descend(problem: Problem, x: Array, free: NDArray[np.bool_], iterations: int) -> Array:
+def descend(
+    problem: Problem, x: Array, free: Mask, slopes: int, deadline: Deadline, first: Linearised | None = None
+) -> Array:
     """Bounded least squares from values (P,) over the free parameters; what is not free stays. Shape (P,).
 
-    MuJoCo's box-constrained Gauss-Newton, with a Jacobian by finite differences: all columns are one batch.
+    Each Jacobian is by finite differences, all of whose columns are one batch, and serves several steps. Of a step,
+    several lengths are tried at once.
+
+    Args:
+        problem: What to minimise.
+        x: Values to start from.
+        free: Which of them may move.
+        slopes: Jacobians at most.
+        deadline: After which none is begun.
+        first: The first Jacobian, if it is known; of any weights.
     """
     if not free.any():
         return x
-    low, high = (side[free] for side in problem.hypothesis.bounds)
-    scale = problem.hypothesis.scale[free]
+    seconds = 0.0
+    for k in range(slopes):
+        if not deadline.allows(1.3 * seconds):
+            break
+        near = first if first is not None and not k else linearise(problem, x, free)
+        seconds = near.seconds
+        x, saved = _steps(problem, near, deadline)
+        if saved < FLAT:
+            break
+    return x
 
-    def residual(z: Array) -> Array:
-        values = np.repeat(x[None], z.shape[1], axis=0)
-        values[:, free] = (z * scale[:, None]).T
-        return problem.residual(values)
 
-    z, _ = minimize.least_squares(
-        x[free] / scale,
-        residual,
-        bounds=[low / scale, high / scale],
-        eps=FINITE,
-        max_iter=iterations,
-        mu_factor=10**0.5,
-        xtol=1e-3,
-        verbose=minimize.Verbosity.SILENT,
-    )
-    out = x.copy()
-    out[free] = np.clip(np.ravel(z) * scale, low, high)
-    return out
+def _steps(problem: Problem, near: Linearised, deadline: Deadline) -> tuple[Array, float]:
+    """Values after a few steps by one Jacobian, and the share of the cost that they save."""
+    h, free, weight = problem.hypothesis, near.free, problem.row_weight
+    scale = h.scale[free]
+    low, high = (side[free] / scale for side in h.bounds)
+    x = near.values[free] / scale
+    r = np.concatenate([near.errors * weight, near.pull])
+    d = np.concatenate([near.columns * weight[:, None], near.pull_columns])
+    begin = cost = float(r @ r)
+    for _ in range(STEPS):
+        normal, right = d.T @ d, d.T @ r
+        size = np.diag(np.diag(normal))
+        moves = [bounded_least_squares(normal + (RIDGE + much) * size, -right, low - x, high - x) for much in DAMPING]
+        trials = np.clip(x + np.stack(moves), low, high)
+        values = np.repeat(near.values[None], len(trials), axis=0)
+        values[:, free] = trials * scale
+        errors = np.concatenate([problem.errors(values) * weight[:, None], problem.pull(values)])
+        costs = (errors**2).sum(0)
+        best = int(np.argmin(costs))
+        if not costs[best] < cost:
+            break
+        move, saved = trials[best] - x, 1.0 - costs[best] / cost
+        d += np.outer(errors[:, best] - r - d @ move, move) / max(float(move @ move), 1e-300)
+        x, r, cost = trials[best], errors[:, best], float(costs[best])
+        if saved < FLAT or deadline.over:
+            break
+    out = near.values.copy()
+    out[free] = np.clip(x * scale, h.bounds[0][free], h.bounds[1][free])
+    return out, 1.0 - cost / max(begin, 1e-300)
 
 
 def search(
@@ -206,8 +288,10 @@ def search(
     takes: Sequence[Take],
     begin: Array,
     rng: np.random.Generator,
+    deadline: Deadline,
+    torques: Agreement | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
-) -> tuple[Array, Problem]:
+) -> Linearised:
     """Fit from several starts, over growing horizons.
 
     Args:
@@ -215,26 +299,33 @@ def search(
         takes: Recordings.
         begin: Starts, of which the first is the given model. Shape (K, P).
         rng: Draws windows.
+        deadline: When to come to an end.
+        torques: What they say of the parameters.
         progress: Told the finished fraction.
 
     Returns:
-        Values, shape (P,), and the problem of the stated error that they solve.
+        The problem of the stated error about its solution.
     """
     free = h.bounds[1] > h.bounds[0]
-    full = problem_of(h, takes, WINDOW, affordable(h, takes), rng, begin[0])
+    count = affordable(h, takes, deadline)
+    full = problem_of(h, takes, WINDOW, count, rng, begin[0], torques)
+    few = problem_of(h, takes, WINDOW, COMPARED, rng, begin[0], torques) if count > COMPARED else full
     points = list(begin)
-    for horizon, (seconds, steps, kept) in enumerate(zip(HORIZONS, STEPS[:2], KEPT, strict=True)):
-        problem = problem_of(h, takes, seconds, SEARCHED, rng, points[0])
+    for horizon, (seconds, kept) in enumerate(zip(HORIZONS, KEPT, strict=True)):
+        problem = problem_of(h, takes, seconds, SEARCHED, rng, points[0], torques)
         if not horizon:
-            points = _mixed(h, problem.mean_square(begin), begin, kept)
-        points = [descend(weighed(problem, x), x, free, steps) for x in points]
-        points = _best(full, [*points, *begin[:2]], kept)
+            half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
+            points = [p for q in (problem, few) for p in _mixed(h, q.mean_square(begin), begin, half)]
+        ends = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3)) for x in points]
+        points = _best(few, [*ends, *points, *begin[:2]], kept)
         progress((horizon + 1) / 4)
-    ends = [descend(weighed(full, x), x, free, STEPS[2]) for x in points]
-    progress(0.9)
+    ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
+    progress(0.7)
     x = _best(full, [*ends, *points], 1)[0]
-    x = descend(weighed(full, x), x, free, STEPS[-1])
-    return more_telling(weighed(full, x), x)
+    x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
+    near = linearise(weighed(full, x), x, free)
+    progress(0.9)
+    return more_telling(near, deadline)
 
 
 def _mixed(h: Hypothesis, square: Array, begin: Array, count: int) -> list[Array]:
@@ -250,54 +341,78 @@ def _best(problem: Problem, points: Sequence[Array], count: int) -> list[Array]:
     square = problem.mean_square(np.stack(distinct))
     unit = np.sqrt(np.maximum(np.median(square, axis=1).min(0), 1e-18))
     cost = window_cost(replace(problem, unit=unit), square).mean(1)
+    cost = cost + (problem.pull(np.stack(distinct)) ** 2).sum(0) / (len(problem.weight) * len(unit))
     return [distinct[k] for k in np.argsort(cost)[:count]]
 
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """A problem near its solution: each window's normal equations. P free parameters, in units of their scale."""
+    """A problem near its solution, to first order. P free parameters, in units of their scale."""
 
     problem: Problem
     values: Array
     """Solution, of all parameters."""
-    free: NDArray[np.bool_]
-    normal: Array
-    """Shape (W, P, P)."""
-    right: Array
-    """Gradient of half the squared error. Shape (W, P)."""
-    square: Array
-    """Sum of squares. Shape (W,)."""
-    rows: int
-    """Of the residual."""
+    free: Mask
+    errors: Array
+    """As the problem's. Shape (N,)."""
+    columns: Array
+    """Their Jacobian. Shape (N, P)."""
+    pull: Array
+    """The torques' rows. Shape (R,)."""
+    pull_columns: Array
+    """Shape (R, P)."""
+    seconds: float = 0.0
+    """That it took [s]."""
 
-    def step(self, windows: NDArray[np.bool_], held: NDArray[np.bool_]) -> Array:
+    @cached_property
+    def normal(self) -> Array:
+        """Each window's normal equations. Shape (W, P, P)."""
+        d = self.columns * self.problem.row_weight[:, None]
+        return np.stack([part.T @ part for part in np.split(d, self._first[1:])])
+
+    @cached_property
+    def right(self) -> Array:
+        """Gradient of half the squared error, of each window. Shape (W, P)."""
+        both = (self.columns.T * (self.problem.row_weight**2 * self.errors)).T
+        return np.asarray(np.add.reduceat(both, self._first, axis=0), dtype=np.float64)
+
+    @property
+    def _first(self) -> NDArray[np.intp]:
+        return np.flatnonzero(np.diff(self.problem.window, prepend=-1))
+
+    def step(self, windows: Mask, held: Mask) -> Array:
         """Solution of some windows with some of the free parameters held at the given model's. All parameters."""
+        h = self.problem.hypothesis
+        out, scale = self.values.copy(), h.scale[self.free]
+        move = self.move(windows, held)
+        out[self.free] = np.clip(out[self.free] + move * scale, h.bounds[0][self.free], h.bounds[1][self.free])
+        return out
+
+    def move(self, windows: Mask, held: Mask) -> Array:
+        """The same as a move of the free parameters, in units of their scale. Shape (P,)."""
         h = self.problem.hypothesis
         scale, start = h.scale[self.free], self.values[self.free]
         low, high = ((side[self.free] - start) / scale for side in h.bounds)
         home = (h.nominal[self.free] - start) / scale
         low, high = np.where(held, home, low), np.where(held, home, high)
-        n = self.normal[windows].sum(0)
+        share, columns = float(np.mean(windows)), self.pull_columns
+        n = self.normal[windows].sum(0) + share * columns.T @ columns
         n = n + RIDGE * np.diag(np.diag(n))
-        out = self.values.copy()
-        move = bounded_least_squares(n, -self.right[windows].sum(0), low, high)
-        out[self.free] = np.clip(start + move * scale, h.bounds[0][self.free], h.bounds[1][self.free])
-        return out
+        right = self.right[windows].sum(0) + share * columns.T @ self.pull
+        return bounded_least_squares(n, -right, low, high)
 
 
-def linearise(problem: Problem, x: Array, free: NDArray[np.bool_]) -> Linearised:
+def linearise(problem: Problem, x: Array, free: Mask) -> Linearised:
     """Finite differences about values (P,), into the bounds."""
+    begin = time.monotonic()
     h, step = problem.hypothesis, FINITE
     scale = h.scale[free]
     sign = np.where(x[free] + step * scale > h.bounds[1][free], -1.0, 1.0)
     values = np.repeat(x[None], int(free.sum()) + 1, axis=0)
     values[1:, free] += np.diag(sign * step * scale)
-    r = problem.residual(values)
-    jacobian, residual = (r[:, 1:] - r[:, :1]) / (sign * step), r[:, 0]
-    first = np.flatnonzero(np.diff(problem.blocks(), prepend=-1))
-    normal = np.stack([part.T @ part for part in np.split(jacobian, first[1:])])
-    right = np.add.reduceat(jacobian * residual[:, None], first, axis=0)
-    return Linearised(problem, x, free, normal, right, np.add.reduceat(residual**2, first), len(residual))
+    e, pull = problem.errors(values), problem.pull(values)
+    columns, pull_columns = ((y[:, 1:] - y[:, :1]) / (sign * step) for y in (e, pull))
+    return Linearised(problem, x, free, e[:, 0], columns, pull[:, 0], pull_columns, time.monotonic() - begin)
 
 
 def folds_of(problem: Problem, count: int = FOLDS) -> NDArray[np.intp]:
@@ -323,53 +438,77 @@ def folds_of(problem: Problem, count: int = FOLDS) -> NDArray[np.intp]:
     return out
 
 
-def prune(near: Linearised, progress: Callable[[float], None] = lambda fraction: None) -> NDArray[np.bool_]:
+def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None] = lambda fraction: None) -> Mask:
     """Which parameters folds that are kept aside ask for; the others are held at the given model's. Shape (P,), of all.
 
-    Backwards: the parameter whose absence costs least goes first, one a joint at a time, as long as folds that were
+    Backwards: of each joint the parameter goes whose absence costs least to first order, as long as folds that were
     kept aside allow it: their stated error must not rise, and the weighed one by less than its own uncertainty. The
     fits without a fold and without a parameter are one bounded Gauss-Newton step from the solution; their errors are
     simulated.
     """
-    h = near.problem.hypothesis
-    fold = folds_of(near.problem)
+    problem, fold = near.problem, folds_of(near.problem)
     index = np.flatnonzero(near.free)
-    joint = np.array([c.joint for c in h.terms for _ in c.parameters])[index]
-    held = np.zeros(len(index), dtype=bool)
-    best = [np.full(len(fold), np.inf)] * 2
-    while not held.all():
-        left = np.flatnonzero(~held)
-        trials = [held, *(held | (np.arange(len(index)) == k) for k in left)]
-        square = _folded(near, trials, fold)
-        allowed, cost = np.ones(len(left), dtype=bool), np.zeros(len(left))
-        for k, problem in enumerate((replace(near.problem, tuning=np.inf), near.problem)):
-            error = window_cost(problem, square)  # (trials, W)
-            best[k] = min((best[k], *error), key=lambda e: float(e.mean()))
-            rise = error[1:] - best[k]
+    joint = np.array([c.joint for c in problem.hypothesis.terms for _ in c.parameters])[index]
+    held, asking = np.zeros(len(index), dtype=bool), np.ones(len(index), dtype=bool)
+    now = folded(near, [held], fold)
+    ways = (replace(problem, tuning=np.inf), problem)
+    least = [window_cost(way, now)[0] for way in ways]
+    seconds = 0.0
+    while (asking & ~held).any() and deadline.allows(1.3 * seconds):
+        begin = time.monotonic()
+        left = np.flatnonzero(asking & ~held)
+        one = [held | (np.arange(len(index)) == k) for k in left]
+        guess = window_cost(problem, folded(near, one, fold, first_order=True)).mean(1)
+        chosen = [left[joint[left] == j][np.argmin(guess[joint[left] == j])] for j in np.unique(joint[left])]
+        trials = [one[int(np.flatnonzero(left == k)[0])] for k in chosen]
+        trials += [np.logical_or.reduce(trials)] if len(trials) > 1 else []
+        square = folded(near, trials, fold)
+        allowed, cost = np.ones(len(trials), dtype=bool), np.zeros(len(trials))
+        for k, way in enumerate(ways):
+            error = window_cost(way, square)  # (trials, W)
+            least[k] = min((least[k], *error), key=lambda e: float(e.mean()))
+            rise = error - least[k]
             cost, doubt = rise.mean(1), rise.std(1) / np.sqrt(len(fold))
-            allowed &= cost <= np.maximum(DOUBT * k * doubt, WORTH * best[k].mean())
-        if not allowed.any():
-            break
-        for j in np.unique(joint[left]):
-            mine = np.flatnonzero((joint[left] == j) & allowed)
-            if len(mine):
-                held = held | (np.arange(len(index)) == left[mine[np.argmin(cost[mine])]])
-        progress(float(held.mean()))
+            allowed &= cost <= np.maximum(DOUBT * k * doubt, WORTH * least[k].mean())
+        alone = np.flatnonzero(allowed[: len(chosen)])
+        if allowed[-1]:
+            held = trials[-1]
+        elif len(alone):
+            held = trials[alone[np.argmin(cost[alone])]]
+        asking &= ~np.isin(joint, joint[[k for n, k in enumerate(chosen) if not allowed[n]]])
+        progress(float((held | ~asking).mean()))
+        seconds = time.monotonic() - begin
     needed = np.zeros(len(near.free), dtype=bool)
     needed[index[~held]] = True
     return needed
 
 
-def _folded(near: Linearised, trials: Sequence[NDArray[np.bool_]], fold: NDArray[np.intp]) -> Array:
-    """Mean square error of each window by what the other folds say [rad², m²]. Shape (trials, W, J)."""
-    out = np.empty((len(trials), len(fold), len(near.problem.unit)))
+def folded(near: Linearised, trials: Sequence[Mask], fold: NDArray[np.intp], first_order: bool = False) -> Array:
+    """Mean square error of each window by what the other folds say [rad², m²]. Shape (trials, W, J).
+
+    Args:
+        near: About the solution of all folds.
+        trials: Which of the free parameters are held at the given model's. Shapes (P,).
+        fold: Of each window. Shape (W,).
+        first_order: Whether the errors are those of the Jacobian, and not simulated.
+    """
+    problem = near.problem
+    out = np.empty((len(trials), len(fold), len(problem.unit)))
     for k in np.unique(fold):
-        values = np.stack([near.step(fold != k, held) for held in trials])
-        out[:, fold == k] = _part(near.problem, fold == k).mean_square(values)
+        if first_order:
+            rows = np.isin(problem.window, np.flatnonzero(fold == k))
+            for n, held in enumerate(trials):
+                errors = np.zeros(len(rows))
+                errors[rows] = near.errors[rows] + near.columns[rows] @ near.move(fold != k, held)
+                out[n, fold == k] = problem.squares(errors)[fold == k]
+        else:
+            values = np.stack([near.step(fold != k, held) for held in trials])
+            out[:, fold == k] = part_of(problem, fold == k).mean_square(values)
     return out
 
 
-def _part(problem: Problem, chosen: NDArray[np.bool_]) -> Problem:
+def part_of(problem: Problem, chosen: Mask) -> Problem:
+    """Some of the windows."""
     windows, first = [], 0
     for w in problem.windows:
         keep = chosen[first : first + len(w.start)]

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from torchrl_athletic.diagnosis.memory import free_memory
 from torchrl_athletic.diagnosis.thresholds import SPENDING
 from torchrl_athletic.recordings import Recording
 
@@ -69,16 +68,6 @@ def room_for_data(memory: float | None) -> float:
     """Memory that a run may take for recordings [B], of what is asked for in GB, or of half of what is free."""
     whole = SPENDING.share * free_memory() if memory is None else memory * GIGABYTE
     return max(whole - SPENDING.fixed, SPENDING.least)
-
-
-def free_memory() -> float:
-    """Memory that can be had without swapping [B]."""
-    table = Path("/proc/meminfo")
-    if table.exists():
-        for line in table.read_text(encoding="ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                return 1024.0 * float(line.split()[1])
-    return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")) / 2
 
 
 class OutOfTime(KeyboardInterrupt):

@@ -28,7 +28,7 @@ from torchrl_athletic.effects import (
     TorqueScale,
     ViscousFriction,
 )
-from torchrl_athletic.effects.signals import inertia_matrix
+from torchrl_athletic.effects.signals import inertia_matrix, torque_range
 from torchrl_athletic.recordings import Recording
 
 Array = NDArray[np.float64]
@@ -56,6 +56,8 @@ DELAYS = (0.5, 1.0, 2.0, 4.0)
 """Samples of delay to start from."""
 LIMITS = (0.4, 0.7, 0.9)
 """Torque limits to start from, per the largest torque that was asked for."""
+NONLINEAR = ("actuation_delay", "actuation_lag", "torque_saturation", "speed_torque_limit", "encoder_offset")
+"""Effects that no column of a regression stands for."""
 RIDGE = 1e-3
 """Pull of the regression towards the given model, per what the recordings say [1]."""
 
@@ -65,7 +67,8 @@ class Seen:
     """What the recordings say of the size of a joint's numbers. Shapes (J,)."""
 
     asked: Array
-    """Largest torque that was asked for, by the logged gains where positions were commanded [N·m, N]."""
+    """Largest torque that was asked for, by the logged gains where positions were commanded, and that the given model's
+    motor has [N·m, N]."""
     torque: Array
     """Largest torque that was asked for, or that the given model needs for the measured motion [N·m, N]."""
     speed: Array
@@ -83,9 +86,10 @@ class Seen:
 def seen_in(prepared: Prepared) -> Seen:
     """Read the sizes off the recordings."""
     takes, signals = prepared.takes, prepared.signals
-    asked = np.max([np.abs(t.torque).max(0) for t in takes], axis=0)
-    needed = np.max([np.quantile(np.abs(s.required), 0.99, axis=0) for s in signals], axis=0)
     first = takes[0]
+    asked = np.max([np.abs(t.torque).max(0) for t in takes], axis=0)
+    asked = np.minimum(asked, np.max(np.abs(torque_range(first.model, first.address)), axis=0))
+    needed = np.max([np.quantile(np.abs(s.required), 0.99, axis=0) for s in signals], axis=0)
     rest = inertia_matrix(first.model, first.address, np.zeros((1, len(first.address.dof))))[0]
 
     def rms(parts: Sequence[Array]) -> Array:
@@ -195,6 +199,85 @@ def _drawn(
     return x
 
 
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """How much worse than need be values explain the torques, joint by joint.
+
+    A simulation that coasts follows smooth motion over half a second nearly as well as one that is right, with a rotor
+    of tons or a motor without torque. The torques tell: they would have had to be other ones.
+    """
+
+    parts: tuple[tuple[NDArray[np.intp], Array, int, Array, Array], ...]
+    """Of each joint: indices of its linear parameters, their given values, that of the torque's scale or -1, root of
+    the normal equations per residual variance, and their solution."""
+
+    def rows(self, values: Array) -> Array:
+        """Whose squares sum up to the residual variance of the torques over the least one, less 1, of all joints.
+
+        Shape (R, K) for values (K, P).
+        """
+        out = [np.zeros((0, len(values)))]
+        for index, given, scale, root, best in self.parts:
+            inverse = 1.0 / values[:, scale] if scale >= 0 else np.ones(len(values))
+            found = (values[:, index] - given) * inverse[:, None]
+            out.append(root @ (np.column_stack([1.0 - inverse, found]) - best).T)
+        return np.concatenate(out)
+
+
+def agreement(h: Hypothesis, prepared: Prepared) -> Agreement:
+    """The torques' say on the parameters that enter them linearly: of the motor u = (ID + friction ...) / scale."""
+    place = [(c, k) for c in h.terms for k in range(len(c.parameters))]
+    index_of = {(id(c), k): n for n, (c, k) in enumerate(place)}
+    prints: list[tuple[Candidate, list[Array]]] = []
+    scales: dict[int, int] = {}
+    for c in h.terms:
+        if c.effect.name == "torque_scale":
+            scales[c.joint] = index_of[id(c), 0]
+        elif c.effect.name not in NONLINEAR:
+            prints.append((c, columns_of(c, prepared)))
+    parts = []
+    for j in range(len(prepared.takes[0].address.dof)):
+        good = np.concatenate([s.valid[:, j] for s in prepared.signals])
+        if good.sum() < 50:
+            continue
+        columns = [np.concatenate([s.required[:, j] for s in prepared.signals])]
+        index, given = [], []
+        for c, parts_of in prints:
+            both = np.concatenate([part[:, j] for part in parts_of])
+            for k in range(both.shape[1]):
+                p = c.parameters[k]
+                if p.upper > p.lower and both[:, k].any():
+                    columns.append(both[:, k])
+                    index.append(index_of[id(c), k])
+                    given.append(p.nominal)
+        scale = scales.get(j, -1)
+        a = np.stack(columns, -1)[good]
+        y = np.concatenate([s.missing[:, j] for s in prepared.signals])[good]
+        if scale < 0:
+            a[:, 0] = 0.0
+        normal = a.T @ a / len(y)
+        normal += 1e-9 * np.diag(np.diag(normal)) + 1e-300 * np.eye(len(normal))
+        best = np.linalg.lstsq(normal, a.T @ y / len(y), rcond=1e-10)[0]
+        variance = max(float(np.mean((y - a @ best) ** 2)), 1e-12 * float(np.mean(y**2)), 1e-300)
+        value, vector = np.linalg.eigh(normal / variance)
+        root = np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T
+        parts.append((np.array(index, dtype=np.intp), np.array(given), scale, root, best))
+    return Agreement(tuple(parts))
+
+
+def columns_of(c: Candidate, prepared: Prepared) -> list[Array]:
+    """A term's fingerprint in each piece. Shapes (N, J, K)."""
+    out = []
+    for s in prepared.signals:
+        grid = c.effect.grid(s, c.joint) if c.effect.applies(s) else []
+        if grid:
+            out.append(c.effect.fingerprint(s, c.joint, grid[0]).columns)
+        else:
+            out.append(np.zeros((len(s.keep), s.num_joints, 0)))
+    width = min((part.shape[2] for part in out if part.shape[2]), default=0)
+    return [part[:, :, :width] if part.shape[2] else np.zeros((*part.shape[:2], width)) for part in out]
+
+
 def torque_domain(h: Hypothesis, prepared: Prepared) -> Array:
     """What the missing torque says of the parameters that enter it linearly; the others are the given model's.
 
@@ -205,7 +288,7 @@ def torque_domain(h: Hypothesis, prepared: Prepared) -> Array:
         columns: list[Array] = []
         place: list[tuple[Candidate, int]] = []
         for c in h.terms:
-            if c.joint != j or c.effect.name in ("actuation_delay", "torque_saturation", "encoder_offset"):
+            if c.joint != j or c.effect.name in NONLINEAR:
                 continue
             parts = []
             for s in prepared.signals:

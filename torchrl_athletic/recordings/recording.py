@@ -141,6 +141,8 @@ class Recording:
 
     def driven_by_measured_torque(self) -> Recording:
         """A copy whose command is the measured torque, which takes the torque loop out of the question."""
+        if self.metadata.get("driven_by") == "torque_measured":
+            return self
         if self.torque_measured is None:
             raise RecordingError(
                 f"{self.source}: there is no torque_measured to drive the simulation with. "

@@ -190,6 +190,13 @@ class ColumnMap:
     """Proportional gain [N·m/rad], one for all joints or one a joint."""
     kd: float | tuple[float, ...] | None = None
     """Derivative gain [N·m·s/rad], one for all joints or one a joint."""
+    model_gains: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """kp and kd of each joint of the model, for files with targets that say no gains."""
+    command_file: str | None = None
+    """Name of the file beside each file of states that holds its commands, with stamps of the same name. Its columns
+    are called ``<name>:<column>``, and are put on the stamps of the states by zero-order hold, never ahead."""
+    measured_drives: bool = False
+    """Whether a measured torque may stand for a command that was not logged."""
     ignore: tuple[str, ...] = ()
     """Fields not to look for, such as ``("torque_measured",)`` when the driver fills it with zeros."""
     state_topic: str | None = None

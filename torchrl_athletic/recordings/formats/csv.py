@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import json
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,26 @@ def read_csv(path: Path) -> list[RawTake]:
 def _parsed(cells: tuple[str, ...]) -> NDArray[Any]:
     """Numbers where every cell is one; text stays text, which only hurts where numbers are needed."""
     text = "".join(cells)
+    if text.startswith("["):
+        with suppress(ValueError, TypeError, RecursionError):
+            return _lists(cells)
     if "_" not in text and text.isascii():  # Python reads 1_0 and other alphabets' digits as numbers
         with suppress(ValueError):
             return np.array(cells, dtype=np.float64)
     return np.array([cell[:_LONGEST] for cell in cells], dtype=np.str_)  # NumPy makes all as long as the longest
+
+
+def _lists(cells: tuple[str, ...]) -> NDArray[Any]:
+    """Cells that are JSON lists of as many numbers each, as an array (T, K).
+
+    Raises:
+        ValueError, TypeError: If they are not.
+    """
+    rows = [json.loads(cell, parse_constant=_refuse) for cell in cells]
+    if not all(isinstance(row, list) and all(type(x) in (int, float) for x in row) for row in rows):
+        raise ValueError("no lists of numbers")
+    return np.array(rows, dtype=np.float64)
+
+
+def _refuse(name: str) -> None:
+    raise ValueError(f"{name} is no number")

@@ -62,7 +62,8 @@ def read_recordings(
         raise RecordingError("no path to read recordings from; give a file or a folder.")
     columns = columns or ColumnMap()
     sources = (source for path in paths for source in _sources(Path(path)))
-    return [recording for source in sources for recording in read_in_child(source, columns)]
+    states = (source for source in sources if source.name != columns.command_file)
+    return [recording for source in states for recording in read_in_child(source, columns)]
 
 
 def _sources(path: Path) -> list[Path]:

@@ -15,8 +15,8 @@ from torchrl_athletic.recordings.formats.mcap import read_mcap
 from torchrl_athletic.recordings.formats.npz import read_npz
 from torchrl_athletic.recordings.formats.parquet import read_parquet
 from torchrl_athletic.recordings.formats.rosbag import is_rosbag2, read_rosbag
-from torchrl_athletic.recordings.formats.take import RawTake, recording_from_take
-from torchrl_athletic.recordings.recording import Recording
+from torchrl_athletic.recordings.formats.take import RawTake, recording_from_take, with_commands
+from torchrl_athletic.recordings.recording import Recording, RecordingError
 
 _LEROBOT, _ROSBAG2 = "a LeRobot data set", "a ROS 2 bag"
 
@@ -60,7 +60,14 @@ def read_source(source: Path, columns: ColumnMap) -> list[Recording]:
         ImportError: If the library of the format is not installed.
     """
     with decoding(str(source), "a recording"):
-        return [recording_from_take(take, columns) for take in _READERS[kind_of(source)](source, columns)]
+        takes = _READERS[kind_of(source)](source, columns)
+        if columns.command_file is not None:
+            beside = source.parent / columns.command_file
+            if not beside.is_file() or kind_of(beside) not in SUFFIXES:
+                raise RecordingError(f"{source}: there is no {columns.command_file} beside it that could be read.")
+            commands = list(SUFFIXES[kind_of(beside)](beside, columns))
+            takes = [with_commands(take, commands, columns) for take in takes]
+        return [recording_from_take(take, columns) for take in takes]
 
 
 def kind_of(path: Path) -> str:

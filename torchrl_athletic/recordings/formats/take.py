@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -81,6 +81,19 @@ def recording_from_take(take: RawTake, columns: ColumnMap) -> Recording:
     time = _time(take, columns, len(signals["position"]), used)
     kp, kd = (_gain(take, columns, key, labels, used) for key in ("kp", "kd"))
     metadata = {**_metadata(take), **take.metadata, **columns.metadata}
+    semantics = _semantics(take, columns, found.get("torque_measured"))
+    if "position_target" in signals and (kp is None or kd is None) and all(n in columns.model_gains for n in names):
+        of_model = np.array([columns.model_gains[n] for n in names]).T
+        kp, kd = (own if given is None else given for given, own in zip((kp, kd), of_model, strict=True))
+        metadata["gains"] = "of the model"
+    if "torque_measured" in signals and not {"torque_command", "position_target"} & signals.keys():
+        if not columns.measured_drives:
+            raise RecordingError(
+                f"{take.source}: there is a measured torque, but no command. Let it drive the simulation, with --drive "
+                "measured or ColumnMap(measured_drives=True), or name the command."
+            )
+        signals["torque_command"], semantics = signals.pop("torque_measured"), None
+        metadata["driven_by"] = "torque_measured"
     if not_read := [name for name in take.fields if name not in used.union(_TEXTS)]:
         metadata["not_read"] = not_read
     return Recording(
@@ -91,10 +104,35 @@ def recording_from_take(take: RawTake, columns: ColumnMap) -> Recording:
         base_orientation=base_orientation,
         kp=kp,
         kd=kd,
-        torque_semantics=_semantics(take, columns, found.get("torque_measured")),
+        torque_semantics=semantics,
         metadata=metadata,
         source=take.source,
     )
+
+
+def with_commands(take: RawTake, commands: Sequence[RawTake], columns: ColumnMap) -> RawTake:
+    """A take of states with the columns of its file of commands, each held until the next stamp.
+
+    Raises:
+        RecordingError: If there is not one take of commands, or one of both has no stamps.
+    """
+    if len(commands) != 1:
+        raise RecordingError(f"{take.source}: {columns.command_file} holds {len(commands)} takes; needed is one.")
+    [other] = commands
+    column = columns.column("time") or Column("time")
+    stamps = [_numbers(one, str(column.name), "time", set()) for one in (take, other)]
+    if not len(stamps[1]) or (np.diff(stamps[1]) < 0).any():
+        raise RecordingError(f"{other.source}: the stamps of the commands must increase.")
+    at = np.searchsorted(stamps[1], stamps[0], side="right") - 1
+    known = at >= 0  # before the first command nobody knows what was commanded
+    if not known.any():
+        raise RecordingError(f"{other.source}: all commands come after the states. Give both one clock.")
+    samples = len(stamps[0])
+    fields = {n: v[known] if v.ndim and len(v) == samples else v for n, v in take.fields.items()}
+    for name, values in other.fields.items():
+        if values.ndim and len(values) == len(stamps[1]):
+            fields[f"{columns.command_file}:{name}"] = values[at[known]]
+    return RawTake(take.source, fields, take.metadata)
 
 
 def joints_by_pattern(fields: Iterable[str], signal: str) -> dict[str, list[str]]:
@@ -260,13 +298,19 @@ def _semantics(take: RawTake, columns: ColumnMap, measured: Column | None) -> An
     if measured is None:
         return said
     semantics = columns.torque_semantics or said or ("current_derived" if measured.is_current() else None)
-    if semantics is None:
+    if semantics is None and not (columns.measured_drives and _is_all_there_is(take, columns)):
         raise RecordingError(
             f"{take.source}: torque_measured needs torque_semantics. Give a column map: "
             "ColumnMap(torque_semantics='link_side') for a torque sensor, 'current_derived' for motor current times a "
             "constant, ignore=('torque_measured',) to leave it out."
         )
     return semantics
+
+
+def _is_all_there_is(take: RawTake, columns: ColumnMap) -> bool:
+    """Whether the measured torque stands for a command that was not logged."""
+    commands = (name for name in ("torque_command", "position_target") if name not in columns.ignore)
+    return all(_column(take, columns, name) is None for name in commands)
 
 
 def _gain(

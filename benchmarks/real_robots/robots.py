@@ -1,0 +1,230 @@
+"""Public logs of real robots, read from a folder of clones that the user names, and the models to compare them with.
+
+The folder holds clones of these repositories under their own names; none of their files is part of this one.
+
+==========================================  =======================================  =======================
+folder                                      github                                   licence
+==========================================  =======================================  =======================
+``sage`` at ``4ffd262``                     isaac-sim2real/sage                      Apache-2.0
+``SO-ARM100`` (the arm's MJCF)              TheRobotStudio/SO-ARM100                 Apache-2.0
+``dynamics_calibration_airbot``             Zeyu1-oss/dynamics_calibration_airbot    none stated
+``bam``                                     rimim/bam                                none stated
+``Dataset-Friction-Damper-with-Backlash``   ARTS-Laboratory/...                      CC BY-SA 4.0
+==========================================  =======================================  =======================
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from torchrl_athletic.recordings import Recording
+from torchrl_athletic.recordings.datasets import load_dataset
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A model and its recordings."""
+
+    xml: str
+    recordings: Sequence[Recording]
+    heldout: Sequence[Recording]
+    looked_at: str
+    """Whether the program was changed while looking at it."""
+    unit: str = "rad"
+    model_of: Callable[[Recording], mujoco.MjModel] | None = None
+    """Model with what a recording carried; None where all are of :attr:`xml`."""
+
+
+def so101(data: Path) -> Robot:
+    """SO-101 arm of hobby servos, position targets at 50 Hz: 48 motions, and two kept aside.
+
+    Gains and limits are those of the arm's own MJCF, which says that they are no 1-to-1 mapping of the servos'.
+    The jaw is logged from 0 to 1 of its range.
+    """
+    path = data / "SO-ARM100/Simulation/SO101/so101_new_calib.xml"
+    xml = without_shapes(path)
+    model = mujoco.MjModel.from_xml_string(xml)
+    names = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+    kp, kd = (-model.actuator_biasprm[[model.actuator(n).id for n in names], k] for k in (1, 2))
+    low, high = model.joint("gripper").range
+    scale, shift = np.array([1.0] * 5 + [high - low]), np.array([0.0] * 5 + [low])
+    folder = data / "sage/output/real/so101/custom"
+    takes = {
+        motion.name: Recording(
+            1e-6 * _cells(motion / "state_motor.csv", "timestamp")[:, 0],
+            names,
+            _cells(motion / "state_motor.csv", "positions") * scale + shift,
+            position_target=_cells(motion / "control.csv", "positions") * scale + shift,
+            kp=kp,
+            kd=kd,
+            source=motion.name,
+        )
+        for motion in sorted(folder.iterdir())
+    }
+    aside = ("backlash_detection", "friction_gravity")
+    fitted = [r for name, r in takes.items() if name not in aside]
+    return Robot(xml, fitted, [takes[name] for name in aside], "yes")
+
+
+def airbot(data: Path, second: bool = False) -> Robot:
+    """AIRBOT Play, six joints at 195 Hz: three takes of 25 s, and two kept aside. Torques are from motor currents.
+
+    Args:
+        data: Folder of clones.
+        second: The later session: five takes and three kept aside.
+    """
+    home = data / "dynamics_calibration_airbot"
+    xml = without_shapes(home / "models/mjcf/manipulator/airbot_play_force/_play_force.xml")
+    names = tuple(f"joint{k}" for k in range(1, 7))
+    first = ("ga_N12T25", "opt", "ptrnSrch_N7T25QR-7"), ("ptrnSrch_N7T25QR-5", "ptrnSrch_N7T25QR-6")
+    later = (
+        ("ga_N12T25(1)", "opt(1)", "ptrnSrch_N7T25QR-7(1)", "ptrnSrch_N8T25QR", "ptrnSrch_N8T25QR_maxq1"),
+        ("ptrnSrch_N7T25QR-5(1)", "ptrnSrch_N7T25QR-6(1)", "ptrnSrch_N8T25QR-8"),
+    )
+
+    def take(name: str) -> Recording:
+        rows = np.loadtxt(home / f"state_machine_demo/real_data/vali_{name}.csv", delimiter=",")[1:]
+        time, position, velocity, torque = rows[:, 0], rows[:, 1:7], rows[:, 7:13], rows[:, 13:19]
+        return Recording(time, names, position, velocity, torque_command=torque, source=name)
+
+    fitted, aside = ([take(n) for n in group] for group in (later if second else first))
+    return Robot(xml, fitted, aside, "no" if second else "yes")
+
+
+def go1(data: Path) -> Robot:
+    """Motor of a Go1 with an arm of 0.15 m and 0, 1, 2 or 3 kg at its end; 2 kg kept aside. 62 Hz.
+
+    The logged speed is a seventh of the position's slope, and is left out.
+    """
+    arm, length = 0.078, 0.15
+
+    def pendulum(payload: float) -> str:
+        mass, inertia = arm + payload, arm / 3 * length**2 + payload * length**2
+        centre = (arm / 2 + payload) * length / mass
+        about = inertia - mass * centre**2
+        return f"""<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
+          <joint name="motor" axis="0 1 0"/><site name="end" pos="0 0 {-length}"/>
+          <inertial pos="0 0 {-centre}" mass="{mass}" diaginertia="{about} {about} {0.01 * about}"/></body></worldbody>
+          <actuator><position joint="motor" kp="10" kv="0.3" forcerange="-23.7 23.7"/></actuator></mujoco>"""
+
+    fitted: list[Recording] = []
+    aside: list[Recording] = []
+    for path in sorted((data / "bam/example_data/data_raw_go1").glob("*.json")):
+        log = json.loads(path.read_text())
+        rows: list[Mapping[str, Any]] = log["entries"]
+        on = np.array([row["torque_enable"] for row in rows])
+        for driven in (True, False):
+            part = [row for row, o in zip(rows, on, strict=True) if o == driven]
+            if len(part) < 100:
+                continue
+            time, position, target = (
+                np.array([float(row[k]) for row in part]) for k in ("timestamp", "position", "goal_position")
+            )
+            recording = Recording(
+                time, ("motor",), position[:, None], position_target=target[:, None],
+                kp=np.array([log["kp"] * driven]), kd=np.array([log["damping"] * driven]),
+                metadata={"payload_kg": log["mass"]}, source=f"{path.stem}_{log['trajectory']}",
+            )  # fmt: skip
+            (aside if log["mass"] == 2.0 else fitted).append(recording)
+    return Robot(
+        pendulum(0.0), fitted, aside, "no",
+        model_of=lambda r: mujoco.MjModel.from_xml_string(pendulum(float(r.metadata["payload_kg"]))),
+    )  # fmt: skip
+
+
+def damper(data: Path, tension: int) -> Robot:
+    """A banded rotary friction damper, whose displacement was prescribed and force measured; 1.5 inches kept aside.
+
+    A force that is all friction says nothing of where the damper goes. So the log is put on a bench that is known: a
+    spring and a viscous damper beside the joint, whose forces for the measured motion are added to the measured one.
+
+    Args:
+        data: Folder of clones.
+        tension: Of the band [lb]: 0, 30 or 36.
+    """
+    inch, kip = 0.0254, 4448.22
+    spring, viscous, mass = 2e6, 2e4, 100.0
+    xml = f"""<mujoco><option timestep="0.001" gravity="0 0 0" integrator="implicitfast"/><worldbody><body>
+      <joint name="damper" type="slide" axis="1 0 0" stiffness="{spring}" damping="{viscous}"/>
+      <inertial pos="0 0 0" mass="{mass}" diaginertia="1 1 1"/></body></worldbody>
+      <actuator><motor joint="damper" ctrlrange="-1e6 1e6"/></actuator></mujoco>"""
+    folder = data / "Dataset-Friction-Damper-with-Backlash/data/dataset-2/characterization datasets"
+
+    def take(frequency: str, amplitude: str) -> Recording:
+        path = folder / f"{frequency}Hz{tension}lbtension{amplitude}amplitude.json"
+        rows = np.array(json.loads(path.read_text())["data"])
+        position = inch * rows[:, 1]
+        step = float(np.median(np.diff(rows[:, 0])))
+        v, a = (np.asarray(savgol_filter(position, 21, 3, deriv=k, delta=step)) for k in (1, 2))
+        force = np.asarray(kip * rows[:, 2] + spring * position + viscous * v + mass * a, dtype=np.float64)
+        time = np.arange(len(rows), dtype=np.float64) * step
+        return Recording(time, ("damper",), position[:, None], torque_command=force[:, None], source=path.stem)
+
+    slow = () if tension == 0 else ("0.25",)  # by its authors the band of that take was not as it says
+    return Robot(
+        xml,
+        [take(f, "1") for f in (*slow, "0.5", "1")],
+        [take(f, "1.5") for f in ("0.25", "0.5", "1")],
+        "no",
+        unit="m",
+    )
+
+
+def bench(name: str) -> Callable[[Path], Robot]:
+    """One of the five benches of :func:`load_dataset`."""
+
+    def load(data: Path) -> Robot:
+        dataset, _, drive = name.partition(":")
+        d = load_dataset(dataset)
+        fitted, aside = (
+            [r.driven_by_measured_torque() if drive else r for r in group] for group in (d.recordings, d.heldout)
+        )
+        return Robot(d.model, fitted, aside, "yes, held-out part too", "m" if dataset == "emps" else "rad")
+
+    return load
+
+
+ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
+    **{n: bench(n) for n in ("pendulum", "xl330", "unbalanced_disk", "emps", "two_link_arm", "two_link_arm:measured")},
+    "so101": so101,
+    "airbot": airbot,
+    "airbot, second session": partial(airbot, second=True),
+    "go1": go1,
+    **{f"damper, {tension} lb": partial(damper, tension=tension) for tension in (0, 30, 36)},
+}
+
+
+def without_shapes(path: Path) -> str:
+    """MJCF of a model with the masses that its shapes gave it, and without the shapes."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    model = spec.compile()
+    for body in spec.bodies[1:]:
+        k = model.body(body.name).id
+        body.explicitinertial = True
+        body.mass, body.ipos, body.iquat = model.body_mass[k], model.body_ipos[k], model.body_iquat[k]
+        body.inertia, body.fullinertia = model.body_inertia[k], np.full(6, np.nan)
+        for geom in list(body.geoms):
+            spec.delete(geom)
+    for shape in (*spec.worldbody.geoms, *spec.meshes, *spec.materials, *spec.textures):
+        spec.delete(shape)
+    spec.compile()
+    return str(spec.to_xml())
+
+
+def _cells(path: Path, column: str) -> Array:
+    """A column whose cells are numbers or lists of numbers. Shape (T, ...)."""
+    with path.open() as file:
+        return np.array([np.atleast_1d(json.loads(row[column])) for row in csv.DictReader(file)], dtype=np.float64)

@@ -1,0 +1,131 @@
+"""Logs as they are: no gains, no command, commands in a file of their own, lists in cells, joints that stood still."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis.plants import pendulum, record, smooth_torque
+
+from torchrl_athletic.diagnosis.fit_command import FitConfig, main
+from torchrl_athletic.diagnosis.inputs import checked, gains_of, inputs
+from torchrl_athletic.diagnosis.locking import locked_joints
+from torchrl_athletic.recordings import ColumnMap, Recording, RecordingError, read_recordings, write_recording
+
+SERVO = """<mujoco><worldbody><body><joint name="hip" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/>
+  <body pos="0.5 0 0"><joint name="knee" axis="0 1 0" pos="0.1 0 0.05"/><geom size="0.1" pos="0.2 0 0"/></body></body>
+  </worldbody><actuator><position joint="hip" kp="30" kv="2"/><motor joint="knee"/></actuator></mujoco>"""
+
+
+@dataclass(frozen=True)
+class Flags:
+    model: Path | None = None
+    recordings: tuple[Path, ...] = ()
+    heldout: tuple[Path, ...] = ()
+    columns: Path | None = None
+    lock: tuple[str, ...] = ()
+    drive: str = "command"
+    dataset: str | None = None
+
+
+def targets(path: Path) -> None:
+    time = np.arange(200) / 100
+    names = {"time": time, "position/hip": np.sin(time), "position_target/hip": np.sin(time)}
+    np.savetxt(path, np.stack(list(names.values()), 1), delimiter=",", header=",".join(names), comments="")
+
+
+def test_gains_are_those_of_position_actuators():
+    assert gains_of(mujoco.MjModel.from_xml_string(SERVO)) == {"hip": (30.0, 2.0)}
+
+
+def test_targets_without_gains_take_the_models(tmp_path):
+    targets(tmp_path / "log.csv")
+    (tmp_path / "robot.xml").write_text(SERVO)
+    given = inputs(Flags(tmp_path / "robot.xml", (tmp_path / "log.csv",)))
+    assert (given.recordings[0].kp, given.recordings[0].kd) == (30.0, 2.0)
+    assert any("gains" in note for note in given.notes)
+    with pytest.raises(RecordingError, match="needs the gains"):
+        read_recordings(tmp_path / "log.csv")
+
+
+def test_a_measured_torque_is_the_command_where_that_is_said(tmp_path):
+    time = np.arange(100) / 100
+    np.savez(tmp_path / "a.npz", time=time, joint_names=["hip"], position=time[:, None], torque_measured=time[:, None])
+    with pytest.raises(RecordingError, match="a measured torque, but no command"):
+        read_recordings(tmp_path / "a.npz", ColumnMap(torque_semantics="link_side"))
+    [read] = read_recordings(tmp_path / "a.npz", ColumnMap(measured_drives=True))
+    np.testing.assert_array_equal(read.torque_command[:, 0], time)
+    assert read.torque_measured is None
+    assert read.driven_by_measured_torque() is read
+
+
+def test_commands_of_their_own_file_hold_until_the_next_and_never_act_ahead(tmp_path):
+    (tmp_path / "state.csv").write_text('t,q\n0,"[0.0, 1.0]"\n10,"[0.1, 1.1]"\n20,"[0.2, 1.2]"\n30,"[0.3, 1.3]"\n')
+    (tmp_path / "control.csv").write_text('t,q\n5,"[1, 2]"\n20,"[3, 4]"\n')
+    columns = ColumnMap(
+        ("hip", "knee"), time={"name": "t", "unit": "ms"}, position="q", torque_command="control.csv:q",
+        command_file="control.csv",
+    )  # fmt: skip
+    [read] = read_recordings(tmp_path, columns)
+    np.testing.assert_allclose(read.time, [0.01, 0.02, 0.03])  # before the first command nobody knows
+    np.testing.assert_array_equal(read.torque_command, [[1, 2], [3, 4], [3, 4]])
+    np.testing.assert_allclose(read.position[0], [0.1, 1.1])
+
+
+@pytest.mark.parametrize("cell", ['"[1, true]"', '"[1, NaN]"', '"[[1], 2]"', '"[1]"'])
+def test_what_is_no_list_of_as_many_numbers_is_refused(tmp_path, cell):
+    (tmp_path / "log.csv").write_text(f'time,position,torque_command\n0,"[0, 1]","[0, 0]"\n1,{cell},"[0, 0]"\n')
+    with pytest.raises(RecordingError, match="position"):
+        read_recordings(tmp_path / "log.csv", ColumnMap(("hip", "knee")))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7])
+def test_a_locked_joint_leaves_all_bodies_where_they_were(angle):
+    free = mujoco.MjModel.from_xml_string(SERVO)
+    xml, left = locked_joints(SERVO, (f"knee={angle}",), [])
+    held = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(free), mujoco.MjData(held)
+    data[0].qpos[:] = 0.3, angle
+    data[1].qpos[:] = 0.3
+    for model, one in zip((free, held), data, strict=True):
+        mujoco.mj_forward(model, one)
+    assert left == ("hip",)
+    np.testing.assert_allclose(data[1].xpos, data[0].xpos, atol=1e-5)
+    np.testing.assert_allclose(data[1].xipos, data[0].xipos, atol=1e-5)
+    np.testing.assert_allclose(data[1].qfrc_bias, data[0].qfrc_bias[:1], atol=1e-3)
+
+
+def test_a_joint_that_moves_is_not_locked_in_silence(tmp_path):
+    time = np.arange(100) / 100
+    swings = Recording(time, ("hip", "knee"), np.stack([time, time], 1), torque_command=np.zeros((100, 2)))
+    with pytest.raises(RecordingError, match=r"knee: it moves by 0\.99"):
+        locked_joints(SERVO, ("knee",), [swings])
+    with pytest.raises(RecordingError, match="no such joint; it has hip, knee"):
+        locked_joints(SERVO, ("ankle",), [swings])
+
+
+def test_all_problems_are_said_at_once(tmp_path, capsys):
+    (tmp_path / "robot.xml").write_text(pendulum())
+    write_recording(record(pendulum(), smooth_torque(1.0)), tmp_path / "good.npz")
+    (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 not a zip")
+    targets(tmp_path / "other.csv")
+    paths = tuple(tmp_path / name for name in ("good.npz", "bad.npz", "other.csv", "gone.npz"))
+    with pytest.raises(SystemExit) as stopped:
+        main(FitConfig(tmp_path / "robot.xml", paths, check=True))
+    shown = capsys.readouterr().out
+    assert stopped.value.code == 1
+    assert all(name in shown for name in ("bad.npz", "other.csv", "gone.npz", "The inputs cannot be used"))
+    text, usable = checked(Flags(tmp_path / "robot.xml", (tmp_path / "good.npz",)))
+    assert usable
+    assert text.endswith("The inputs can be used.")
+
+
+def test_a_weight_that_changes_the_model_is_said_first(tmp_path):
+    (tmp_path / "robot.xml").write_text(pendulum())
+    heavy = replace(record(pendulum(), smooth_torque(1.0)), metadata={"payload_kg": 0.5})
+    write_recording(heavy, tmp_path / "heavy.npz")
+    notes = inputs(Flags(tmp_path / "robot.xml", (tmp_path / "heavy.npz",))).notes
+    assert notes[0] == "Notes of the recordings change the model: payload_kg = 0.5, fastened to the last link."
+    assert json.dumps(notes)

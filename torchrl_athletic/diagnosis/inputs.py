@@ -1,0 +1,195 @@
+"""What the commands are given: a model and recordings, as they are, and what is wrong with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import mujoco
+import numpy as np
+
+from torchrl_athletic.diagnosis.locking import locked_joints
+from torchrl_athletic.diagnosis.model import ModelError, load_model
+from torchrl_athletic.diagnosis.prepare import PAYLOAD
+from torchrl_athletic.effects import JointAddress
+from torchrl_athletic.recordings import ColumnMap, Recording, RecordingError, check_quality, read_recordings
+
+CHANGES_MODEL = (PAYLOAD,)
+"""Notes of a recording that change the model it is compared with."""
+
+
+class Asked(Protocol):
+    """The flags that say what to read."""
+
+    @property
+    def model(self) -> Path | None: ...
+    @property
+    def recordings(self) -> tuple[Path, ...]: ...
+    @property
+    def heldout(self) -> tuple[Path, ...]: ...
+    @property
+    def columns(self) -> Path | None: ...
+    @property
+    def lock(self) -> tuple[str, ...]: ...
+    @property
+    def drive(self) -> str: ...
+    @property
+    def dataset(self) -> str | None: ...
+
+
+class Inputs(NamedTuple):
+    """A model and recordings that can be used."""
+
+    model: Path | str
+    recordings: list[Recording]
+    heldout: list[Recording]
+
+    @property
+    def notes(self) -> list[str]:
+        """What changes the model, as lines to print first."""
+        out = []
+        for name in CHANGES_MODEL:
+            said = sorted({float(r.metadata[name]) for r in (*self.recordings, *self.heldout) if r.metadata.get(name)})
+            if said:
+                values = ", ".join(f"{v:g}" for v in said)
+                out.append(f"Notes of the recordings change the model: {name} = {values}, fastened to the last link.")
+        if any(r.metadata.get("gains") == "of the model" for r in self.recordings):
+            out.append("The recordings say no gains: those of the model's position actuators are taken.")
+        if any(r.metadata.get("driven_by") == "torque_measured" for r in self.recordings):
+            out.append("The recordings hold no command: the measured torque drives the simulation.")
+        return out
+
+
+def inputs(asked: Asked, demo: int = 0) -> Inputs:
+    """Model, recordings to fit and recordings kept aside: the user's, a public dataset's, or the demo's.
+
+    Gains that the recordings lack are those of the model's position actuators. Joints that are locked leave the model
+    and the recordings.
+
+    Raises:
+        RecordingError: If recordings are named without a model, or a model without recordings, or one cannot be used.
+        ModelError: If MuJoCo cannot compile the model.
+    """
+    if asked.dataset is not None:
+        from torchrl_athletic.recordings.datasets import load_dataset
+
+        dataset = load_dataset(asked.dataset)
+        return Inputs(dataset.model, list(dataset.recordings), list(dataset.heldout))
+    if asked.model is None and not asked.recordings:
+        from torchrl_athletic.recordings.demo import concealed_demo
+
+        made = concealed_demo(demo)
+        return Inputs(made.model_xml, list(made.recordings), list(made.heldout))
+    if asked.model is None or not asked.recordings:
+        missing = "--model" if asked.model is None else "--recordings"
+        raise RecordingError(f"{missing} is missing. Give both, or --dataset NAME, or nothing at all for the demo.")
+    columns = columns_for(asked)
+    recordings, heldout = (
+        read_recordings(paths, columns) if paths else [] for paths in (asked.recordings, asked.heldout)
+    )
+    if not asked.lock:
+        return Inputs(asked.model, recordings, heldout)
+    xml, left = locked_joints(asked.model, asked.lock, recordings)
+    return Inputs(xml, [_of(r, left) for r in recordings], [_of(r, left) for r in heldout])
+
+
+def columns_for(asked: Asked) -> ColumnMap:
+    """The column map that is asked for, or none, with what else the flags and the model say of the files."""
+    columns = ColumnMap() if asked.columns is None else ColumnMap.load(asked.columns)
+    columns = replace(columns, measured_drives=columns.measured_drives or asked.drive == "measured")
+    if asked.model is None or not Path(asked.model).is_file():
+        return columns
+    return replace(columns, model_gains=gains_of(load_model(asked.model)[0]))
+
+
+def gains_of(model: mujoco.MjModel) -> Mapping[str, tuple[float, float]]:
+    """Gains kp and kd of the joints that one position actuator drives [N·m/rad, N·m·s/rad]."""
+    out = {}
+    for j in range(model.njnt):
+        drives = [
+            a
+            for a in range(model.nu)
+            if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[a, 0] == j
+        ]
+        if len(drives) != 1:
+            continue
+        [a] = drives
+        gain, bias = float(model.actuator_gainprm[a, 0]), model.actuator_biasprm[a]
+        if model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE and gain > 0 and np.isclose(bias[1], -gain):
+            out[model.joint(j).name] = (gain, max(float(-bias[2]), 0.0))
+    return out
+
+
+def _of(recording: Recording, names: Sequence[str]) -> Recording:
+    """A recording of those of its joints that are named."""
+    kept = [n for n in recording.joint_names if n in names]
+    if len(kept) == recording.num_joints:
+        return recording
+    at = [recording.joint_names.index(n) for n in kept]
+    fields = ("position", "velocity", "torque_command", "position_target", "torque_measured", "kp", "kd")
+    cut = {f: getattr(recording, f)[..., at] for f in fields if getattr(recording, f) is not None}
+    return replace(recording, joint_names=tuple(kept), **cut)
+
+
+WARNING = "warning: "
+
+
+def checked(asked: Asked) -> tuple[str, bool]:
+    """All that is wrong with the inputs, as a list to print, and whether they can be used all the same."""
+    said = [f"- {' '.join(text.split())}" for text in dict.fromkeys(_problems(asked))]
+    usable = all(text.startswith(f"- {WARNING}") for text in said)
+    return "\n".join([*said, "The inputs can be used." if usable else "The inputs cannot be used."]), usable
+
+
+def _problems(asked: Asked) -> Iterator[str]:
+    model = None
+    if asked.model is None:
+        yield "--model is missing."
+    else:
+        try:
+            model, _, _ = load_model(asked.model)
+        except (ModelError, OSError) as error:
+            yield str(error)
+    if not asked.recordings:
+        yield "--recordings is missing."
+    try:
+        columns = columns_for(asked) if model is not None else ColumnMap()
+    except (RecordingError, OSError) as error:
+        yield str(error)
+        return
+    read: list[Recording] = []
+    for path in (*asked.recordings, *asked.heldout):
+        for file in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
+            try:
+                read += read_recordings(file, columns)
+            except (RecordingError, ImportError, OSError) as error:
+                if not path.is_dir() or "is not a known kind of file" not in str(error):
+                    yield str(error)
+    for r in read:
+        if model is not None:
+            yield from _beside(r, model, asked.lock)
+        try:
+            for w in check_quality(r).warnings:
+                yield f"{WARNING}{w}" if w.startswith(r.source) else f"{WARNING}{r.source}: {w}"
+        except RecordingError as error:
+            yield str(error)
+        if set(r.joint_names) != set(read[0].joint_names):
+            yield f"{r.source}: its joints are {', '.join(r.joint_names)}; {read[0].source} has other ones."
+
+
+def _beside(r: Recording, model: mujoco.MjModel, locked: Sequence[str]) -> Iterator[str]:
+    names = {model.joint(j).name for j in range(model.njnt)}
+    if unknown := [n for n in r.joint_names if n not in names]:
+        yield f"{r.source}: the model has no joint {', '.join(unknown)}; it has {', '.join(sorted(names))}."
+    free = [model.joint(j).name for j in range(model.njnt) if model.jnt_type[j] >= 2]
+    fixed = {n.partition("=")[0] for n in locked}
+    if silent := [n for n in free if n not in r.joint_names and n not in fixed]:
+        yield f"{r.source}: {', '.join(silent)} of the model is not recorded. Record it, or say --lock {silent[0]}."
+    floating = any(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    if not unknown and not silent and not fixed and not floating:
+        try:
+            JointAddress.of(model, r.joint_names, r.source)
+        except RecordingError as error:
+            yield str(error)
