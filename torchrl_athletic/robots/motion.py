@@ -161,7 +161,7 @@ def read_motion(source: str | Path) -> Motion:
 
     Example:
         >>> [(phase.name, phase.duration) for phase in read_motion("throw").phases]
-        [('throw-set-up', 2.5), ('throw', 1.0), ('settle', 1.0)]
+        [('throw-set-up', 2.5), ('throw', 1.0), ('settle', 1.5)]
     """
     path = Path(source)
     if isinstance(source, str) and path.suffix != ".toml":

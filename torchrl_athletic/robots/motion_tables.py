@@ -58,7 +58,7 @@ def motion_tables(motion: Motion, robot: Robot, dt: float = DT, frame_height: fl
         >>> from torchrl_athletic.robots import b2z1, read_motion
         >>> tables = motion_tables(read_motion("throw"), b2z1())
         >>> [tuple(table.shape) for table in tables["joint_position"]]
-        [(126, 19), (51, 19), (51, 19)]
+        [(126, 19), (51, 19), (76, 19)]
         >>> tables["end_effector_command"][0][0, :3].round(decimals=2).tolist()  # where the hand is by default
         [0.6499999761581421, 0.0, 0.6000000238418579]
     """
