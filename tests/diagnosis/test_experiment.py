@@ -291,6 +291,21 @@ def test_a_plan_that_a_rival_would_take_out_of_range_is_made_smaller(monkeypatch
     assert np.abs(tame.reference).max() < np.abs(whole.reference).max()
 
 
+def test_a_path_that_leaves_the_range_of_a_joint_is_no_plan():
+    *_, judge, _, whole = solved("offset")
+    take, motion = judge.bank.takes[0], whole.motions[0]
+    loop = (np.asarray(whole.kp), np.asarray(whole.kd))
+
+    def plan(position):
+        limits = Limits(position, whole.limits.velocity, whole.limits.torque)
+        return planning._planned(motion, 0.0, take.nominal, judge.bank.takes, limits, loop)
+
+    assert plan(whole.limits.position) is not None
+    reach = np.stack([whole.reference.min(0), whole.reference.max(0)], axis=1)
+    narrow = reach + np.array([0.2, -0.2]) * np.ptp(reach, axis=1, keepdims=True)
+    assert plan(narrow) is None
+
+
 def planned() -> tuple[Experiment, Rivals, planning._Plan]:
     """The experiment about an offset, its rivals with their draws, and its plan."""
     *_, judge, best, e = solved("offset")

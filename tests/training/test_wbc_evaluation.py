@@ -40,3 +40,11 @@ def test_rows_of_two_parts_are_the_rows_of_one_batch_and_another_seed_s_are_not(
         np.testing.assert_allclose(two, one, atol=1e-5, rtol=1e-4)
         assert np.abs(other - one).max() > 1e-3, name
         assert np.diff(np.sort(one)).min() > 1e-4, name  # four robots that cannot be taken for each other
+
+
+def test_an_action_is_held_as_long_however_fine_the_steps_are():
+    conditions = module.wbc_conditions()
+    assert len(conditions) > 20
+    for name in ("all randomised", "all randomised, 1 ms steps"):
+        condition = conditions[name]
+        assert condition.substeps * condition.robot.model().opt.timestep == pytest.approx(0.005), name
