@@ -17,6 +17,7 @@ import tyro
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import draw_command
+from torchrl_athletic.functional.commands import command_ranges
 from torchrl_athletic.networks import pretrained, read_metadata, read_network, shipped_path
 
 
@@ -34,6 +35,8 @@ class Config:
     """Robots at once."""
     seed: int = 1_000_003
     """Seed of robots, commands and pushes: other than in training."""
+    commands: Literal["around", "ahead"] | None = None
+    """Goals of the hand, as of ``pretrain_wbc.py``; None takes those that the policy was trained on."""
     actuation: str = "uan"
     """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     device: Literal["cpu", "cuda"] = "cpu"
@@ -47,8 +50,9 @@ class Config:
 def main(cfg: Config) -> None:
     own = cfg.policy.endswith(".npz")
     policy: Any = (read_network(cfg.policy) if own else pretrained(cfg.policy)).to(cfg.device)
-    history = read_metadata(cfg.policy if own else shipped_path(cfg.policy)).get("history", 10)
-    told = {"seed": cfg.seed, "actuation": cfg.actuation, "history": history}
+    trained = read_metadata(cfg.policy if own else shipped_path(cfg.policy))
+    told: dict[str, Any] = {"seed": cfg.seed, "actuation": cfg.actuation, "history": trained.get("history", 10)}
+    told["commands"] = command_ranges(cfg.commands or trained.get("commands", "around"))
     known = training.wbc_conditions()
     if unknown := [name for name in cfg.conditions if name not in known]:
         raise SystemExit(f"there is no condition {unknown[0]!r}; there are {sorted(known)}.")

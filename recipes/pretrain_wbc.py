@@ -22,10 +22,11 @@ from torchrl.envs import TransformedEnv
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, draw_command, whole_body_env, whole_body_rewards
+from torchrl_athletic.functional.commands import command_ranges
 from torchrl_athletic.identification import with_actuation
 from torchrl_athletic.robots import Terrain, b2z1
 
-ONE_RUN = ("seed", "actuation", "randomize", "start", "without", "history", "hidden", "ppo", "collectors")
+ONE_RUN = ("seed", "commands", "actuation", "randomize", "start", "without", "history", "hidden", "ppo", "collectors")
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,8 @@ class Config:
     minutes: float | None = None  # when to stop; None takes 10 on CPUs and 25 on a GPU
     iterations: int | None = None  # when to stop in any case
     seed: int = 0  # of weights, robots, commands and exploration
+    commands: Literal["around", "ahead"] = "around"
+    """Goals of the hand: from the ground to behind the head, as tasks need, or ahead of the robot alone."""
     actuation: str = "uan"
     """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     randomize: bool = True
@@ -91,7 +94,10 @@ def main(cfg: Config) -> None:
         show=["reward", "tracking/position", "tracking/velocity"],
     )
     if processes.rank == 0:
-        print("policy:", training.save_wbc(learner, cfg.output, trained_as=str(cfg), history=cfg.history))
+        print(
+            "policy:",
+            training.save_wbc(learner, cfg.output, trained_as=str(cfg), history=cfg.history, commands=cfg.commands),
+        )
         if cfg.logger == "csv":
             table, curves = {"": cfg.output / "progress.csv"}, cfg.output / "curves.png"
             print("curves:", training.draw_curves(table, training.CURVES, curves))
@@ -107,6 +113,7 @@ def make_env(cfg: Config, num_envs: int, first_row: int = 0, device: str = "cpu"
     robot, chain = with_actuation(nominal, cfg.actuation, delay=chance.delay, **rows)
     terms = whole_body_rewards(robot, "true_joint_position" if cfg.randomize else "joint_position", cfg.without)
     told |= rows | {"chain": chain, "terms": terms, "disturbances": chance, "history": cfg.history}
+    told |= {"commands": command_ranges(cfg.commands)}
     return whole_body_env(robot, num_envs=num_envs, device=device, **told)
 
 

@@ -13,6 +13,7 @@ from torchrl_athletic.functional.commands import (
     VELOCITY,
     CommandRanges,
     blend_goals,
+    command_ranges,
     deviation_from_line,
     draw_goal,
     from_roll_pitch_yaw,
@@ -53,6 +54,19 @@ def test_goals_fill_their_ranges_evenly_and_never_leave_them():
     unit = (values - low) / (high - low)
     torch.testing.assert_close(unit.mean(0), torch.full((11,), 0.5), atol=0.02, rtol=0)
     torch.testing.assert_close(torch.corrcoef(unit.T), torch.eye(11), atol=0.06, rtol=0, check_dtype=False)
+
+
+def test_goals_ahead_are_ahead_of_the_shoulder_and_those_around_are_not():
+    shoulder = torch.tensor(RANGES.shoulder)
+    forward = {}
+    for name in ("ahead", "around"):
+        goal, _ = goals(ranges=command_ranges(name))
+        place = goal_to_pose(goal, shoulder)[:, :3] - shoulder
+        forward[name] = place[:, 0]
+    assert (forward["ahead"] > 0).all()
+    assert (forward["around"] < 0).float().mean() > 0.2
+    with pytest.raises(ValueError, match="there are \\['ahead', 'around'\\]"):
+        command_ranges("behind")
 
 
 def test_one_sled_command_in_five_is_to_stand_and_the_others_go_backwards_only():

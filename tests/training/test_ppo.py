@@ -51,6 +51,26 @@ def test_entropy_counts_as_much_as_is_told(coefficient):
     torch.testing.assert_close(report["loss_entropy"], -coefficient * report["entropy"])
 
 
+def test_the_divergence_aimed_at_falls_as_told_and_the_actors_rate_follows_it():
+    torch.manual_seed(0)
+    learner = arm_learner()
+    learner.config = replace(learner.config, kl_target=0.02, kl_target_last=1e-12, anneal=3)
+    rates, targets = [], []
+    for _ in range(14):
+        rates.append(float(iterate(learner)["actor_lr"]))
+        targets.append(float(learner.kl_target))
+    assert targets[:4] == pytest.approx([0.02, 0.02 * 2 / 3, 0.02 / 3, 1e-12])
+    assert targets[4:] == pytest.approx([1e-12] * 10)
+    assert rates[-1] == pytest.approx(learner.stepper.adaptive_kl.bounds[0])  # no step is short enough for that target
+
+
+def test_a_divergence_that_falls_needs_its_end_and_its_time():
+    with pytest.raises(ValueError, match="Give both, or none"):
+        PPO(kl_target_last=0.002)
+    with pytest.raises(ValueError, match="Give both, or none"):
+        PPO(anneal=100)
+
+
 def test_each_entry_has_a_scale_of_its_own_and_every_one_learns():
     torch.manual_seed(0)
     scales = {"joint_position": RunningNormalizer(7), "joint_velocity": RunningNormalizer(7)}

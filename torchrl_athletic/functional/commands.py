@@ -87,6 +87,30 @@ class CommandRanges:
         return ranges | {"duration of velocity": self.duration, "duration of pose": self.duration}
 
 
+def command_ranges(name: str) -> CommandRanges:
+    """Ranges of a pre-training, by name.
+
+    Args:
+        name: ``"around"``, the defaults, which reach from the ground ahead to behind the head; or ``"ahead"``, from the
+            ground to a little over the shoulder, which is where pre-trainings of others have the hand.
+
+    Raises:
+        ValueError: If there are no such ranges.
+
+    Source:
+        Fu, Cheng and Pathak 2023, section 3: at most 0.8 m from the shoulder (``"ahead"``).
+
+    Example:
+        >>> command_ranges("ahead").distance
+        (0.4, 0.8)
+    """
+    ahead = CommandRanges(distance=(0.4, 0.8), elevation=(math.radians(-50), math.radians(35)))
+    known = {"around": CommandRanges(), "ahead": ahead}
+    if name not in known:
+        raise ValueError(f"there are no commands {name!r}; there are {sorted(known)}.")
+    return known[name]
+
+
 def sled_commands() -> CommandRanges:
     """Backwards at 0 to 1 m/s four times in five, otherwise stand; kept on a straight line.
 

@@ -18,7 +18,8 @@ class AdaptiveKL:
     place; this one stays on the rate's device, so that a captured CUDA graph goes on seeing it.
 
     Args:
-        target: Wanted divergence of the policy from the one that collected [nat].
+        target: Wanted divergence of the policy from the one that collected [nat]. A tensor may be changed in place, and
+            a captured graph sees it.
         factor: > 1 [1].
         bounds: Least and greatest learning rate.
 
@@ -36,7 +37,7 @@ class AdaptiveKL:
         tensor(0.0002)
     """
 
-    target: float = 0.01
+    target: float | Tensor = 0.01
     factor: float = 1.5
     bounds: tuple[float, float] = (1e-5, 1e-2)
 

@@ -56,6 +56,10 @@ class PPO:
     """Learning rate of the critic."""
     kl_target: float = 0.01
     """Divergence of policies that the actor's learning rate aims at [nat]."""
+    kl_target_last: float | None = None
+    """That divergence after ``anneal`` iterations, to which it falls in a line [nat]; None keeps it as it is."""
+    anneal: int = 0
+    """Iterations in which the divergence falls: as many as there will be."""
     horizon: int = 24
     """Steps of each environment per iteration."""
     num_envs: int = 4096
@@ -76,6 +80,25 @@ class PPO:
     """Most samples that go through the critic at once."""
     critic_first: int = 0
     """Iterations in which the critic alone learns, for a policy that goes on without the critic that it had."""
+
+    def __post_init__(self) -> None:
+        if (self.kl_target_last is None) != (self.anneal == 0):
+            raise ValueError(
+                f"kl_target_last is {self.kl_target_last} and anneal is {self.anneal}: a divergence that falls needs both "
+                "its last value and the number of iterations. Give both, or none."
+            )
+
+    def kl_target_at(self, iteration: int) -> float:
+        """Divergence to aim at in an iteration, the first of which is 0 [nat].
+
+        Example:
+            >>> [round(PPO(kl_target_last=0.002, anneal=4).kl_target_at(k), 3) for k in (0, 2, 4, 9)]
+            [0.01, 0.006, 0.002, 0.002]
+        """
+        if self.kl_target_last is None:
+            return self.kl_target
+        share = min(1.0, iteration / self.anneal)
+        return (1 - share) * self.kl_target + share * self.kl_target_last
 
 
 PRE_TRAIN = PPO()
@@ -168,11 +191,12 @@ class Learner:
             average_gae=processes.count == 1,
             vectorized=False,
         )
+        self.kl_target = torch.tensor(config.kl_target, device=next(actor.parameters()).device)
         self.stepper = SplitOptimizationStepper(
             SplitClipPPOLoss(actor, critic, clip_epsilon=config.clip_epsilon, entropy_coeff=config.entropy_coeff),
             actor_lr=config.actor_lr,
             critic_lr=config.critic_lr,
-            adaptive_kl=AdaptiveKL(config.kl_target),
+            adaptive_kl=AdaptiveKL(self.kl_target),
             weight_decay=config.weight_decay,
             epochs=config.epochs,
             minibatches=config.actor_minibatches,
@@ -232,6 +256,7 @@ def iterate(learner: Learner) -> TensorDict:
         _learn_scale(learner, collect(learner))
     if learner.iteration and learner.iteration == learner.config.critic_first:
         learner.stepper.actor_lr.fill_(learner.config.actor_lr)
+    learner.kl_target.fill_(learner.config.kl_target_at(learner.iteration))
     batch = collect(learner)
     estimate_advantage(learner, batch)
     report = learner.stepper.update(batch)

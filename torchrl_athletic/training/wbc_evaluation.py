@@ -154,6 +154,8 @@ def examine(
         raise ValueError(f"episodes is {episodes}: one alone has no interval. Give 2 or more; 1,000 are usual.")
     header: dict[str, Any] = {"policy": digest_of(policy), "actuation": actuation, "device": device}
     header |= {"episodes": episodes, "steps": steps, "seed": seed}
+    if "commands" in told:
+        header["commands"] = str(told["commands"])
     found: dict[str, Any] = {**header, "conditions": {}}
     if table.exists():
         found = json.loads(table.read_text("utf-8"))
