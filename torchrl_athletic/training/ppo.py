@@ -84,8 +84,8 @@ class PPO:
     def __post_init__(self) -> None:
         if (self.kl_target_last is None) != (self.anneal == 0):
             raise ValueError(
-                f"kl_target_last is {self.kl_target_last} and anneal is {self.anneal}: a divergence that falls needs both "
-                "its last value and the number of iterations. Give both, or none."
+                f"kl_target_last is {self.kl_target_last} and anneal is {self.anneal}: a divergence that falls needs its "
+                "last value and the number of iterations. Give both, or none."
             )
 
     def kl_target_at(self, iteration: int) -> float:
