@@ -55,6 +55,8 @@ class Config:
     """Folder for the trainings."""
     commit: str = ""
     """Commit of the code, where git cannot tell."""
+    machine: str = ""
+    """Where the policies were trained, if not here."""
     output: Path = Path("benchmarks/results")
     """Folder for the table."""
 
@@ -67,12 +69,12 @@ def main(cfg: Config) -> None:
     there = [name for name in VARIANTS if (folder_of(name, cfg) / "evaluation.json").exists()]  # earlier ones too
     rows = {name: measured(name, cfg) for name in there}
     lines = [
-        "| variant | falls | hand [m] | hand [rad] | velocity [m/s] | yaw rate [rad/s] |",
-        "|---|---|---|---|---|---|",
+        "| variant | falls | hand [m] | hand [rad] | key points [m] | velocity [m/s] | yaw rate [rad/s] |",
+        "|---|---|---|---|---|---|---|",
     ]
     for name, row in rows.items():
         share, low, high = (100 * value for value in row["falls"])
-        errors = (row[error] for error in ("position", "attitude", "velocity", "yaw_rate"))
+        errors = (row[error] for error in ("position", "attitude", "keypoints", "velocity", "yaw_rate"))
         cells = [f"{share:.0f} % ({low:.0f} to {high:.0f})", *(f"{e[0]:.3f} ± {e[2] - e[0]:.3f}" for e in errors)]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     text = "\n".join(lines) + f"\n\n{origin(cfg, next(iter(rows.values()))['samples'])}\n"
@@ -115,7 +117,9 @@ def measured(name: str, cfg: Config) -> dict[str, Any]:
 def origin(cfg: Config, samples: float) -> str:
     found = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     commit = cfg.commit or found.stdout.strip()
-    where = torch.cuda.get_device_name() if cfg.device == "cuda" else f"{len(os.sched_getaffinity(0))} cores"
+    where = cfg.machine or (
+        torch.cuda.get_device_name() if cfg.device == "cuda" else f"{len(os.sched_getaffinity(0))} cores"
+    )
     flags = f"--device {cfg.device} --iterations {cfg.iterations} --seed {cfg.seed} --episodes {cfg.episodes}"
     return (
         f"`python benchmarks/wbc_ablation.py {flags}`: {samples / 1e6:.1f} million samples each, examined on "

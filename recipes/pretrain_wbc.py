@@ -35,16 +35,14 @@ class Config:
     minutes: float | None = None  # when to stop; None takes 10 on CPUs and 25 on a GPU
     iterations: int | None = None  # when to stop in any case
     seed: int = 0  # of weights, robots, commands and exploration
-    commands: Literal["around", "ahead"] = "around"
-    """Goals of the hand: from the ground to behind the head, as tasks need, or ahead of the robot alone."""
+    commands: Literal["around", "ahead"] = "around"  # goals of the hand: to behind the head, or ahead of the robot
     actuation: str = "uan"
     """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     randomize: bool = True
     """Whether robots, ground, starts, delays differ, and pushes come."""
     start: str | None = None
     """A shipped controller, or a file of this recipe, to go on from, at 1e-5 unless told another rate than 1e-3."""
-    without: tuple[str, ...] = ()
-    """Terms of the reward to leave out."""
+    without: tuple[str, ...] = ()  # terms of the reward to leave out
     minibatches: Literal["split", "joint"] = "split"
     """What the critic learns from: the whole batch, or the actor's minibatches."""
     history: int = 10  # frames that the policy sees
@@ -52,14 +50,11 @@ class Config:
     """Layers of both networks; None takes 2 x 128 on CPUs and the paper's 3 x 512 on a GPU."""
     num_envs: int | None = None
     """Robots, of all processes or workers together; None takes 512 on CPUs and those of ``ppo`` on a GPU."""
-    ppo: training.PPO = field(default_factory=lambda: training.PRE_TRAIN)
-    """What else is chosen by hand."""
-    collectors: Literal["here", "ray"] = "here"
-    """Where robots are simulated."""
+    ppo: training.PPO = field(default_factory=lambda: training.PRE_TRAIN)  # what else is chosen by hand
+    collectors: Literal["here", "ray"] = "here"  # where robots are simulated
     workers: int = 2  # of Ray
     logger: training.LoggerName = "csv"  # where numbers go; wandb stays offline
-    output: Path = Path("outputs/pretrain_wbc")
-    """Folder for all that is written."""
+    output: Path = Path("outputs/pretrain_wbc")  # folder for all that is written
     video: bool = True  # whether to draw an episode at the end
 
 
@@ -94,17 +89,15 @@ def main(cfg: Config) -> None:
         show=["reward", "tracking/position", "tracking/velocity"],
     )
     if processes.rank == 0:
-        print(
-            "policy:",
-            training.save_wbc(learner, cfg.output, trained_as=str(cfg), history=cfg.history, commands=cfg.commands),
-        )
+        told = {"trained_as": str(cfg), "history": cfg.history, "commands": cfg.commands}
+        print("policy:", training.save_wbc(learner, cfg.output, **told))
         if cfg.logger == "csv":
-            table, curves = {"": cfg.output / "progress.csv"}, cfg.output / "curves.png"
-            print("curves:", training.draw_curves(table, training.CURVES, curves))
+            table = {"": cfg.output / "progress.csv"}
+            print("curves:", training.draw_curves(table, training.CURVES, cfg.output / "curves.png"))
         if cfg.video:
             env, policy, path = make_env(cfg, 1), learner.actor.to("cpu"), cfg.output / "wbc.mp4"
             print("video:", training.record_video(env, policy, path, steps=500, annotate=draw_command))
-    processes.leave()
+    learner.close()
 
 
 def make_env(cfg: Config, num_envs: int, first_row: int = 0, device: str = "cpu", **told: Any) -> TransformedEnv:
@@ -113,7 +106,7 @@ def make_env(cfg: Config, num_envs: int, first_row: int = 0, device: str = "cpu"
     robot, chain = with_actuation(nominal, cfg.actuation, delay=chance.delay, **rows)
     terms = whole_body_rewards(robot, "true_joint_position" if cfg.randomize else "joint_position", cfg.without)
     told |= rows | {"chain": chain, "terms": terms, "disturbances": chance, "history": cfg.history}
-    told |= {"commands": command_ranges(cfg.commands)}
+    told["commands"] = command_ranges(cfg.commands)
     return whole_body_env(robot, num_envs=num_envs, device=device, **told)
 
 

@@ -164,7 +164,7 @@ processes = join_processes()
 learner = arm_learner(processes=processes)
 iterate(learner)
 print("norm", float(sum(p.square().sum() for p in learner.actor.parameters())))
-processes.leave()
+learner.close()
 """
 
 

@@ -187,6 +187,10 @@ class SplitOptimizationStepper(OptimizationStepper):
             self._static_report = self._optimize(self._static, self._static_order)
         self._graph, self.cuda_graph = graph, True
 
+    def release(self) -> None:
+        """Forget what was captured; the next update captures anew."""
+        self._graph = None
+
     def _fits(self, data: TensorDict) -> bool:
         """Whether the batch has its size, and entries that the graph reads where they were captured still are there."""
         if self._static.batch_size != data.batch_size:

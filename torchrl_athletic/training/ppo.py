@@ -84,8 +84,8 @@ class PPO:
     def __post_init__(self) -> None:
         if (self.kl_target_last is None) != (self.anneal == 0):
             raise ValueError(
-                f"kl_target_last is {self.kl_target_last} and anneal is {self.anneal}: a divergence that falls needs its "
-                "last value and the number of iterations. Give both, or none."
+                f"kl_target_last is {self.kl_target_last} and anneal is {self.anneal}: a divergence that falls needs "
+                "its last value and the number of iterations. Give both, or none."
             )
 
     def kl_target_at(self, iteration: int) -> float:
@@ -216,6 +216,15 @@ class Learner:
         """Steps of all environments of all processes so far."""
         self.seconds = 0.0
         """Time spent in :func:`train`, evaluations and earlier runs included [s]."""
+
+    def close(self) -> None:
+        """Leave the processes that train together, at the end of a run.
+
+        NCCL closes a connection only when no CUDA graph holds its work any more: two processes that had captured their
+        updates waited for each other until they were killed.
+        """
+        self.stepper.release()
+        self.processes.leave()
 
     def state_dict(self) -> dict[str, Any]:
         """What it takes to go on: networks, optimisers, where the episodes stand, the counters."""
