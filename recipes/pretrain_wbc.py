@@ -89,7 +89,7 @@ def main(cfg: Config) -> None:
         show=["reward", "tracking/position", "tracking/velocity"],
     )
     if processes.rank == 0:
-        told = {"trained_as": str(cfg), "history": cfg.history, "commands": cfg.commands}
+        told: dict[str, Any] = {"trained_as": str(cfg), "history": cfg.history, "commands": cfg.commands}
         print("policy:", training.save_wbc(learner, cfg.output, **told))
         if cfg.logger == "csv":
             table = {"": cfg.output / "progress.csv"}

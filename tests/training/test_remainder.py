@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import mujoco
@@ -22,6 +23,7 @@ from torchrl_athletic.diagnosis.report.shares import energy_shares
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import CATALOGUE, JointAddress
 from torchrl_athletic.identification.simulator import load_net
+from torchrl_athletic.training import remainder, train, uan_gradient
 from torchrl_athletic.training.remainder import (
     WithNet,
     _remark,
@@ -118,6 +120,36 @@ def test_a_net_is_taught_written_and_its_share_is_told(damped, tmp_path):
     net, robot = load_net(tmp_path / "uan.pt"), driven_robot(damped.xml, damped.recordings)
     again = scored(damped, damped.corrected, net, robot, "heldout")
     assert again.after == pytest.approx(fit["heldout_uan"].after, rel=1e-6)
+
+
+def test_a_training_that_was_killed_goes_on_to_the_same_net_and_leaves_no_checkpoints(damped, tmp_path, monkeypatch):
+    never = 1e12  # a rate that fell with the time that is left would fall otherwise in a run that was killed
+    run = {"minutes": never, "rate": 5e-4, "iterations": 4, "rows": 2, "progress": False}
+    learn_remainder(damped, tmp_path / "whole", **run)
+
+    def killed_after(iterations):
+        def step(learner):
+            if learner.iteration == iterations:
+                raise KeyboardInterrupt
+            return uan_gradient.descend(learner)
+
+        return step
+
+    often = partial(train, checkpoint_every=2)
+    monkeypatch.setattr(remainder, "train", often)
+    monkeypatch.setattr(remainder, "descend", killed_after(3))
+    with pytest.raises(KeyboardInterrupt):
+        learn_remainder(damped, tmp_path / "killed", **run)
+    begun = []
+    monkeypatch.setattr(
+        remainder, "descend", lambda learner: begun.append(learner.iteration) or uan_gradient.descend(learner)
+    )
+    learn_remainder(damped, tmp_path / "killed", **run)
+    assert begun == [2, 3]
+    whole, again = (load_net(tmp_path / name / "uan.pt").state_dict() for name in ("whole", "killed"))
+    for name, value in whole.items():
+        torch.testing.assert_close(again[name], value, rtol=0, atol=0)
+    assert sorted(path.name for path in (tmp_path / "killed").iterdir() if path.is_dir()) == []
 
 
 def test_drop_outs_cut_the_takes_that_a_net_learns_from(damped):

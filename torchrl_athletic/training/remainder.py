@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +30,7 @@ from torchrl_athletic.envs.replay import Driven
 from torchrl_athletic.networks import save_checkpoint, uan
 from torchrl_athletic.recordings import Recording, split_at_gaps
 from torchrl_athletic.robots import Robot, from_mjcf
+from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.ppo import train
 from torchrl_athletic.training.uan import takes_of, torque_unit, units_of
 from torchrl_athletic.training.uan_gradient import DifferentiableTorqueEnv, GradientLearner, descend
@@ -39,7 +43,7 @@ HISTORY = 20
 """Physics steps that the net looks back."""
 HIDDEN = (32, 32)
 """What is left is small, and so is the net: takes of a minute would teach a larger one their noise."""
-FILE = "uan.pt"
+FILE, CHECKPOINTS = "uan.pt", "uan_checkpoints"
 
 
 def learn_remainder(
@@ -61,7 +65,8 @@ def learn_remainder(
 
     Args:
         diagnosis: Complete, as :func:`~torchrl_athletic.diagnosis.diagnose` returns it.
-        output: Folder of the diagnosis, which is written again, with ``uan.pt`` beside it.
+        output: Folder of the diagnosis, which is written again, with ``uan.pt`` beside it. A training that was killed
+            goes on from its last checkpoint there, if diagnosis and arguments are as they were.
         minutes: Of training [min].
         rows: Replayed at once.
         rate: First learning rate; it falls to zero in ``minutes``.
@@ -100,7 +105,16 @@ def learn_remainder(
         seed=diagnosis.answer.seed,
     )
     learner = GradientLearner(env, net, minutes=minutes, rate=rate)
-    train(learner, minutes=minutes, iterations=iterations, progress=progress, show=["train_mse"], step=descend)
+    run = {"minutes": minutes, "rows": rows, "rate": rate, "iterations": iterations}
+    train(
+        learner,
+        minutes=minutes,
+        iterations=iterations,
+        checkpoints=None if output is None else _checkpoints(diagnosis, Path(output), run),
+        progress=progress,
+        show=["train_mse"],
+        step=descend,
+    )
     scores = {
         f"{split}_uan": scored(diagnosis, named, net, robot, split)
         for split, group in (("train", diagnosis.recordings), ("heldout", diagnosis.heldout))
@@ -116,7 +130,16 @@ def learn_remainder(
     if output is not None:
         save_checkpoint(Path(output) / FILE, {"hidden": list(HIDDEN), "history": HISTORY}, net=net)
         found.save(output)
+        shutil.rmtree(Path(output) / CHECKPOINTS, ignore_errors=True)
     return found
+
+
+def _checkpoints(diagnosis: Diagnosis, output: Path, run: Mapping[str, float | None]) -> Checkpoints:
+    """In a folder of its own for each diagnosis and choice of arguments: nothing else is gone on with."""
+    takes = [r.position.tobytes() for r in diagnosis.recordings]
+    told = json.dumps([diagnosis.corrected.to_json(), run, diagnosis.answer.seed], sort_keys=True).encode()
+    digest = hashlib.sha256(b"".join([told, *takes])).hexdigest()[:12]
+    return Checkpoints(output / CHECKPOINTS / digest)
 
 
 def driven_robot(xml: str, recordings: Sequence[Recording]) -> Robot:
