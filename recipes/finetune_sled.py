@@ -29,9 +29,9 @@ from torchrl_athletic.robots import Handle, Robot, Terrain, b2z1
 
 CURVES = {
     "reward": "reward per step",
-    "reward_terms/velocity": "velocity error",
-    "reward_terms/lateral_drift": "lateral drift",
-    "reward_terms/heading_drift": "heading drift",
+    "reward_terms/velocity": "reward for velocity",
+    "reward_terms/lateral_drift": "reward for lateral drift",
+    "reward_terms/heading_drift": "reward for heading drift",
     "terminated": "falls per step",
 }
 STEPS = 1000

@@ -42,6 +42,20 @@ def test_an_iteration_learns_and_counts():
     assert learner.samples == 3 * 4 * 6
 
 
+def test_what_comes_before_the_first_update_is_counted_and_not_learnt_from():
+    plain = arm_learner()
+    for _ in range(3):  # episodes of the first stand where those of the second will begin
+        collect(plain)
+    first = iterate(plain)
+    late = arm_learner()
+    late.config = replace(late.config, warm_up=3)
+    same = iterate(late)
+    assert late.samples == plain.samples == 5 * 4 * 6
+    assert same["reward"] == first["reward"]
+    iterate(late)
+    assert late.samples == 6 * 4 * 6
+
+
 @pytest.mark.parametrize("coefficient", [0.0, 0.01, 0.3])
 def test_entropy_counts_as_much_as_is_told(coefficient):
     policy = actor(7, 7, in_keys=["joint_position"], hidden=(16,))
