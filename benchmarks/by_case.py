@@ -28,6 +28,6 @@ def run_cases(
 
 
 def commit() -> str:
-    """Of the working tree, or what ``COMMIT`` says."""
+    """Commit of the working tree, or what ``COMMIT`` says."""
     done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     return done.stdout.strip() or os.environ.get("COMMIT", "unknown")

@@ -14,6 +14,7 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import math
 import platform
 import resource
 import sys
@@ -24,6 +25,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import repeat, takewhile
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -60,6 +62,8 @@ class Config:
     """Damaged files, the kinds in turn."""
     seed: int = 0
     """Seed of the damage."""
+    minutes: float = math.inf
+    """How long inputs are read; the table counts those that were."""
     jobs: int = 2
     """Processes."""
     output: Path = Path("benchmarks/results/fuzz_readers.md")
@@ -253,18 +257,26 @@ def outcome(kind: str, path: Path, columns: ColumnMap | None = COLUMNS) -> Outco
     return Outcome(kind, said, time.monotonic() - begin)
 
 
-def fuzz(numbers: Iterable[int], seed: int, keep: Path) -> tuple[list[Outcome], int]:
+def fuzz(numbers: Iterable[int], seed: int, keep: Path, end: float = math.inf) -> tuple[list[Outcome], int]:
     """Make and read the inputs of these numbers, and keep those that fail.
+
+    Args:
+        numbers: Of the inputs.
+        seed: Seed of the damage.
+        keep: Folder for the inputs that a reader failed on.
+        end: When to stop, on the clock of ``time.time`` [s].
 
     Returns:
         What came of each, and the most memory that a child took [B].
     """
-    outcomes = []
+    outcomes: list[Outcome] = []
+    if time.time() > end:
+        return outcomes, 0
     with tempfile.TemporaryDirectory() as scratch:
         good = samples(Path(scratch))
         raw = {kind: path.read_bytes() for kind, path in good.items()}
         kinds = list(good)
-        for number in numbers:
+        for number in takewhile(lambda _: time.time() < end, numbers):
             rng = np.random.default_rng([seed, number])
             kind = kinds[number // RUN % len(kinds)]
             inside = kind in ("npz", "csv.gz") and rng.random() < 0.7
@@ -297,10 +309,11 @@ def memory_of_children() -> int:
 
 def table(config: Config, outcomes: list[Outcome], exploded: list[Outcome], largest: int) -> str:
     """The result, in Markdown."""
+    limit = "" if math.isinf(config.minutes) else f" --minutes {config.minutes:g}"
     lines = [
         "# Fuzz of the readers",
         "",
-        f"    python benchmarks/fuzz_readers.py --inputs {config.inputs} --seed {config.seed}",
+        f"    python benchmarks/fuzz_readers.py --inputs {config.inputs} --seed {config.seed}{limit}",
         "",
         f"{platform.system()}, Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}, "
         f"h5py {h5py.__version__}, pyarrow {pa.__version__}.",
@@ -330,7 +343,8 @@ def main(config: Config) -> int:
     new = get_context("spawn")
     with ProcessPoolExecutor(config.jobs, new) as pool, ProcessPoolExecutor(1, new) as safe:
         bang = safe.submit(explode)
-        found = pool.map(fuzz, chunks, [config.seed] * len(chunks), [config.keep] * len(chunks))
+        end = time.time() + 60 * config.minutes
+        found = pool.map(fuzz, chunks, repeat(config.seed), repeat(config.keep), repeat(end))
         parts = list(tqdm(found, total=len(chunks), unit_scale=RUN, unit=" inputs"))
         exploded, largest = bang.result()
     outcomes = [one for part, _ in parts for one in part]

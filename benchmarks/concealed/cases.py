@@ -42,11 +42,11 @@ from benchmarks.concealed.takes import (
     Sensors,
     draw_sensors,
     drive_for,
+    every_10_ms,
     log,
     nominal_torque,
     perfect,
     plan,
-    thinned,
 )
 from torchrl_athletic.recordings import Recording
 
@@ -292,7 +292,7 @@ def _plan(robot: Robot, block: str, rate: float, rng: np.random.Generator, pace:
 
 
 def _typical(robot: Robot, plans: Sequence[Plan]) -> Typical:
-    plans = [thinned(p) for p in plans]
+    plans = [every_10_ms(p) for p in plans]
     torque = np.concatenate([nominal_torque(robot, p) for p in plans])
     position = np.concatenate([p.position for p in plans])
     speed = np.abs(np.concatenate([p.velocity for p in plans]))

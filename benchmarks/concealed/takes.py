@@ -98,7 +98,7 @@ def plan(robot: Robot, kind: str, duration: float, rate: float, amplitude: float
         velocity = np.gradient(position, 1 / rate, axis=0)
         acceleration = np.gradient(velocity, 1 / rate, axis=0)
         result = Plan(kind, time, position, velocity, acceleration, np.zeros_like(position))
-        torque = np.abs(nominal_torque(robot, thinned(result)))
+        torque = np.abs(nominal_torque(robot, every_10_ms(result)))
         if (torque < 0.6 * robot.torque_limit).all() or amplitude < 0.05:
             break
         amplitude *= 0.85
@@ -108,8 +108,8 @@ def plan(robot: Robot, kind: str, duration: float, rate: float, amplitude: float
     return result
 
 
-def thinned(motion: Plan) -> Plan:
-    """Thin the motion to every 10 ms, which shows what it takes as well."""
+def every_10_ms(motion: Plan) -> Plan:
+    """Show the motion every 10 ms only, which shows what it takes as well."""
     every = slice(None, None, max(1, round(0.010 / (motion.time[1] - motion.time[0]))))
     rows = (motion.time, motion.position, motion.velocity, motion.acceleration, motion.dither)
     return Plan(motion.kind, *(x[every] for x in rows))

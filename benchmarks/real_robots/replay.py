@@ -21,7 +21,7 @@ from torchrl_athletic.recordings import Recording, split_at_gaps
 Array = NDArray[np.float64]
 
 NAMES = ("frictionloss", "damping", "armature", "delay", "limit", "offset", "encoder", "scale", "kp", "kd")
-"""Of the rows of a parameter array (10, J)."""
+"""What the rows of a parameter array (10, J) are."""
 WINDOW = 0.5
 """[s]."""
 LOST = 10.0
@@ -42,14 +42,14 @@ class Window:
     measured: Array
     """Shape (length, J)."""
     step: float
-    """Of the physics [s]."""
+    """Time step of the physics [s]."""
     substeps: int
     edges: Array
     """When physics steps begin and end [s]. Shape (length * substeps + 1,)."""
     stamps: Array
-    """Of the commands [s]. Shape (T,)."""
+    """Stamps of the commands [s]. Shape (T,)."""
     integral: Array
-    """Of the commands. Shape (T, J)."""
+    """Integral of the commands over time. Shape (T, J)."""
     gains: tuple[Array, Array] | None
     """kp and kd where positions were commanded. Shapes (J,)."""
     recording: Recording
@@ -116,8 +116,8 @@ class Replay:
             for first in range(0, len(grid) - length, length)
         ]
 
-    def thinned(self, most: int) -> Replay:
-        """The same with fewer windows."""
+    def with_windows(self, most: int) -> Replay:
+        """A replay with at most so many of the windows, evenly among all."""
         other = object.__new__(Replay)
         other.__dict__.update(self.__dict__)
         chosen = np.linspace(0, len(self.windows) - 1, min(most, len(self.windows))).astype(int)
@@ -196,11 +196,11 @@ class Replay:
         return out
 
     def mean_square(self, x: Array) -> Array:
-        """Of each window. Shape (W, J)."""
+        """Mean square error of each window. Shape (W, J)."""
         return np.stack([(e**2).mean(0) for e in self.errors(x)])
 
     def mean_square_of(self, corrected: Simulation) -> Array:
-        """The same of a corrected simulation with laws that plain MuJoCo lacks; same starts, commands and samples."""
+        """Mean square error of each window in a corrected simulation, started and driven alike. Shape (W, J)."""
         groups: dict[tuple[int, int], list[int]] = {}
         for k, w in enumerate(self.windows):
             groups.setdefault((id(w.recording), id(w.model)), []).append(k)

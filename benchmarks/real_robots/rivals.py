@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 SHORT = ("frictionloss", "damping", "armature", "limit")
 """What most people fit by hand."""
 PACE = ("frictionloss", "damping", "armature", "encoder")
-"""Of every joint, beside one delay of all (Bjelonic et al. 2025, arXiv 2509.06342)."""
+"""What PACE fits at every joint, beside one delay of all (Bjelonic et al. 2025, arXiv 2509.06342)."""
 GENERATIONS = 150
-"""Of CMA-ES."""
+"""Generations of CMA-ES."""
 
 
 def bounds(replay: Replay) -> tuple[Array, Array, Array]:

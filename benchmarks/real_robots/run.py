@@ -66,12 +66,12 @@ def run(case: str, cfg: Config) -> Row:
     train, held = (Replay(robot, group) for group in (robot.recordings, robot.heldout))
     points = {"given": train.nominal()}
     if cfg.rivals:
-        thinned = train.thinned(cfg.most)
+        fewer = train.with_windows(cfg.most)
         for rival, fitted in (
-            ("by hand, 4 numbers", lambda: by_hand(thinned, [n for n in SHORT if n in train.movable])),
-            ("by hand, the same list", lambda: by_hand(thinned, train.movable)),
-            ("PACE's list", lambda: by_pace(thinned, cfg.seed)),
-            ("mujoco.sysid", lambda: by_sysid(thinned)),
+            ("by hand, 4 numbers", lambda: by_hand(fewer, [n for n in SHORT if n in train.movable])),
+            ("by hand, the same list", lambda: by_hand(fewer, train.movable)),
+            ("PACE's list", lambda: by_pace(fewer, cfg.seed)),
+            ("mujoco.sysid", lambda: by_sysid(fewer)),
         ):
             begin = time.monotonic()
             found = fitted()
@@ -85,7 +85,7 @@ def run(case: str, cfg: Config) -> Row:
     errors: dict[str, dict[str, list[float]]] = {}
     medians: dict[str, dict[str, list[float]]] = {}
     for who in ("given", "ours", *(who for who in points if who != "given")):
-        for split, replay in (("train", train.thinned(SCORED)), ("heldout", held)):
+        for split, replay in (("train", train.with_windows(SCORED)), ("heldout", held)):
             square = replay.mean_square_of(ours.corrected) if who == "ours" else replay.mean_square(points[who])
             errors.setdefault(who, {})[split] = np.sqrt(square.mean(0)).tolist()
             medians.setdefault(who, {})[split] = np.sqrt(np.median(square, axis=0)).tolist()
@@ -133,7 +133,7 @@ def worse(r: Row) -> list[str]:
 
 
 def dry_friction(r: Row) -> float:
-    """Of the first joint, by whatever law it was named: what opposes slow motion, both ways' mean [N·m, N]."""
+    """Dry friction of the first joint by whatever law it was named: the mean of both ways [N·m, N]."""
     own = {p["effect"] + "." + p["name"]: p["value"] for p in r["fitted"] if p["joint"] == r["joints"][0]}
     both_ways = [own.get(f"asymmetric_friction.coulomb_{side}", 0.0) for side in ("positive", "negative")]
     alone = ("coulomb_friction.torque", "stribeck_friction.coulomb", "load_dependent_friction.coulomb")

@@ -23,7 +23,7 @@ from torchrl_athletic.diagnosis.proposal import Proposal, answer_set
 from torchrl_athletic.diagnosis.result import Finding, Rival
 from torchrl_athletic.diagnosis.screen import Bank, candidates_for, trims_for
 from torchrl_athletic.diagnosis.search import Judge, Scored, search
-from torchrl_athletic.diagnosis.separation import PairProducts, Rivals, thinned
+from torchrl_athletic.diagnosis.separation import PairProducts, Rivals, every_nth
 from torchrl_athletic.diagnosis.thresholds import PLAN, STATEMENT
 from torchrl_athletic.effects import (
     TRIMS,
@@ -310,7 +310,7 @@ def planned() -> tuple[Experiment, Rivals, planning._Plan]:
     """The experiment about an offset, its rivals with their draws, and its plan."""
     *_, judge, best, e = solved("offset")
     scene = Rivals(judge, list(rivals_of(judge, best).values()), None)
-    scene.separations(scene.products([thinned(s) for s in judge.bank.takes], scene.sigma))
+    scene.separations(scene.products([every_nth(s) for s in judge.bank.takes], scene.sigma))
     recording = Recording(e.time, e.joint_names, e.reference, position_target=e.target, kp=e.kp, kd=e.kd)
     return e, scene, planning._Plan(e.motions, 0.0, judge.bank.takes[0].nominal, recording, e.torque, (0.5, 0.5))
 

@@ -8,7 +8,7 @@ import pytest
 from diagnosis.plants import pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import diagnose
-from torchrl_athletic.diagnosis.resources import GIGABYTE, OutOfTime, alarm, free_memory, thinned
+from torchrl_athletic.diagnosis.resources import GIGABYTE, OutOfTime, alarm, free_memory, within_memory
 from torchrl_athletic.diagnosis.thresholds import SPENDING
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import Recording, split_at_gaps
@@ -28,7 +28,7 @@ def need(r: Recording) -> float:
 @pytest.mark.parametrize("share", [0.05, 0.5])
 def test_of_a_log_that_does_not_fit_stretches_from_its_whole_length_are_used(share):
     log = long_log(3600.0, 50.0)
-    found = thinned([log], share * need(log))
+    found = within_memory([log], share * need(log))
     [kept] = found.recordings
     pieces = split_at_gaps(kept)
     assert found.share == pytest.approx(share, rel=0.15)
@@ -42,7 +42,7 @@ def test_of_a_log_that_does_not_fit_stretches_from_its_whole_length_are_used(sha
 
 def test_what_fits_stays_as_it_is():
     log = long_log(60.0, 100.0)
-    found = thinned([log], need(log))
+    found = within_memory([log], need(log))
     assert found.recordings == (log,)
     assert found.warning == ""
 

@@ -10,7 +10,7 @@ from diagnosis.columns import Given, candidate, signals
 
 from torchrl_athletic.diagnosis.screen import Bank
 from torchrl_athletic.diagnosis.search import Judge
-from torchrl_athletic.diagnosis.separation import Rivals, thinned
+from torchrl_athletic.diagnosis.separation import Rivals, every_nth
 from torchrl_athletic.diagnosis.thresholds import PLAN
 from torchrl_athletic.effects import Fingerprint
 
@@ -49,12 +49,12 @@ def rivals(*effects: Along, size: float = 0.5, second=None):
     judge = Judge(Bank([take], [candidate(e) for e in effects], noise=np.ones(2)))
     scored = [judge.score([atom]) for atom in judge.bank.atoms]
     rivals = Rivals(judge, scored, None)
-    known = rivals.products([thinned(take)])
+    known = rivals.products([every_nth(take)])
     return rivals, known, rivals.separations(known)
 
 
 def planned(rivals: Rivals, known, first, second) -> np.ndarray:
-    return rivals.separations(known + rivals.products([thinned(motion(first, second))]))
+    return rivals.separations(known + rivals.products([every_nth(motion(first, second))]))
 
 
 def test_two_names_for_one_torque_are_never_apart():
@@ -69,7 +69,7 @@ def test_what_looks_the_same_in_one_motion_is_told_apart_by_another_as_far_as_th
     # the first predicts 0.1 of a unit sine, which no cosine answers; as much in the old take it can, so both share
     after = planned(pair, known, SINE, -SINE)
     # the best answer is zero: 0.1² is left of both halves, whose noise has the variance 1
-    expected = np.sqrt(2 * N / PLAN.thinned * np.log(1 + 0.1**2))
+    expected = np.sqrt(2 * N / PLAN.every * np.log(1 + 0.1**2))
     assert after == pytest.approx([expected], rel=0.35)  # the sizes drawn scatter by a third
     assert planned(pair, known, 3 * SINE, -3 * SINE) > after
 
@@ -78,7 +78,7 @@ def test_more_parameters_that_absorb_the_difference_take_it_away():
     truth = Along("one", (1, 0))
     pair, known, _ = rivals(truth, Along("two", (0, 1), (1, 0)))
     assert planned(pair, known, SINE, -SINE)[0] > 3  # not the way round, as the larger may be the truth
-    known_of_pair = known + pair.products([thinned(motion(SINE, -SINE))])
+    known_of_pair = known + pair.products([every_nth(motion(SINE, -SINE))])
     own = pair.draws[0][0]
     assert pair._evidence(known_of_pair, own, 0, 1, np.ones(4)) == pytest.approx(0, abs=1e-6)
 
@@ -95,7 +95,7 @@ def test_what_no_answer_meets_counts_by_the_logarithm_of_the_error_that_it_leave
     left, level = known.left[0], max(known.left[0], pair.floor[0])
 
     def apart(sizes):  # of sines against cosines, which answer nothing
-        return np.mean([np.sqrt(N / PLAN.thinned * np.log(max(left + c**2, level) / level)) for (c,) in sizes])
+        return np.mean([np.sqrt(N / PLAN.every * np.log(max(left + c**2, level) / level)) for (c,) in sizes])
 
     assert now == pytest.approx([np.mean([apart(sizes) for sizes in pair.draws])], rel=1e-3)
 
@@ -116,7 +116,7 @@ def test_a_hundredth_of_what_is_missing_and_what_smoothing_bends_say_nothing():
     assert planned(pair, known, 100 * SINE, far)[0] > 3
 
     seen = motion(SINE, -SINE)
-    sharp, bent = (known + pair.products([thinned(replace(seen, bias=b * np.ones_like(seen.bias)))]) for b in (0, 2))
+    sharp, bent = (known + pair.products([every_nth(replace(seen, bias=b * np.ones_like(seen.bias)))]) for b in (0, 2))
     assert pair.separations(bent)[0] < 0.8 * pair.separations(sharp)[0]
 
 
@@ -133,20 +133,20 @@ def test_a_quiet_recording_does_not_make_a_louder_plan_deaf():
         Bank([take], [candidate(Along(n, c)) for n, c in (("one", (1, 0)), ("other", (0, 1)))], noise=np.ones(2))
     )
     pair = Rivals(judge, [judge.score([atom]) for atom in judge.bank.atoms], None)
-    known = pair.products([thinned(take)])
+    known = pair.products([every_nth(take)])
     assert known.left == pytest.approx([0.01, 0.01], rel=0.2)
     assert pair.separations(known) == pytest.approx([0], abs=1e-3)
-    loud = pair.products([thinned(motion(SINE, -SINE))])
+    loud = pair.products([every_nth(motion(SINE, -SINE))])
     assert loud.left == pytest.approx([1, 1], rel=0.01)
-    quiet = pair.products([thinned(replace(motion(SINE, -SINE), noise=np.full(2, 0.1)))])
+    quiet = pair.products([every_nth(replace(motion(SINE, -SINE), noise=np.full(2, 0.1)))])
     assert pair.separations(known + quiet) == pytest.approx([0], abs=1e-3)
     assert pair.separations(known + loud)[0] > 3
 
 
 def test_a_piece_of_a_single_instant_counts_as_one():
     pair, known, now = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.15, second=COSINE)
-    whole = thinned(motion(SINE, COSINE))
-    alone = pair.products([thinned(whole, len(whole.time))])
+    whole = every_nth(motion(SINE, COSINE))
+    alone = pair.products([every_nth(whole, len(whole.time))])
     assert alone.count == pytest.approx([1, 1])
     assert pair.separations(known + alone) == pytest.approx(now, rel=0.01)
 

@@ -18,7 +18,7 @@ class Grounds:
     """What the probability of a finding rests on."""
 
     share: float
-    """Of the evidence among all effects that could stand in its place, 0..1."""
+    """Share of the evidence among all effects that could stand in its place, 0..1."""
     left: float
     """Share of its joint's missing torque that stays unexplained, 0..1."""
     excess: float

@@ -70,7 +70,7 @@ def started(windows: Sequence[Windows]) -> Array:
 
 
 def well_started(windows: Windows) -> Windows:
-    """The same windows, each moved by up to a quarter of its length to where its start is known best.
+    """Move each window by up to a quarter of its length to where its start is known best.
 
     That is where the local fit that it starts from is wide, and where the command is quiet: a step of the command bends
     the velocity, and the fit rounds the bend. An error of the start would be charged to the model.

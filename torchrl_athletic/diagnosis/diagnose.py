@@ -19,7 +19,7 @@ from torchrl_athletic.diagnosis.outcome import Diagnosis, deliver
 from torchrl_athletic.diagnosis.prepare import Drive, prepare
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.propose import propose
-from torchrl_athletic.diagnosis.resources import OutOfTime, alarm, room_for_data, thinned
+from torchrl_athletic.diagnosis.resources import OutOfTime, alarm, room_for_data, within_memory
 from torchrl_athletic.diagnosis.screen import Bank
 from torchrl_athletic.diagnosis.simulate import simulate
 from torchrl_athletic.diagnosis.stages import Decided, Given, Located, Ready, Run, Simulated
@@ -91,7 +91,7 @@ def diagnose(
         raise ValueError(f"highest_frequency is {highest_frequency} Hz. Give more than 0, or leave it out.")
     compiled, xml, name = load_model(model)
     order = recordings[0].joint_names if recordings else ()
-    every = thinned((*recordings, *joined, *heldout), room_for_data(memory))
+    every = within_memory((*recordings, *joined, *heldout), room_for_data(memory))
     fits = len(recordings) + len(joined)
     takes = every.recordings[:fits], every.recordings[fits:]
     fitted, aside = (tuple(_stood(r.ordered(order), compiled, base) for r in group) for group in takes)

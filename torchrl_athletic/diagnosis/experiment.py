@@ -27,7 +27,7 @@ from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.result import Finding
 from torchrl_athletic.diagnosis.screen import Key, row_noise
 from torchrl_athletic.diagnosis.search import Judge, Scored
-from torchrl_athletic.diagnosis.separation import PairProducts, Rivals, thinned
+from torchrl_athletic.diagnosis.separation import PairProducts, Rivals, every_nth
 from torchrl_athletic.diagnosis.thresholds import PLAN
 from torchrl_athletic.effects.base import carried
 from torchrl_athletic.effects.effect import is_slide
@@ -68,7 +68,7 @@ class Experiment:
     before: float
     """Separation of the closest pair on the recordings at hand [standard deviations, at most PLAN.enough].
 
-    Of the pairs that can be separated at all.
+    Only pairs that can be separated at all count.
     """
     repeated: float
     """Separation of the closest pair if the old excitation were repeated for as long as the experiment lasts."""
@@ -214,7 +214,7 @@ def propose(
 ) -> Experiment | None:
     """Find the excitation that separates rival explanations best.
 
-    Of equally good ones the short and gentle.
+    Among equally good ones it is the short and gentle one.
 
     Args:
         judge: Of the search that found the rivals.
@@ -237,7 +237,7 @@ def propose(
     limits = limits or Limits.of(takes)
     limits = replace(limits, frequency=min(limits.frequency, _highest_frequency(rivals.values())))
     scene = Rivals(judge, list(rivals.values()), probabilities)
-    known = scene.products([thinned(s) for s in takes], scene.sigma)
+    known = scene.products([every_nth(s) for s in takes], scene.sigma)
     sensors = _Sensors.of(takes)
     before = scene.separations(known)
     plans = []
@@ -379,7 +379,7 @@ class _Sensors:
 
 def _measured(rivals: Rivals, known: PairProducts, plan: _Plan, sensors: _Sensors) -> _Plan:
     """The plan with what its log would separate."""
-    s = thinned(_seen(rivals, plan, sensors))
+    s = every_nth(_seen(rivals, plan, sensors))
     return _judged(rivals, known, plan, [s], rivals.products([s], row_noise([*rivals.takes, s])[-1:]))
 
 

@@ -101,7 +101,7 @@ GAIN = 0.02
 SURE = 1.0
 """Standard errors by which it must help [1]."""
 ROUNDS = 2
-"""Of screening: what is found makes room for more."""
+"""Rounds of screening: what is found makes room for more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +278,7 @@ def _with(near: Linearised, chosen: Sequence[Offer], prepared: Prepared, deadlin
 
 
 def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> list[Offer]:
-    """Of each joint the law that helps folds most, the best first; no joint has two at a time."""
+    """Choose for each joint the law that helps folds most, the best first; no joint has two at a time."""
     problem, count = near.problem, len(near.problem.weight)
     mask = np.zeros(count, dtype=bool)
     mask[np.linspace(0, count - 1, min(SCREENED, count)).astype(int)] = True
@@ -334,7 +334,7 @@ def _gain(before: Array, after: Array) -> float:
 
 
 def _beside(near: Linearised, offer: Offer) -> Linearised:
-    """The same to first order in a law's parameters, too."""
+    """Add a law's parameters to what is linearised, to first order."""
     h, x = _joined(near, [offer])
     old = near.problem.hypothesis
     problem, free = replace(near.problem, hypothesis=h), _free(h)

@@ -46,7 +46,7 @@ class FitConfig:
     memory: float | None = None
     """Memory that it may take [GB]; half of what is free unless said. Of longer logs, stretches are fitted."""
     seed: int = 0
-    """Of starts and of the choice of windows."""
+    """Seed of the starts and of the choice of windows."""
 
 
 def main(config: FitConfig) -> Fit:

@@ -27,7 +27,7 @@ from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.standard import Seen, agreement, seen_in, standard_joints, starts
 from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
 from torchrl_athletic.effects import Parameter
-from torchrl_athletic.recordings import Recording, thinned
+from torchrl_athletic.recordings import Recording, cut_stretches
 
 Array = NDArray[np.float64]
 State = Literal["identified", "not needed", "not identified", "taken back"]
@@ -39,7 +39,7 @@ DRAWS = 24
 SLOPES = 3
 """Jacobians at most after what is not needed has gone."""
 LONGEST = 300.0
-"""Of the recordings that are fitted, and of those kept aside; longer ones are thinned [s]."""
+"""Time that is used of the recordings that are fitted, and of those kept aside [s]."""
 GIGABYTE = 2.0**30
 FIXED, VALUE = 0.9e9, 600.0
 """Memory of the libraries and of a batch of simulations, and of one reading of one joint [byte]."""
@@ -52,7 +52,7 @@ INVISIBLE = 1e-3
 ALIKE = 1e-4
 """Least eigenvalue of the correlations between parameters' motions; below it two or more are one and the same [1]."""
 SHARE = 0.05
-"""Of a parameter in such a combination, from which on it has no number of its own [1]."""
+"""Share of a parameter in such a combination from which on it has no number of its own [1]."""
 WIDE = 5.0
 """Changes worth mentioning that the half of an interval may hold, unless the number itself is larger [1]."""
 
@@ -169,7 +169,8 @@ def fit(
     order = recordings[0].joint_names if recordings else ()
     values = ((free_memory() / 2 if memory is None else memory * GIGABYTE) - FIXED) / VALUE
     whole = sum(r.duration for r in recordings)
-    recordings, heldout = thinned(recordings, LONGEST, 0.6 * values), thinned(heldout, LONGEST, 0.4 * values)
+    recordings = cut_stretches(recordings, LONGEST, 0.6 * values)
+    heldout = cut_stretches(heldout, LONGEST, 0.4 * values)
     kept = sum(r.duration for r in recordings)
     train = prepare([r.ordered(order) for r in recordings], compiled, drive, xml=xml)
     kernel = train.signals[0].kernel

@@ -37,7 +37,7 @@ SLOPES = (2, 2, 3)
 STEPS = 5
 """Steps by one Jacobian, which each of them mends (Broyden 1965)."""
 DAMPING = (0.0, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
-"""Of the steps that are tried at once (Levenberg, Marquardt), per the normal equations' diagonal [1]."""
+"""Damping of the steps that are tried at once (Levenberg, Marquardt), per the normal equations' diagonal [1]."""
 FLAT = 1e-3
 """Share of the cost that a step or a Jacobian must save to go on [1]."""
 GRAIN = 0.005
@@ -47,7 +47,7 @@ AT_ONCE = 200
 WORK = 5e6
 """Physics steps of all windows, parameters and joints that one Jacobian may cost; more windows are thinned."""
 SHARE = 0.02
-"""Of a time budget that one Jacobian may take [1]."""
+"""Share of a time budget that one Jacobian may take [1]."""
 FEWEST, MOST = 20, 400
 """Windows of a fit at least, if there are so many, and at most."""
 ENOUGH = 60
@@ -77,7 +77,7 @@ class Problem:
     unit: Array
     """Errors of the joints that count as one [rad, m]. Shape (J,)."""
     weight: Array
-    """Of each window [1]. Shape (W,)."""
+    """Weight of each window [1]. Shape (W,)."""
     tuning: float = TUNING
     """Typical errors at which a window weighs half [1]; infinite for plain least squares."""
     pooled: bool = False
@@ -101,7 +101,7 @@ class Problem:
                 yield block, error[:, :, every - 1 :: every]
 
     def mean_square(self, values: Array) -> Array:
-        """Of each window and joint [rad², m²]. Shape (K, W, J) for values (K, P)."""
+        """Mean square error of each window and joint [rad², m²]. Shape (K, W, J) for values (K, P)."""
         return np.concatenate([(error**2).mean(2) for _, error in self.predict(values)], axis=1)
 
     def errors(self, values: Array) -> Array:
@@ -149,7 +149,7 @@ def problem_of(
 
 
 def weighed(problem: Problem, x: Array) -> Problem:
-    """The same, in units of the joints' typical errors; what the model cannot follow, a fall or chaos, weighs less.
+    """Count errors in units of the joints' typical ones, and weigh less what the model cannot follow, a fall or chaos.
 
     Cauchy weights (Holland, Welsch 1977) of whole windows; none for plain least squares.
     """
@@ -199,7 +199,7 @@ def stated(near: Linearised) -> float:
 
 
 def _overlapping(w: Windows, times: int) -> Windows:
-    """The same and others that start between them, so that no window's start weighs much."""
+    """Add windows that start between the given ones, so that no window's start weighs much."""
     shifts = w.length * np.arange(times) // times
     starts = np.unique(w.start[:, None] + shifts)
     ends = np.append(w.take.begins[1:], len(w.take.time))
@@ -389,7 +389,7 @@ class Linearised:
         return out
 
     def move(self, windows: Mask, held: Mask) -> Array:
-        """The same as a move of the free parameters, in units of their scale. Shape (P,)."""
+        """The move of the free parameters that those windows ask for, in units of their scale. Shape (P,)."""
         h = self.problem.hypothesis
         scale, start = h.scale[self.free], self.values[self.free]
         low, high = ((side[self.free] - start) / scale for side in h.bounds)

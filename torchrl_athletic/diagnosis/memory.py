@@ -24,7 +24,7 @@ def _of_machine() -> float:
 
 
 def _of_container() -> float:
-    """Of Linux's control groups, version 2; infinite without a limit."""
+    """Free memory by Linux's control groups, version 2 [B]; infinite without a limit."""
     try:
         most, used = (Path(f"/sys/fs/cgroup/memory.{name}").read_text().strip() for name in ("max", "current"))
         return float("inf") if most == "max" else float(most) - float(used)

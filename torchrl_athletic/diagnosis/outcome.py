@@ -46,7 +46,7 @@ class Diagnosis:
     heldout: tuple[Recording, ...] = field(default=(), repr=False)
     evidence: tuple[Proposal, ...] = field(default=(), repr=False)
     highest_frequency: float | None = None
-    """Of a planned experiment [Hz]."""
+    """Highest frequency that a planned experiment may have [Hz]."""
 
     @cached_property
     def experiment(self) -> Experiment | None:

@@ -172,7 +172,7 @@ def refuse_stance(recording: Recording, model: mujoco.MjModel) -> None:
 
 
 def _with_known_noise(quality: Sequence[Quality], old: int) -> list[Quality]:
-    """The same, with the earlier recordings' noise for takes of experiments.
+    """Put the earlier recordings' noise into the quality of takes of experiments.
 
     The sensors are the same, and a motion with few samples a period looks like noise.
     """
@@ -245,7 +245,7 @@ def _pieces(recording: Recording) -> list[Recording]:
 
 
 def _periods(recordings: Sequence[Recording]) -> list[float]:
-    """Of each recording's grid [s]: that of the first that was logged at its rate, whatever jitter makes of it."""
+    """Period of each recording's grid [s]: that of the first that was logged at its rate, whatever the jitter."""
     out: list[float] = []
     for own in (1.0 / r.rate for r in recordings):
         out.append(next((p for p in out if abs(own / p - 1.0) < SAME_RATE), own))

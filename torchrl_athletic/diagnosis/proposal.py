@@ -35,7 +35,7 @@ class Proposal:
     """Other combinations that neither torques nor simulation refute."""
 
     def left_of(self, candidate: Candidate) -> float:
-        """The same where an effect acts: on its joint, or on the joint that is explained worst."""
+        """Share of the excess that is left where an effect acts: on its joint, or on the one explained worst."""
         left = self.left()
         return float(left.max() if candidate.joint_name is None else left[candidate.joint])
 
@@ -59,9 +59,9 @@ class StandIn:
     scored: Scored
     """The combination that has it."""
     evidence: float
-    """Of torques and simulation against that combination; lower is better."""
+    """Evidence of torques and simulation against that combination; lower is better."""
     share: float = 0.0
-    """Of the evidence among all that could stand there."""
+    """Share of the evidence among all that could stand there."""
 
 
 def answer_set(part: Proposal, term: Atom) -> list[StandIn]:

@@ -19,12 +19,12 @@ GIGABYTE = 2.0**30
 
 
 @dataclass(frozen=True, eq=False)
-class Thinned:
+class WithinMemory:
     """Recordings that fit into memory."""
 
     recordings: tuple[Recording, ...]
     share: float
-    """Of their time that is used."""
+    """Share of their samples that is used."""
 
     @property
     def warning(self) -> str:
@@ -37,8 +37,8 @@ class Thinned:
         )
 
 
-def thinned(recordings: Sequence[Recording], room: float) -> Thinned:
-    """Stretches of recordings, spread evenly over each, that need no more than some memory.
+def within_memory(recordings: Sequence[Recording], room: float) -> WithinMemory:
+    """Keep as much of each recording as some memory holds: stretches spread evenly, with gaps between them.
 
     Args:
         recordings: Any.
@@ -48,10 +48,10 @@ def thinned(recordings: Sequence[Recording], room: float) -> Thinned:
         r.num_joints * (SPENDING.per_second * r.duration + SPENDING.per_sample * r.num_samples) for r in recordings
     )
     if need <= room:
-        return Thinned(tuple(recordings), 1.0)
+        return WithinMemory(tuple(recordings), 1.0)
     kept = tuple(_stretches(r, room / need) for r in recordings)
     share = sum(r.num_samples for r in kept) / sum(r.num_samples for r in recordings)
-    return Thinned(kept, share)
+    return WithinMemory(kept, share)
 
 
 def _stretches(recording: Recording, share: float) -> Recording:

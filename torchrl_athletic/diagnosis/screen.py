@@ -101,13 +101,13 @@ class Fit:
     """A combination of atoms, fitted."""
 
     atoms: tuple[Atom, ...]
-    """Of the combination, then of the trims."""
+    """Those of the combination, then those of the trims."""
     size: int
     """How many of the atoms are no trims."""
     coefficients: Array
     """One for each column of the atoms, in order."""
     bounds: tuple[Array, Array]
-    """Of the coefficients."""
+    """Least and greatest value of each coefficient."""
     strain: float
     """Sum of squares of the trims, each in standard deviations of what it may be: half its tolerance."""
     residual: Array
@@ -457,7 +457,7 @@ def _coupled(columns: Array, joint: int) -> bool:
 
 
 def _columns(prints: Sequence[Fingerprint]) -> Array:
-    """Of all takes, the constant last. Shape (sum of N, J, K)."""
+    """Columns of all takes one after the other, the constant last. Shape (sum of N, J, K)."""
     return np.concatenate(
         [f.columns if f.constant is None else np.concatenate([f.columns, f.constant[:, :, None]], 2) for f in prints]
     )
@@ -571,7 +571,7 @@ def bounded_least_squares(normal: Array, right: Array, low: Array, high: Array) 
 
 
 def _within(n: Array, r: Array, lower: Array, upper: Array, rounds: int = 20) -> Array | None:
-    """The same by moving whole sets to and from their bounds (Stark, Parker 1995); None if that goes in circles."""
+    """Least squares by moving whole sets to and from their bounds (Stark, Parker 1995); None if it goes in circles."""
     z: Array = np.asarray(np.linalg.solve(n, r), dtype=np.float64)
     bound = np.zeros(len(z), dtype=np.int8)
     for _ in range(rounds):

@@ -19,7 +19,7 @@ from torchrl_athletic.diagnosis.thresholds import SEARCH
 Array = NDArray[np.float64]
 
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0)
-"""Of the prediction of what is missing, whatever it is."""
+"""Ridges that are tried in predicting what is missing, whatever it is [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,16 +54,16 @@ class Judge:
         self._alternatives: dict[tuple[frozenset[Atom], Atom], list[Scored]] = {}
 
     def mean_square(self, fit: Fit) -> Array:
-        """Of the normalised residual, per joint and stretch. Shape (J, S)."""
+        """Mean square of the normalised residual, per joint and stretch. Shape (J, S)."""
         return np.asarray(fit.residual / self.total)
 
     def usual(self, fit: Fit) -> Array:
-        """The same of half the stretches. Shape (J,)."""
+        """Median of the mean squares of a joint's stretches. Shape (J,)."""
         seen = self.bank.count > 0
         return np.array([np.median(m[s]) if s.any() else 0.0 for m, s in zip(self.mean_square(fit), seen, strict=True)])
 
     def level(self, fit: Fit) -> Array:
-        """The same, but not below what noise, smoothing and a right law leave. Shape (J, S)."""
+        """Mean square of the residual, at least what noise, smoothing and a right law leave. Shape (J, S)."""
         return np.maximum(self.mean_square(fit), self.floor)
 
     def excess(self, fit: Fit) -> Array:
@@ -98,7 +98,7 @@ class Judge:
 
     @staticmethod
     def price(independent: Array) -> float:
-        """Of a parameter: the logarithm of the number of samples (Schwarz 1978)."""
+        """Evidence that a parameter costs: the logarithm of the number of samples (Schwarz 1978)."""
         return float(np.log(max(independent.sum(), 3.0)))
 
     def promise(self, atoms: Sequence[Atom], parent: Fit) -> float:

@@ -222,7 +222,7 @@ def _numbers(
     Then the nonlinear parameters, each with the change over which it is taken as linear.
     """
     effect, parameters = atom.candidate.effect, atom.candidate.parameters
-    sample = effect.fingerprint(thinned(example, 50), atom.candidate.joint, atom.fixed)
+    sample = effect.fingerprint(every_nth(example, 50), atom.candidate.joint, atom.fixed)
     free = [p for p in parameters if p.name not in atom.fixed][: sample.columns.shape[2]]
     own = np.zeros(len(free))
     ends = []
@@ -254,7 +254,7 @@ def _rms(noise: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(noise**2, axis=0)))
 
 
-def thinned(s: Signals, every: int = PLAN.thinned) -> Signals:
+def every_nth(s: Signals, every: int = PLAN.every) -> Signals:
     names = ("keep", "position", "velocity", "acceleration", "command", "required", "missing", "bias", "valid")
     base = None if s.base is None else s.base[::every]
     return replace(s, base=base, **{name: getattr(s, name)[::every] for name in names})

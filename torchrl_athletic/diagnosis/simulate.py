@@ -33,7 +33,7 @@ def simulate(proposed: Proposed, run: Run) -> Simulated:
 
 
 def _tried_all(done: Simulated, run: Run) -> Simulated:
-    """The same with what is not tried yet, as far as time allows; one is tried in any case."""
+    """Try what is not tried yet, as far as time allows, and one combination in any case."""
     count = len(done.trials) + len(done.untried)
     while done.untried and not done.stopped and not (done.trials and run.late()):
         try:
@@ -46,7 +46,7 @@ def _tried_all(done: Simulated, run: Run) -> Simulated:
 
 
 def _with_joints(done: Simulated, run: Run) -> Simulated:
-    """The same with the fit of the standard joints, which folds of the recordings made.
+    """Add the fit of the standard joints, which folds of the recordings made.
 
     It is asked for unless a combination follows the recordings already: nothing is left then that it could explain.
     The simulation has to be decisively better with it, since it holds most simple laws as special cases. It gives no
@@ -134,7 +134,7 @@ def _trial(proposal: Proposal, proposed: Proposed, run: Run) -> Trial:
 
 
 def _without_small(fitted: Fitted, given: Given) -> Fitted:
-    """The same fit; what is too small for a finding is a trim."""
+    """Turn what is too small for a finding into a trim of the same fit."""
     h, period = fitted.hypothesis, max(1.0 / r.rate for r in given.recordings)
     small = [t for t in h.terms if is_trim(t, h.values_of(t, fitted.values), period, len(given.joint_names))]
     return as_trims(fitted, small)
@@ -209,7 +209,7 @@ def _moved(trim: Candidate, value: Array | None) -> bool:
 
 
 def key_of(hypothesis: Hypothesis) -> str:
-    """Of a fit in the checkpoint; a mass that is found and one that is adjusted have other bounds."""
+    """Key of a fit in the checkpoint; a mass that is found and one that is adjusted have other bounds."""
     terms, trims = ([f"{c.effect.name}/{c.where}" for c in part] for part in (hypothesis.terms, hypothesis.trims))
     return " ".join(["fit", *terms, "|", *trims])
 

@@ -40,7 +40,7 @@ class Given:
     joined: int = 0
     """How many of the recordings, the last ones, are of experiments."""
     highest_frequency: float | None = None
-    """Of a planned experiment [Hz]."""
+    """Highest frequency that a planned experiment may have [Hz]."""
     warnings: tuple[str, ...] = ()
     """What was left out of the recordings before."""
     inputs: str = ""
@@ -64,7 +64,7 @@ class Run:
     checkpoint: Checkpoint
     """Finished fits."""
     time_budget: float | None = None
-    """Of the whole diagnosis [s]."""
+    """Time that the whole diagnosis may take [s]."""
     started: float = field(default_factory=time.monotonic)
 
     def late(self) -> bool:
@@ -108,9 +108,9 @@ class Proposed:
 
     located: Located
     drive: Proposal | None
-    """Of the drive, where a measured torque cuts the chain in two."""
+    """What the torques say of the drive, where a measured torque cuts the chain in two."""
     options: tuple[Proposal, ...]
-    """Of the mechanics, or of all."""
+    """What they say of the mechanics, or of drive and mechanics together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,9 +120,9 @@ class Trial:
     proposal: Proposal
     fitted: Fitted
     scores: Mapping[str, Score]
-    """Of 'train' and 'heldout'."""
+    """How well the fit follows 'train' and 'heldout'."""
     window_errors: Array
-    """Of every window of the fitted recordings [rad, m]. Shape (W, J)."""
+    """Error of every window of the fitted recordings [rad, m]. Shape (W, J)."""
     began: Array
     """When these windows start, the same for all trials [s]. Shape (W,)."""
 

@@ -47,9 +47,9 @@ MECHANICS: tuple[Effect, ...] = (
 ROOM = 10.0
 """Times what a recording's own torques, speeds and accelerations allow, up to which a joint's numbers may go [1]."""
 SCALES = (0.05, 20.0)
-"""Of a torque: a drive whose unit was mistaken for another one's."""
+"""Least and greatest scale of a torque: a drive's unit may be mistaken for another one's [1]."""
 GAINS = (0.01, 100.0)
-"""Of a gain, which firmware may count in units of its own."""
+"""Least and greatest scale of a gain, which firmware may count in units of its own [1]."""
 LATEST = 10.0
 """Samples by which a command may be late, if they last longer than the effect's own bound."""
 DELAYS = (0.5, 1.0, 2.0, 4.0)
@@ -76,7 +76,7 @@ class Seen:
     acceleration: Array
     """Root mean square [rad/s², m/s²]."""
     inertia: Array
-    """Of the given model at rest, what hangs on the joint included [kg·m², kg]."""
+    """Inertia in the given model at rest, what hangs on the joint included [kg·m², kg]."""
     travel: Array
     """From the least to the greatest position [rad, m]."""
     period: float
@@ -208,7 +208,7 @@ class Agreement:
     """
 
     parts: tuple[tuple[NDArray[np.intp], Array, int, Array, Array], ...]
-    """Of each joint: indices of its linear parameters, their given values, that of the torque's scale or -1, root of
+    """For each joint: indices of its linear parameters, their given values, that of the torque's scale or -1, root of
     the normal equations per residual variance, and their solution."""
 
     def rows(self, values: Array) -> Array:

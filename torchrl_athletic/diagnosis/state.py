@@ -130,7 +130,7 @@ def _best_followed(decided: Decided) -> Correction:
 
 
 def _kept(correction: Correction, ready: Ready) -> Correction:
-    """The same without what makes a joint worse on recordings that were kept aside."""
+    """Take back what makes a joint worse on recordings that were kept aside."""
     given, fitted, scores = ready.given, correction.fitted, correction.scores
     if ready.held is None or "heldout" not in scores or fitted is None:
         return correction

@@ -28,9 +28,9 @@ class Torques:
     torque_floor: float = 0.001
     """Missing torque that nobody needs explained, as a share of the joint's typical torque [1; physical]."""
     bins: int = 10
-    """Of a map of the missing torque [1; budget]."""
+    """Bins of a map of the missing torque [1; budget]."""
     replicates: int = 200
-    """Of a bootstrap of blocks [1; budget]."""
+    """Replicates of a bootstrap of blocks [1; budget]."""
 
 
 @dataclass(frozen=True)
@@ -63,21 +63,21 @@ class Search:
     richer: float = 0.25
     """Share of what is open that an effect must close beyond a simpler one that it contains [1; tuned]."""
     all: float = 0.95
-    """The same from which on it explains all: a bearing that differs from a formula is no other formula to the noise
-    [1; tuned]."""
+    """Share of what is open from which on an effect explains all: a bearing that differs from a formula is no other
+    formula to the noise [1; tuned]."""
     sided: float = 0.2
     """Relative difference of what simpler laws have equal, such as friction's two directions: a bearing that differs
     from its formula does so alike both ways [1; tuned]."""
     seen: float = 0.05
-    """The same, or of the evidence, from which on the simulation is asked whether the richer law is the true one [1;
-    tuned]."""
+    """Share of what is open, or of the evidence, from which on the simulation is asked whether the richer law is the
+    true one [1; tuned]."""
     invariant: float = 0.4
     """Relative scatter between stretches of the recordings up to which a term is the same physics everywhere [1;
     tuned]."""
     much: float = 0.3
     """Share of a joint's missing torque that a term must account for to stay without that [1; tuned]."""
     steady: float = 0.1
-    """The same of a term that is no larger than what another may leave [1; tuned]."""
+    """Relative scatter between takes of a term that is no larger than what another may leave [1; tuned]."""
     reweighted: int = 2
     """Rounds of least squares with the joints weighed by what the last one left [1; budget]."""
     shortlist: int = 2
@@ -118,7 +118,7 @@ class Simulation:
     looked_at: int = 1000
     """Windows among which those are looked for in which a term acts, as many as 500 s have [1; budget]."""
     at_once: int = 200
-    """Of these, simulated at a time: bounds the memory [1; budget]."""
+    """Windows that are simulated at a time: bounds the memory [1; budget]."""
     windows: int = 400
     """Windows that a score is stated over, as many as 200 s have; more are thinned at random [1; budget]."""
     between: float = 60.0
@@ -182,7 +182,7 @@ class Statement:
     same_number: float = 0.05
     """Relative difference below which two numbers of a law are the same [1; tuned]."""
     least_share: float = 0.03
-    """Of the evidence; rivals below are not printed [1; budget]."""
+    """Share of the evidence below which rivals are not printed [1; budget]."""
     refutes: float = 0.75
     """Share of the evidence from which rivals count as refuted: odds below three to one are "not worth more than a
     bare mention" (Kass, Raftery 1995, doi:10.1080/01621459.1995.10476572) [1; statistical]."""
@@ -202,7 +202,7 @@ class Plan:
     enough: float = 12.0
     """Standard deviations beyond which rivals need not be farther apart: odds of e to the 72, were the noise all
     [standard deviations; statistical]."""
-    thinned: int = 4
+    every: int = 4
     """Every fourth instant of the torque domain is nearly independent of the next: the rest costs time only [1;
     budget]."""
     draws: int = 6
@@ -211,7 +211,7 @@ class Plan:
     """Standard deviation of a parameter that the recordings do not show, in units of its scale
     [scales; statistical]."""
     rate: float = 200.0
-    """Of the command [Hz; budget]."""
+    """Rate of the command [Hz; budget]."""
     margin: float = 0.9
     """Share of a limit that a motion may use [1; physical]."""
     motions: int = 60
@@ -263,7 +263,7 @@ class Spending:
     shortest: float = 5.0
     """Least that is kept of a recording, if it is so long [s; physical]."""
     share: float = 0.5
-    """Of the free memory that is taken unless told otherwise [1; budget]."""
+    """Share of the free memory that is taken unless told otherwise [1; budget]."""
     to_find: float = 0.85
     """Share of the time budget after which what was found is stated [1; budget]."""
     telling: float = 4.0

@@ -75,7 +75,7 @@ TRIMS: tuple[Effect, ...] = (
 )
 """What every model and every log is a little wrong in: adjusted within its tolerance beside the findings."""
 FIT_TRIMS: tuple[Effect, ...] = (*TRIMS, TorqueScale())
-"""The same once the findings are known."""
+"""What the fit of a combination adjusts beside it: the trims, and the torque scale."""
 
 __all__ = [
     "CATALOGUE",

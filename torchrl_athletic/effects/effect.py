@@ -92,8 +92,8 @@ class Effect(ABC):
     half_a_sample: ClassVar[bool] = False
     """Whether half a sample of the recordings is within its tolerance."""
     odds: ClassVar[float] = 1.0
-    """Of being what is missing, beside those of an effect of which the model says nothing: a number that somebody wrote
-    is less likely wrong than one that nobody wrote, a clock than a motor."""
+    """Prior odds that this is what is missing, beside an effect of which the model says nothing: a number that somebody
+    wrote is less likely wrong than one that nobody wrote, a clock than a motor."""
     misfit: ClassVar[float] = 0.005
     """Share of the torque of the right name that its law may get wrong, being simpler than nature's."""
     of_accelerations: ClassVar[bool] = False

@@ -30,7 +30,7 @@ from torchrl_athletic.recordings.noise import noise_correlation, repeat_noise, s
 from torchrl_athletic.recordings.quality import Quality, check_quality
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 from torchrl_athletic.recordings.resampling import resample, split_at_gaps
-from torchrl_athletic.recordings.thinning import thinned
+from torchrl_athletic.recordings.stretches import cut_stretches
 
 __all__ = [
     "Arm",
@@ -49,6 +49,7 @@ __all__ = [
     "beginning",
     "check_quality",
     "chirp",
+    "cut_stretches",
     "fetch",
     "gaussian",
     "held",
@@ -63,7 +64,6 @@ __all__ = [
     "sine",
     "split_at_gaps",
     "square",
-    "thinned",
     "through_poses",
     "write_recording",
 ]

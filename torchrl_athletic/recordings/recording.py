@@ -119,7 +119,7 @@ class Recording:
     def mean_reading(self) -> float:
         """What tells a take from others: the time average of all joints' readings, the k-th of them counted k times.
 
-        Of a piece that of its take, by ``metadata[MEAN_READING]``.
+        A piece of a take has that of the take, by ``metadata[MEAN_READING]``.
         """
         noted = self.metadata.get(MEAN_READING)
         if isinstance(noted, int | float):

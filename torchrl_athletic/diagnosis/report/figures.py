@@ -212,7 +212,7 @@ def overlay_figure(overlay: Overlay, joint: str, unit: str, window: slice) -> Fi
 def draw_overlay(motion: Axes, error: Axes, overlay: Overlay, joint: str, unit: str, window: slice) -> None:
     """Draw :func:`overlay_figure` into two axes that share the time."""
     j = overlay.joint_names.index(joint)
-    rows = _thinned(window)
+    rows = _strided(window)
     time, measured = overlay.time[rows], overlay.measured[rows, j]
     simulated = {
         series: _broken_at_restarts(x[rows, j], measured)
@@ -339,7 +339,7 @@ def _largest(values: NDArray[np.float64]) -> float:
     return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
 
 
-def _thinned(window: slice, points: int = 300) -> slice:
+def _strided(window: slice, points: int = 300) -> slice:
     return slice(window.start, window.stop, max(1, (window.stop - window.start) // points))
 
 

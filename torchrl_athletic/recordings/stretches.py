@@ -1,4 +1,4 @@
-"""Long logs thinned to stretches that lie evenly in them: more of the same motion says little more."""
+"""Long logs cut to stretches that lie evenly in them: more of the same motion says little more."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEAST = 10.0
 """Time that is kept of all recordings together, whatever it takes [s]."""
 
 
-def thinned(recordings: Sequence[Recording], seconds: float, values: float = np.inf) -> list[Recording]:
+def cut_stretches(recordings: Sequence[Recording], seconds: float, values: float = np.inf) -> list[Recording]:
     """Stretches of six seconds, evenly over all recordings, or the recordings themselves where they are short enough.
 
     Args:
@@ -26,7 +26,7 @@ def thinned(recordings: Sequence[Recording], seconds: float, values: float = np.
     Example:
         >>> still = np.zeros((36000, 1))
         >>> hour = Recording(np.arange(36000) / 10, ("hinge",), still, torque_command=still)
-        >>> kept = thinned([hour], 60.0)
+        >>> kept = cut_stretches([hour], 60.0)
         >>> len(kept), round(sum(r.duration for r in kept))
         (10, 59)
     """

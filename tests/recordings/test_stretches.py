@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from torchrl_athletic.recordings import Recording, thinned
+from torchrl_athletic.recordings import Recording, cut_stretches
 
 
 def log(seconds, rate=10.0, joints=("hip",)):
@@ -14,17 +14,17 @@ def log(seconds, rate=10.0, joints=("hip",)):
 
 def test_what_is_short_enough_stays_itself():
     takes = [log(20), log(30)]
-    assert thinned(takes, 60.0) == takes
+    assert cut_stretches(takes, 60.0) == takes
 
 
 @pytest.mark.parametrize(("seconds", "values", "kept"), [(60.0, np.inf, 60), (1e9, 1200, 120), (1e9, -5, 10)])
 def test_time_and_values_bound_what_is_kept(seconds, values, kept):
-    parts = thinned([log(3600), log(600)], seconds, values)
+    parts = cut_stretches([log(3600), log(600)], seconds, values)
     assert sum(r.duration for r in parts) == pytest.approx(kept, rel=0.5)
 
 
 def test_stretches_lie_in_all_takes_in_proportion_and_in_order():
-    parts = thinned([log(3000), log(1000)], 240.0)
+    parts = cut_stretches([log(3000), log(1000)], 240.0)
     starts = [r.time[0] for r in parts]
     assert len(parts) == 40
     assert np.argmax(starts) == 29  # thirty of the first, then ten of the second
