@@ -253,8 +253,8 @@ class Learner:
 def iterate(learner: Learner) -> TensorDict:
     """Collect once and learn from it.
 
-    The very first time, ``warm_up`` batches go before it, and one more shows the normaliser what observations look like:
-    were it to learn that after the first update only, the policy would be another at once.
+    The very first time, ``warm_up`` batches go before it, and one more shows the normaliser what observations look
+    like: were it to learn that after the first update only, the policy would be another at once.
 
     Args:
         learner: Changed in place.
