@@ -117,13 +117,12 @@ def measured(name: str, cfg: Config) -> dict[str, Any]:
 def origin(cfg: Config, samples: float) -> str:
     found = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     commit = cfg.commit or found.stdout.strip()
-    where = cfg.machine or (
-        torch.cuda.get_device_name() if cfg.device == "cuda" else f"{len(os.sched_getaffinity(0))} cores"
-    )
+    device = torch.cuda.get_device_name if cfg.device == "cuda" else lambda: f"{len(os.sched_getaffinity(0))} cores"
+    where = cfg.machine or f"{device()} of {platform.machine()}"
     flags = f"--device {cfg.device} --iterations {cfg.iterations} --seed {cfg.seed} --episodes {cfg.episodes}"
     return (
         f"`python benchmarks/wbc_ablation.py {flags}`: {samples / 1e6:.1f} million samples each, examined on "
-        f"{cfg.episodes} randomised episodes of 20 s. Commit {commit}, {where} of {platform.machine()}."
+        f"{cfg.episodes} randomised episodes of 20 s. Commit {commit}, {where}."
     )
 
 
