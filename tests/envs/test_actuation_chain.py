@@ -49,6 +49,12 @@ def test_the_chain_is_a_pd_law_two_clips_and_a_net_at_every_physics_step():
     assert net_matters
 
 
+def test_delays_lie_between_the_two_that_are_asked_for():
+    chain = actuation_chain(ARM, max_delay=6, min_delay=4)
+    delays = TransformedEnv(TorqueEnv(ARM, num_envs=64), Compose(*chain)).reset()["action_delay"]
+    assert set(delays.flatten().tolist()) == {4, 5, 6}
+
+
 def test_what_is_not_asked_for_is_not_there():
     names = [type(transform).__name__ for transform in actuation_chain(ARM)]
     assert names == ["TorqueSpeedClip", "PDControl", "Decimation"]

@@ -75,7 +75,8 @@ def test_a_failure_costs_as_much_as_many_steps_of_other_penalties():
 
 
 def test_rewards_read_the_joints_behind_their_encoders():
-    assert position_key_of((-0.05, 0.05)) == "true_joint_position"
+    for offset in ((-0.05, 0.05), (0.0, 0.05), (-0.05, 0.0)):
+        assert position_key_of(offset) == "true_joint_position"
     assert position_key_of((0.0, 0.0)) == "joint_position"
 
 

@@ -8,7 +8,7 @@ from training.tasks import SEEN, arm_env
 
 from torchrl_athletic.networks import actor
 from torchrl_athletic.testing import ToyEnv
-from torchrl_athletic.training import Episodes, play, whole_episodes
+from torchrl_athletic.training import Episodes, last_of, play, whole_episodes, whole_rollout
 from torchrl_athletic.transforms import StatefulTransform
 
 
@@ -58,6 +58,18 @@ def test_each_row_counts_once_up_to_its_first_end():
     assert episodes.steps.tolist() == [4, 2, 5, 3, 6]
     assert episodes.fell.tolist() == [False, True, False, True, False]
     assert episodes.means["age"].tolist() == [2.5, 1.5, 3.0, 2.0, 3.5]  # of 1, 2, 3... up to the end
+
+
+def test_a_rollout_of_whole_episodes_tells_which_steps_belong_to_them():
+    """The rows end after 4, 2, 5, 3 and 6 steps; what a row shows at its end is the age that it came to."""
+    episodes = whole_rollout(TransformedEnv(ToyEnv(num_envs=5), Counting()), Falling(), ["age"], steps=10)
+    assert episodes["counts"].sum((1, 2)).tolist() == [4, 2, 5, 3, 6]
+    assert episodes["counts"][:, 0].all()
+    assert last_of(episodes, "age").flatten().tolist() == [4.0, 2.0, 5.0, 3.0, 6.0]
+
+
+def test_playing_stops_at_the_first_end_of_any_row():
+    assert play(TransformedEnv(ToyEnv(num_envs=5), Counting()), Falling(), steps=10).batch_size == (5, 2)
 
 
 def test_an_episode_longer_than_asked_for_is_cut_and_did_not_fall():

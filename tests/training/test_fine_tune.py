@@ -96,13 +96,18 @@ def test_it_leaves_policy_curves_and_figures_and_goes_on(tmp_path):
         iterations=2, ppo=PPO(horizon=2, entropy_coeff=0.0), num_envs=4, episodes=3, output=tmp_path, video=False
     )
     told = {"name": "throw", "known": KNOWN, "curves": {"reward": "reward"}, "look_at": ["reward"], "steps": 2}
-    seen = []
+    seen, seeds = [], {False: set(), True: set()}
+
+    def make_env(num_envs, exam=False, *, seed, **told):
+        seeds[exam].add(seed)
+        return ball_throw_maker(num_envs, seed=seed, **told)
 
     def judge(episodes):
         seen.append(episodes)
         return {"mean": float(episodes["reward"].mean())}
 
-    figures = fine_tune(cfg, ball_throw_maker, judge=judge, **told)
+    figures = fine_tune(cfg, make_env, judge=judge, **told)
+    assert not seeds[True] & seeds[False]  # what judges a policy was not trained on
     assert seen[0].shape == (3, 2)
     assert json.loads((tmp_path / "figures.json").read_text()) == figures
     before = json.loads((tmp_path / "figures_before.json").read_text())

@@ -180,6 +180,13 @@ def test_a_worker_of_another_number_of_rows_is_refused_and_the_learner_makes_one
         _made(lambda rows, first_row: Repeat(3), 2, 1, seed=0)
 
 
+def test_each_worker_makes_its_own_rows_of_the_whole_batch():
+    asked = []
+    for worker in range(3):
+        _made(lambda rows, first_row: asked.append((rows, first_row)) or Repeat(rows), ROWS, worker, seed=0)
+    assert asked == [(ROWS, 0), (ROWS, ROWS), (ROWS, 2 * ROWS)]
+
+
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="CPUs cannot be shared out here")
 def test_a_workers_physics_starts_one_thread():
     before = os.sched_getaffinity(0)
