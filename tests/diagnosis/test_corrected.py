@@ -10,6 +10,7 @@ from diagnosis.plants import pendulum, record, smooth_torque
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.corrected_xml import corrected_xml, written
 from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.outcome import logged_gains
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, JointAddress, Plant
 from torchrl_athletic.robots import from_mjcf
@@ -181,6 +182,18 @@ def test_a_servo_of_mjcf_takes_gains_a_scale_a_late_target_and_a_limit_but_no_la
     assert both.left_out == ("actuation_lag of pendulum",)
     assert "WARNING: corrected.xml alone is not the whole correction" in both.xml.splitlines()[1]
     assert from_mjcf(both.xml, torque_limit=5.0).kp == (9.0,)
+
+
+def test_recordings_have_gains_in_common_only_if_stiffness_and_damping_are_the_same():
+    target = 0.5 * smooth_torque(1.0)
+    soft, same, damped, stiff = (
+        record(pendulum(), target, kp=np.array([kp]), kd=np.array([kd]))
+        for kp, kd in ((6.0, 0.4), (6.0, 0.4), (6.0, 0.8), (9.0, 0.4))
+    )
+    assert logged_gains([soft, same]) == {"pendulum": (6.0, 0.4)}
+    assert logged_gains([soft, damped]) is None
+    assert logged_gains([soft, stiff]) is None
+    assert logged_gains([soft, record(pendulum(), target)]) is None
 
 
 def test_the_logged_gains_take_the_place_of_those_that_somebody_put_into_the_model():

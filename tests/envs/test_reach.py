@@ -77,8 +77,10 @@ def test_a_goal_stays_for_an_episode_and_changes_with_the_next():
 
 def test_by_row_every_goal_has_its_turn():
     env = goal_env(num_envs=3, by_row=True)
+    part = goal_env(num_envs=2, by_row=True, first_row=1)
     for _ in range(2):
         assert (env.reset()["command"] == POSES[[0, 1, 0]]).all()
+        assert (part.reset()["command"] == POSES[[1, 0]]).all()  # the batch's last two rows
 
 
 def test_a_part_of_a_larger_batch_takes_the_goals_of_its_rows():

@@ -82,14 +82,16 @@ def test_a_dropped_robot_falls_freely_in_its_base_s_axes():
     assert seen["foot_force"].abs().max() == 0
 
 
-def test_a_masked_reset_leaves_the_other_rows_to_the_last_bit():
-    env = TorqueEnv(ARM, num_envs=3)
+@pytest.mark.parametrize("robot", [ARM, DOG], ids=["z1", "b2z1"])
+def test_a_masked_reset_leaves_the_other_rows_to_the_last_bit(robot):
+    """Also those whose feet press into the ground, out of which a robot that starts is lifted."""
+    env = TorqueEnv(robot, num_envs=3)
     last = roll(env, torques(env, 10))[-1]
     before = env.physics.qpos.clone()
     shown = env.reset(TensorDict({"_reset": torch.tensor([[False], [True], [False]])}, [3]))
     assert (env.physics.qpos[[0, 2]] == before[[0, 2]]).all()
-    assert shown["joint_position"][1].tolist() == pytest.approx(ARM.default_pose)
-    assert last["joint_position"][1].tolist() != pytest.approx(ARM.default_pose)
+    assert shown["joint_position"][1].tolist() == pytest.approx(robot.default_pose)
+    assert last["joint_position"][1].tolist() != pytest.approx(robot.default_pose)
 
 
 def test_an_episode_starts_where_the_reset_is_told_to():

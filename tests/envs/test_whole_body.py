@@ -169,6 +169,14 @@ def test_a_command_is_the_same_place_over_the_ground_wherever_the_robot_stands()
     torch.testing.assert_close(errors[0], errors[1], atol=2e-3, rtol=0)
 
 
+@pytest.mark.parametrize("height", [0.5, 0.3])
+def test_an_episode_begins_with_the_hand_where_it_is_told_to_be(height):
+    """In whatever frame that is told."""
+    shown = whole_body_env(ROBOT, num_envs=3, commands=CommandRanges(frame_height=height), net=None).reset()
+    assert shown["tracking", "position"].max() < 1e-3
+    assert shown["tracking", "attitude"].max() < 1e-2
+
+
 def test_the_errors_shown_are_those_of_an_independent_program():
     env = whole_body_env(num_envs=4, commands=CommandRanges(duration=(0.1, 0.2)))
     shown = env.rollout(12, break_when_any_done=False)["next"][:, -1]

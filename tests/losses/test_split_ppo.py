@@ -153,16 +153,21 @@ def test_divergence_is_exact_where_the_batch_remembers_the_policy(case):
     torch.testing.assert_close(loss(forgetful)["kl"], sampled_kl(log_ratio).mean().detach())
 
 
-def test_a_map_behind_the_gaussian_leaves_the_divergence_as_it_is():
+def squashed():
+    """A policy whose entropy has no formula."""
     torch.manual_seed(0)
     net = nn.Sequential(nn.Linear(STATE, 2 * ACTION), NormalParamExtractor())
     head = TensorDictModule(net, in_keys=["observation"], out_keys=["loc", "scale"])
-    policy = ProbabilisticActor(head, in_keys=["loc", "scale"], distribution_class=TanhNormal, return_log_prob=True)
+    return ProbabilisticActor(head, in_keys=["loc", "scale"], distribution_class=TanhNormal, return_log_prob=True)
+
+
+def test_a_map_behind_the_gaussian_leaves_the_divergence_as_it_is():
+    policy = squashed()
     _, value = networks()
     batch = collected(policy, 64)
     move(policy)
     with torch.no_grad():
-        loc, scale = net(batch["observation"])
+        loc, scale = policy[0].module(batch["observation"])
     torch.manual_seed(3)  # its entropy is drawn
     ours = SplitClipPPOLoss(policy, value)(batch)
     torch.testing.assert_close(ours["kl"], gaussian_kl(batch["loc"], batch["scale"], loc, scale).mean())
@@ -170,6 +175,32 @@ def test_a_map_behind_the_gaussian_leaves_the_divergence_as_it_is():
     stock = ClipPPOLoss(policy, value)(batch)
     for key in ("loss_objective", "loss_entropy", "loss_critic"):
         torch.testing.assert_close(ours[key], stock[key])
+
+
+def test_an_entropy_estimated_from_sixteen_draws_scatters_a_quarter_as_much():
+    policy = squashed()
+    batch = collected(policy, 4)
+    spread = {}
+    for draws in (1, 16):
+        loss = SplitClipPPOLoss(policy, samples_mc_entropy=draws)
+        spread[draws] = torch.stack([loss.loss_actor(batch)["entropy"] for _ in range(300)]).std().item()
+    assert spread[16] == pytest.approx(spread[1] / 4, rel=0.2)
+
+
+@pytest.mark.parametrize("separate", [False, True])
+def test_what_made_the_critics_input_learns_from_the_critic_unless_losses_are_kept_apart(case, separate):
+    """As with the stock loss: an encoder before both networks, whose features the batch carries."""
+    policy, value, batch = case
+    learnt = []
+    for make in (SplitClipPPOLoss, ClipPPOLoss):
+        seen = batch["observation"].clone().requires_grad_()
+        loss = make(policy, value, separate_losses=separate)
+        (gradient,) = torch.autograd.grad(
+            loss(batch.copy().set("observation", seen))["loss_critic"], seen, allow_unused=True
+        )
+        learnt.append(torch.zeros_like(seen) if gradient is None else gradient)
+    torch.testing.assert_close(*learnt)
+    assert bool(learnt[0].any()) is not separate
 
 
 def test_a_policy_of_choices_has_its_divergence_estimated():

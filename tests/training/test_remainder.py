@@ -21,10 +21,12 @@ from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.replay import simulate, windows_of
 from torchrl_athletic.diagnosis.report.shares import energy_shares
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.effects import CATALOGUE, JointAddress
+from torchrl_athletic.effects import CATALOGUE, JointAddress, Plant
+from torchrl_athletic.effects.plant import Now
 from torchrl_athletic.identification.simulator import load_net
 from torchrl_athletic.training import remainder, train, uan_gradient
 from torchrl_athletic.training.remainder import (
+    LearnedTorque,
     WithNet,
     _remark,
     acted_out,
@@ -89,6 +91,27 @@ def test_it_looks_back_through_what_was_measured_before_the_window(damped):
     robot = driven_robot(damped.xml, damped.recordings)
     late = scored(damped, damped.corrected, Oldest(), robot, "heldout")
     assert late.after < 0.3 * late.before  # 40 ms late, and still a brake, from the window's first step on
+
+
+def test_in_a_finer_simulation_it_sees_the_newest_moment_and_others_a_period_apart(damped):
+    seen = []
+
+    class Watching(nn.Module):
+        def forward(self, errors: torch.Tensor) -> torch.Tensor:
+            seen.append(errors[0, 0, 20:].tolist())
+            return torch.zeros_like(errors[..., :1])
+
+    robot = replace(driven_robot(damped.xml, damped.recordings), kp=(1.0,), kd=(0.3,))
+    (take,) = prepare(damped.recordings[:1], damped.nominal.model).takes
+    model = take.halved().model
+    plant = Plant(model, JointAddress.of(model, robot.joint_names), 1)
+    law, none = LearnedTorque(Watching(), robot, plant, np.ones((1, 1))), np.zeros((1, 1))
+    law.past = np.zeros((1, 40, 1, 2))
+    for k in range(41):
+        now = Now(none, np.full((1, 1), -float(k)), none, none[0], law.step)
+        law.note(now)
+    law(now)
+    assert seen == [list(range(2, 41, 2))]
 
 
 @pytest.mark.parametrize("servo", [False, True])

@@ -15,7 +15,7 @@ from torchrl.envs import Compose, Transform, TransformedEnv
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.robots import z1
 from torchrl_athletic.testing import TransformContract
-from torchrl_athletic.transforms import ActuatorNet, PDControl
+from torchrl_athletic.transforms import ActuatorNet, EquivalentTarget, PDControl
 
 Key = Callable[[str], object]
 ROBOT = z1()
@@ -72,3 +72,11 @@ def test_only_joints_of_the_group_get_the_nets_torque() -> None:
     torque = shown["next", "applied_torque"][0, 0]
     assert torque[:6] == pytest.approx([4.0] * 6, rel=1e-5)  # twice 20 N·m/rad times 0.1 rad, at rest
     assert torque[6] == pytest.approx(2.0, rel=1e-5)
+
+
+def test_the_action_that_is_learnt_from_is_the_one_that_the_policy_gave() -> None:
+    """It is a torque here, which the net's replaces on its way to the motor only."""
+    action = torch.full((2, len(ROBOT.joint_names)), 3.0)
+    shown = driven(ActuatorNet(PDNet(20)), EquivalentTarget(20.0, 0.5), action=action, steps=2)
+    assert torch.equal(shown["action"], torch.full_like(shown["action"], 3.0))
+    assert torch.equal(action, torch.full_like(action, 3.0))

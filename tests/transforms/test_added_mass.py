@@ -147,6 +147,16 @@ def test_it_is_taken_up_with_the_phase_and_by_the_rows_that_are_in_it():
     assert 5 < (shown["added_mass"] > 0).sum() < 27
 
 
+def test_what_was_taken_up_is_carried_through_the_phases_that_follow():
+    phases, load = PhaseSchedule((Phase("reach", 0.01), Phase("lift", 0.01), Phase("hold"))), AddedMass(mass=(2.0, 2.0))
+    chain = Compose(PDControl(ARM.kp, ARM.kd), Decimation(2), TaskPhase(phases, dt=0.01), load)
+    env = TransformedEnv(TorqueEnv(ARM, fields=load.fields), chain)
+    shown = env.reset()
+    for number, mass in ((0, EMPTY), (1, 2.0), (2, 2.0), (2, 2.0)):
+        assert (shown["task_phase_index"].item(), held(env).item()) == (number, mass)
+        shown = act(env, shown)
+
+
 def test_the_first_physics_step_of_the_phase_feels_the_whole_weight():
     """The arm holds still; what it holds is suddenly heavier: by m g at the lever, and so it falls away."""
     env = make_env(2, mass=(4.0, 4.0))

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import ClassVar
 
 import pytest
@@ -107,16 +108,17 @@ def test_rows_and_goals_of_one_row_are_drawn_apart(long):
         assert torch.corrcoef(torch.stack((one, other)))[0, 1].abs() < 0.4
 
 
-def test_a_sled_is_pulled_back_to_its_line():
+@pytest.mark.parametrize("rate", [0.5, 0.2])
+def test_a_sled_is_pulled_back_to_its_line_at_the_rate_asked_for(rate):
     names = {f"{name}_keys": (f"{name}_position", f"{name}_quaternion") for name in ("base", "end_effector")}
-    steps = rollout(20, sled_commands(), **names)
+    steps = rollout(20, replace(sled_commands(), straighten=rate), **names)
     velocity = steps["base_velocity_command"][:, 1:]
     x, y, angle = steps["command_line"][:, 1:].unbind(-1)
     position = steps["base_position"][:, 1:]
     lateral = (position[..., 1] - y) * angle.cos() - (position[..., 0] - x) * angle.sin()
     walks = velocity[..., 0] != 0
     assert 0.5 < walks.double().mean() < 1
-    torch.testing.assert_close(velocity[..., 1][walks], -0.5 * lateral[walks])
+    torch.testing.assert_close(velocity[..., 1][walks], -rate * lateral[walks])
     assert not velocity[~walks].any()
 
 

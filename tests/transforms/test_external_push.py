@@ -85,6 +85,20 @@ def test_how_hard_a_push_is_has_nothing_to_do_with_where_it_hits():
     assert torch.corrcoef(torch.stack((force.sum(-1), torque.sum(-1))))[0, 1].abs() < 0.1
 
 
+def test_where_a_push_turns_a_body_has_nothing_to_do_with_where_it_shoves_it():
+    """The cosine between two directions drawn apart lies evenly between -1 and 1."""
+    push = ExternalPush([Push(("base",), (1.0, 1.0), (1.0, 1.0))], dt=0.005, rest=(0.0, 0.01), duration=(1.0, 1.0))
+    env = TransformedEnv(TorqueEnv(from_mjcf(FLOATING), num_envs=1000), push)
+    td = env.reset()
+    for _ in range(3):
+        td = env.step(still(env, td))["next"]
+    force, torque = td["push"][:, 0].split(3, -1)
+    cosine = (force * torque).sum(-1)
+    assert (force.norm(dim=-1) > 0.99).all()
+    assert cosine.mean().item() == pytest.approx(0.0, abs=0.1)
+    assert cosine.abs().mean().item() == pytest.approx(0.5, abs=0.05)
+
+
 def test_an_episode_may_start_just_before_a_push():
     """It starts anywhere within a rest, so that a policy cannot count on a quiet beginning."""
     left = make_env(400).reset()["push_steps_left"]
@@ -107,6 +121,7 @@ def test_a_reset_ends_the_push_of_its_rows_only():
     env.step(still(env, again))
     assert (acting[0] == 0).all()
     assert (acting[1] != 0).any()
+    torch.testing.assert_close(acting[1, 1:], again["push"][1].double(), atol=1e-5, rtol=1e-5)  # once, not twice
 
 
 def test_a_row_alone_is_the_row_of_the_batch():

@@ -148,6 +148,15 @@ def test_every_episode_starts_in_the_state_that_its_reference_shows():
     assert len(steps["reference_step"][start].unique()) > 5
 
 
+def test_an_episode_starts_where_a_table_sampled_twice_as_densely_is_at_that_time():
+    env = environment(20, table_dt=DT / 2, shown=["qpos"], random_start=True, reset_state=RESET)
+    start = env.reset()
+    number, step = start["reference_id"][:, 0], start["reference_step"][:, 0]
+    assert len(step.unique()) > 5
+    for key, table in (("joint_position", QPOS), ("joint_velocity", QVEL)):
+        assert torch.equal(start[key], torch.stack([table[i][2 * k] for i, k in zip(number, step, strict=True)]))
+
+
 def test_a_reset_of_some_rows_leaves_the_others_where_they_are():
     env = environment(3, shortest=50, shown=["qpos"], random_start=True, reset_state=RESET)
     reached = env.rollout(4, break_when_any_done=False)[:, -1]["next"]
