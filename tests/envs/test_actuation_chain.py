@@ -58,8 +58,3 @@ def test_delays_lie_between_the_two_that_are_asked_for():
 def test_what_is_not_asked_for_is_not_there():
     names = [type(transform).__name__ for transform in actuation_chain(ARM)]
     assert names == ["TorqueSpeedClip", "PDControl", "Decimation"]
-
-
-def test_a_command_is_as_late_as_was_asked_for():
-    late = TransformedEnv(TorqueEnv(ARM, num_envs=64), Compose(*actuation_chain(ARM, max_delay=3, min_delay=2)))
-    assert late.reset()["action_delay"].unique().tolist() == [2, 3]

@@ -83,10 +83,6 @@ def test_by_row_every_goal_has_its_turn():
         assert (part.reset()["command"] == POSES[[1, 0]]).all()  # the batch's last two rows
 
 
-def test_a_part_of_a_larger_batch_takes_the_goals_of_its_rows():
-    assert (goal_env(num_envs=3, by_row=True, first_row=1).reset()["command"] == POSES[[1, 0, 1]]).all()
-
-
 def test_at_the_goal_the_way_is_zero_and_off_it_points_there():
     env = goal_env()
     shown = env.reset()

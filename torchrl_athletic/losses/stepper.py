@@ -219,7 +219,7 @@ class SplitOptimizationStepper(OptimizationStepper):
         load_optimizer(self.actor_optimizer, self.actor_lr, state_dict["actor_optimizer"])
         load_optimizer(self.critic_optimizer, self.critic_lr, state_dict["critic_optimizer"])
         self.generator.set_state(state_dict["generator"].cpu())
-        self._graph = None  # it would go on with the optimisers' old tensors
+        self.release()  # it would go on with the optimisers' old tensors
 
     def _optimize(self, data: TensorDict, order: Tensor) -> TensorDict:
         """All epochs, in the order given: (epochs, B) indices."""

@@ -224,8 +224,8 @@ class Learner:
     def close(self) -> None:
         """Leave the processes that train together, at the end of a run.
 
-        NCCL closes a connection only when no CUDA graph holds its work any more: two processes that had captured their
-        updates waited for each other until they were killed.
+        Two processes on GPUs that had captured their updates hung here. That their graphs still held work of NCCL is our
+        reading, so graphs go first.
         """
         self.stepper.release()
         self.processes.leave()
