@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +15,7 @@ from torch import nn
 from torchrl.envs import Transform
 
 from torchrl_athletic.diagnosis import Diagnosis, Score
+from torchrl_athletic.diagnosis.checkpoint import inputs_digest
 from torchrl_athletic.diagnosis.compare import score
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.corrected_xml import corrected_xml
@@ -136,10 +135,8 @@ def learn_remainder(
 
 def _checkpoints(diagnosis: Diagnosis, output: Path, run: Mapping[str, float | None]) -> Checkpoints:
     """In a folder of its own for each diagnosis and choice of arguments: nothing else is gone on with."""
-    takes = [r.position.tobytes() for r in diagnosis.recordings]
-    told = json.dumps([diagnosis.corrected.to_json(), run, diagnosis.answer.seed], sort_keys=True).encode()
-    digest = hashlib.sha256(b"".join([told, *takes])).hexdigest()[:12]
-    return Checkpoints(output / CHECKPOINTS / digest)
+    told = {**run, "corrected": diagnosis.corrected.to_json(), "seed": diagnosis.answer.seed}
+    return Checkpoints(output / CHECKPOINTS / inputs_digest(diagnosis.xml, diagnosis.recordings, told)[:12])
 
 
 def driven_robot(xml: str, recordings: Sequence[Recording]) -> Robot:
