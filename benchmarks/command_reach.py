@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from torchrl_athletic.functional import streams
-from torchrl_athletic.functional.commands import CommandRanges, draw_goal, goal_to_pose
+from torchrl_athletic.functional.commands import CommandRanges, command_ranges, draw_goal, goal_to_pose
 from torchrl_athletic.robots import Robot, b2z1
 
 LENGTH = 0.3
@@ -77,6 +77,7 @@ def kinds() -> dict[str, CommandRanges]:
         "all": whole,
         "ahead of the shoulder": replace(whole, elevation=(low, level)),
         "behind it": replace(whole, elevation=(level, high)),
+        "`--commands ahead`": command_ranges("ahead"),
         "all, attitudes twice as wide": replace(
             whole, roll=_twice(whole.roll), pitch=_twice(whole.pitch), yaw=_twice(whole.yaw)
         ),
