@@ -167,11 +167,15 @@ def test_a_ball_is_lost_that_is_away_in_the_set_up(told):
     assert told["extra"][1].condition(before, after).flatten().tolist() == [True, False, False, False]
 
 
-def test_without_a_robot_it_is_the_one_of_the_pre_training_with_a_bucket(monkeypatch):
-    asked = {}
-    monkeypatch.setattr("torchrl_athletic.envs.ball_throw.whole_body_env", lambda robot, **told: asked.update(told))
-    monkeypatch.setattr("torchrl_athletic.envs.ball_throw.with_bucket", lambda robot, bucket: asked.update(robot=robot))
-    with pytest.raises(AttributeError):
-        ball_throw_env()
-    assert asked["robot"].ground == ("floor", "terrain")
-    assert asked["robot"].model().opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_training_with_a_bucket(monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        "torchrl_athletic.envs.ball_throw.whole_body_env", lambda *robot, **told: made.append((robot, told))
+    )
+    ball_throw_env()
+    [([robot], told)] = made
+    assert robot.ground == ("floor", "terrain")
+    assert "bucket_axis" in robot.sensors
+    assert robot.model().opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    assert (told["schedule"], told["disturbances"]) == (throw_phases(), Disturbances())
+    assert [told[name] for name in ("num_envs", "max_steps", "seed", "first_row")] == [4096, 300, 0, 0]

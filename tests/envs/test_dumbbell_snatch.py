@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
-from torchrl_athletic.envs import NO_DISTURBANCES, dumbbell_snatch_env, dumbbell_snatch_rewards
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, dumbbell_snatch_env, dumbbell_snatch_rewards
 from torchrl_athletic.envs.dumbbell_snatch import KNOWN, hand_height
 from torchrl_athletic.envs.whole_body import PRIVILEGED
 from torchrl_athletic.functional.phase import Phase, PhaseSchedule, snatch_phases
@@ -116,12 +116,15 @@ def test_reaching_for_the_weight_earns_five_a_second():
     assert scales["ee_pose_tracking"] * terms["ee_pose_tracking"](before, after).item() == 5.0
 
 
-def test_without_a_robot_it_is_the_one_of_the_pre_training_with_its_tool(monkeypatch):
+def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_training(monkeypatch):
     made = []
-    monkeypatch.setattr(
-        "torchrl_athletic.envs.dumbbell_snatch.whole_body_env", lambda robot, **told: made.append(robot)
-    )
+    below = "torchrl_athletic.envs.dumbbell_snatch.whole_body_env"
+    monkeypatch.setattr(below, lambda *robot, **told: made.append((robot, told)))
     dumbbell_snatch_env()
-    assert made[0].ground == ("floor", "terrain")
-    assert "dumbbell" in made[0].loads
-    assert made[0].model().opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    [([robot], told)] = made
+    assert robot.ground == ("floor", "terrain")
+    assert "dumbbell" in robot.loads
+    assert robot.model().opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    assert (told["schedule"], told["disturbances"]) == (snatch_phases(), Disturbances())
+    assert [told[name] for name in ("num_envs", "max_steps", "seed", "first_row")] == [4096, 500, 0, 0]
+    assert told["extra"][0].mass == (0.0, 10.0)

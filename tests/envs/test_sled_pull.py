@@ -9,10 +9,10 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
-from torchrl_athletic.envs import NO_DISTURBANCES, sled_drift, sled_pull_env, sled_pull_rewards
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, sled_drift, sled_pull_env, sled_pull_rewards
 from torchrl_athletic.envs.sled_pull import KNOWN
 from torchrl_athletic.envs.whole_body import PRIVILEGED
-from torchrl_athletic.functional.commands import CommandRanges
+from torchrl_athletic.functional.commands import CommandRanges, sled_commands
 from torchrl_athletic.functional.phase import sled_phases
 from torchrl_athletic.networks import pretrained
 from torchrl_athletic.robots import Handle, b2z1
@@ -129,10 +129,16 @@ def test_each_term_has_its_phase_and_its_scale():
     assert [scales[name] for name in own] == [5.0, -5.0, -1.0, -1.0, -1.0]
 
 
-def test_without_a_robot_it_is_the_one_of_the_pre_training_with_its_tool(monkeypatch):
+def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_training(monkeypatch):
     made = []
-    monkeypatch.setattr("torchrl_athletic.envs.sled_pull.whole_body_env", lambda robot, **told: made.append(robot))
+    below = "torchrl_athletic.envs.sled_pull.whole_body_env"
+    monkeypatch.setattr(below, lambda *robot, **told: made.append((robot, told)))
     sled_pull_env()
-    assert made[0].ground == ("floor", "terrain")
-    assert "handle" in made[0].loads
-    assert made[0].model().opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    [([robot], told)] = made
+    assert robot.ground == ("floor", "terrain")
+    assert "handle" in robot.loads
+    assert robot.model().opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    assert (told["schedule"], told["disturbances"]) == (sled_phases(), Disturbances())
+    assert [told[name] for name in ("num_envs", "max_steps", "seed", "first_row")] == [4096, 1000, 0, 0]
+    assert told["commands"][0].ranges == sled_commands()
+    assert (told["objects"][0].mass, told["objects"][0].friction) == ((20.0, 150.0), (0.1, 0.2))

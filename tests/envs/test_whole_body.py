@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
-from torchrl.envs import Transform, check_env_specs
+from torchrl.envs import StepCounter, Transform, check_env_specs
 
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, whole_body_env, whole_body_rewards
 from torchrl_athletic.envs.whole_body import ACTION_SCALE, PRIVILEGED, TrackingErrors, fallen
@@ -26,9 +26,11 @@ from torchrl_athletic.transforms import (
     ExternalPush,
     InitialState,
     PDControl,
+    PowerClip,
     RandomizationRanges,
     RandomTransform,
     StartRanges,
+    TaskPhase,
     UANCorrection,
 )
 
@@ -60,6 +62,9 @@ def test_without_arguments_it_is_the_paper_s_pre_training():
     assert parts[DomainRandomization].ranges.mass_scale == (0.5, 1.5)
     assert (parts[EncoderOffset].low, parts[EncoderOffset].high) == (-0.05, 0.05)
     assert (parts[ActionDelay].min_steps, parts[ActionDelay].max_steps) == (0, 6)
+    assert parts[InitialState].ranges == StartRanges(base_position=(12.0, 12.0, 0.0))
+    assert parts[ExternalPush].pushes == B2Z1_PUSHES
+    assert (parts[PowerClip].max_power, parts[StepCounter].max_steps, parts[TaskPhase].width) == (300.0, 1000, 4)
     assert "terrain" in env.base_env.robot.ground
     assert whole_body_env.__kwdefaults__["num_envs"] == 4096
     td = env.reset()

@@ -220,3 +220,13 @@ def test_a_rest_and_a_push_take_two_to_six_seconds_and_up_to_half_of_one():
     ends = torch.tensor([[0.0], [1.0]])
     assert push._steps(ends, push.rest).flatten().tolist() == [100, 300]
     assert push._steps(ends, (0.0, 0.05)).flatten().tolist() == [1, 2]
+
+
+def test_the_robot_is_pushed_by_up_to_a_third_of_its_weight_and_less_further_out():
+    robot = b2z1()
+    weight = 9.81 * robot.model().body_mass.sum()
+    most = [(push.force[1], push.torque[1]) for push in B2Z1_PUSHES]
+    assert most[0][0] == pytest.approx(weight / 3, rel=0.1)
+    assert most == sorted(most, reverse=True)
+    assert {(push.force[0], push.torque[0]) for push in B2Z1_PUSHES} == {(0.0, 0.0)}
+    assert [len(push.bodies) for push in B2Z1_PUSHES] == [1, 4, 4, 1]
