@@ -371,9 +371,11 @@ def test_the_critic_knows_what_no_robot_can_sense():
 
 
 class Watcher(Transform):
-    """An object that asks for a field of the model and for a sensor at every step."""
+    """A part that asks for a field of the model and, as an object, for a sensor at every step."""
 
-    fields, every_step = ("dof_armature",), ("end_effector_position",)
+    def __init__(self, field):
+        super().__init__()
+        self.fields, self.every_step = (field,), ("end_effector_position",)
 
 
 ORDER = [
@@ -392,7 +394,7 @@ def test_every_part_stands_in_its_place_and_is_told_what_the_environment_was():
     told = {"substeps": 3, "arm_power": 77.0, "history": 3, "max_steps": 9, "task_width": 6, "seed": 5, "first_row": 3}
     env = whole_body_env(
         with_options(ROBOT, timestep=0.001), num_envs=2, net=None, commands=ranges, schedule=phases,
-        disturbances=chance, objects=[Watcher()], extra=[Watcher()], staggered=True, **told,
+        disturbances=chance, objects=[Watcher("dof_armature")], extra=[Watcher("dof_damping")], staggered=True, **told,
     )  # fmt: skip
     assert [type(part).__name__ for part in env.transform] == ORDER
     drawn = [part for part in env.transform if isinstance(part, RandomTransform)]
@@ -413,7 +415,7 @@ def test_every_part_stands_in_its_place_and_is_told_what_the_environment_was():
     assert (part["ExternalPush"].pushes, part["CommandSampler"].ranges) == (chance.pushes, ranges)
     assert (part["TaskPhase"].schedule, part["TaskPhase"].width) == (phases, 6)
     assert (part["PoseError"].frame_height, part["ObservationHistory"].length) == (0.4, 3)
-    assert "dof_armature" in env.base_env.physics.fields
+    assert {"dof_armature", "dof_damping", "body_mass"} <= set(env.base_env.physics.fields)
     forces = ("foot_force", "leg_force", "trunk_force", "arm_force", "hand_force")
     assert set(env.base_env.every_step) == {*forces, "end_effector_position"}
 
