@@ -55,6 +55,13 @@ def test_delays_lie_between_the_two_that_are_asked_for():
     assert set(delays.flatten().tolist()) == {4, 5, 6}
 
 
+def test_delays_are_those_of_the_seed_and_of_the_row_and_hold_the_default_pose_at_first():
+    told = {"max_delay": 60, "min_delay": 20, "decimation": 7}
+    delay, decimation = actuation_chain(ARM, seed=5, first_row=3, **told)[-2:]
+    assert (delay.seed, delay.first_row, decimation.steps) == (5, 3, 7)
+    torch.testing.assert_close(delay.before, column(ARM.default_pose))
+
+
 def test_what_is_not_asked_for_is_not_there():
     names = [type(transform).__name__ for transform in actuation_chain(ARM)]
     assert names == ["TorqueSpeedClip", "PDControl", "Decimation"]

@@ -1,7 +1,9 @@
 """The throw of the whole robot: ball, phases, rewards, distance."""
 
 import math
+from dataclasses import replace
 
+import mujoco
 import pytest
 import torch
 from tensordict import TensorDict
@@ -10,6 +12,7 @@ from torchrl.envs import check_env_specs
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, ball_throw_distance, ball_throw_env, ball_throw_rewards
 from torchrl_athletic.envs.ball_throw import KNOWN
 from torchrl_athletic.envs.throw import BUCKET
+from torchrl_athletic.envs.whole_body import PRIVILEGED
 from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.robots import b2z1, with_bucket
 from torchrl_athletic.transforms import BallFlight, Decimation, StartRanges
@@ -85,6 +88,7 @@ def test_forward_is_where_the_robot_looked_at_its_start():
     assert earned("forward", [0.0, -2.0, 0.0], left) == 0.0
     assert earned("lateral", [2.0, 0.0, 0.0], left) == pytest.approx(-2.0)
     assert earned("upward", [0.0, 0.0, 3.0], left) == pytest.approx(60.0)
+    assert earned("upward", [0.0, 0.0, -3.0], left) == 0.0
 
 
 def test_the_distance_is_ahead_of_the_start_whatever_way_the_robot_looks():
@@ -118,3 +122,60 @@ def test_a_ball_that_is_lost_in_the_set_up_ends_the_episode_and_one_that_is_thro
     throws = played["next", "ball_away"] & (played["task_phase_index"] == 1)
     assert throws.any()
     assert not played["next", "terminated"][throws].any()
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """What the environment below is told, where nothing is a default."""
+    asked = {}
+    below = "torchrl_athletic.envs.ball_throw"
+    monkeypatch.setattr(f"{below}.whole_body_env", lambda robot, **told: asked.update(told, robot=robot))
+    monkeypatch.setattr(f"{below}.references", lambda *motion: [motion])
+    ball_throw_env(ROBOT, schedule=PHASES, disturbances=OFF, motion="other", **GIVEN)
+    return asked
+
+
+OFF = replace(NO_DISTURBANCES, encoder_offset=(0.0, 0.1))
+GIVEN = {"num_envs": 7, "max_steps": 9, "seed": 5, "first_row": 3, "history": 2}
+
+
+def test_the_environment_below_is_told_all_that_the_task_was(told):
+    assert told.items() >= {**GIVEN, "robot": ROBOT, "schedule": PHASES, "disturbances": OFF}.items()
+    assert told["commands"] == [("other", ROBOT, PHASES)]
+    assert told["privileged"] == (*PRIVILEGED, *KNOWN)
+    flight, peak = told["objects"]
+    assert (flight.dt, flight.rim, flight.radius) == (0.005, BUCKET.rim, BUCKET.ball_radius)
+    assert (flight.placed, flight.phase, peak.joints) == (300, 0, "leg")
+    assert [type(part).__name__ for part in told["extra"]] == ["StartLine", "EarlyTermination"]
+
+
+def test_true_joints_are_what_counts_where_encoders_are_off(told):
+    terms, scales = told["terms"]
+    assert terms.keys() == scales.keys()
+    assert terms["joint_limits"].keys == terms["joint_deviation"].keys == ("true_joint_position",)
+    position, reference = torch.zeros(1, 19), torch.zeros(1, 19)
+    position[0, 3], position[0, 13], position[0, 18] = 1.0, 0.2, 1.0  # a leg, the arm, the gripper
+    after = TensorDict(true_joint_position=position, joint_reference=reference, batch_size=[1])
+    cost = terms["reference"](TensorDict(task_phase_index=[[0]], batch_size=[1]), after)
+    assert scales["reference"] * cost.item() == pytest.approx(-5 * 0.2)
+    assert scales["stance"] == -5.0
+
+
+def test_a_ball_is_lost_that_is_away_in_the_set_up(told):
+    away, phase = torch.tensor([[True], [True], [True], [False]]), torch.tensor([[0], [1], [2], [0]])
+    before, after = TensorDict(task_phase_index=phase, batch_size=[4]), TensorDict(ball_away=away, batch_size=[4])
+    assert told["extra"][1].condition(before, after).flatten().tolist() == [True, False, False, False]
+
+
+def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_training_with_a_bucket(monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        "torchrl_athletic.envs.ball_throw.whole_body_env", lambda *robot, **told: made.append((robot, told))
+    )
+    ball_throw_env()
+    [([robot], told)] = made
+    assert robot.ground == ("floor", "terrain")
+    assert "bucket_axis" in robot.sensors
+    assert robot.model().opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    assert (told["schedule"], told["disturbances"]) == (throw_phases(), Disturbances())
+    assert [told[name] for name in ("num_envs", "max_steps", "seed", "first_row")] == [4096, 300, 0, 0]

@@ -1,12 +1,16 @@
 """The snatch: when the weight comes, and what is rewarded."""
 
+from dataclasses import replace
+
+import mujoco
 import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
-from torchrl_athletic.envs import NO_DISTURBANCES, dumbbell_snatch_env, dumbbell_snatch_rewards
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, dumbbell_snatch_env, dumbbell_snatch_rewards
 from torchrl_athletic.envs.dumbbell_snatch import KNOWN, hand_height
+from torchrl_athletic.envs.whole_body import PRIVILEGED
 from torchrl_athletic.functional.phase import Phase, PhaseSchedule, snatch_phases
 from torchrl_athletic.robots import Dumbbell, b2z1
 
@@ -82,3 +86,45 @@ def test_slamming_the_hand_into_the_ground_costs():
 def test_height_is_that_over_the_ground_below_the_base():
     hand, base = torch.tensor([[9.0, 9.0, 2.0]]), torch.tensor([[8.0, 9.0, 1.1]])
     assert hand_height(hand, base, torch.tensor([[0.5]])).item() == pytest.approx(1.4)
+
+
+def test_the_environment_below_is_told_all_that_the_task_was(monkeypatch):
+    """Nothing here is a default."""
+    told, below = {}, "torchrl_athletic.envs.dumbbell_snatch"
+    monkeypatch.setattr(f"{below}.whole_body_env", lambda robot, **asked: told.update(asked, robot=robot))
+    monkeypatch.setattr(f"{below}.references", lambda *motion: [motion])
+    off = replace(NO_DISTURBANCES, encoder_offset=(0.0, 0.1))
+    given = {"num_envs": 7, "max_steps": 9, "seed": 5, "first_row": 3, "history": 2}
+    late = PhaseSchedule((Phase("pause", 1.0), *SHORT.phases))
+    dumbbell_snatch_env(ROBOT, schedule=late, disturbances=off, motion="other", mass=(1.0, 2.0), **given)
+    assert told.items() >= {**given, "robot": ROBOT, "schedule": late, "disturbances": off}.items()
+    assert told["commands"] == [("other", ROBOT, late)]
+    assert told["privileged"] == (*PRIVILEGED, *KNOWN)
+    [load] = told["extra"]
+    assert (load.body, load.mass, load.phase, load.seed, load.first_row) == ("dumbbell", (1.0, 2.0), 2, 5, 3)
+    terms, scales = told["terms"]
+    assert terms.keys() == scales.keys()
+    for name in ("joint_limits", "joint_deviation"):
+        assert terms[name].keys == ("true_joint_position",)
+    assert terms["wrist"].term.keys == ("true_joint_position",)
+    assert (terms["wrist"].phases, terms["hand_height"].phases, terms["ee_pose_tracking"].phases) == ((2,), (2,), (1,))
+
+
+def test_reaching_for_the_weight_earns_five_a_second():
+    terms, scales = dumbbell_snatch_rewards(ROBOT, snatch_phases())
+    before, after = TensorDict(task_phase_index=[[0]], batch_size=[1]), TensorDict(pose_error=torch.zeros(1, 4, 3))
+    assert scales["ee_pose_tracking"] * terms["ee_pose_tracking"](before, after).item() == 5.0
+
+
+def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_training(monkeypatch):
+    made = []
+    below = "torchrl_athletic.envs.dumbbell_snatch.whole_body_env"
+    monkeypatch.setattr(below, lambda *robot, **told: made.append((robot, told)))
+    dumbbell_snatch_env()
+    [([robot], told)] = made
+    assert robot.ground == ("floor", "terrain")
+    assert "dumbbell" in robot.loads
+    assert robot.model().opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    assert (told["schedule"], told["disturbances"]) == (snatch_phases(), Disturbances())
+    assert [told[name] for name in ("num_envs", "max_steps", "seed", "first_row")] == [4096, 500, 0, 0]
+    assert told["extra"][0].mass == (0.0, 10.0)

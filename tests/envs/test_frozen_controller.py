@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
 from torchrl_athletic.envs import FrozenController, ball_throw_env
@@ -45,3 +46,25 @@ def test_an_action_moves_the_commands_of_the_newest_frame_alone(env):
 
 def test_its_parameters_are_nobody_s_to_train(env):
     assert list(env.transform[-1].parameters()) == []
+
+
+def test_each_number_of_an_action_moves_its_own_command_by_its_own_scale():
+    """Velocities by 0.5, 0.25 and 0.5, places by 0.3, both columns of the attitude by 0.5."""
+    scale = (0.5, 0.25, 0.5, 0.3, 0.3, 0.3, *(0.5,) * 6)
+    torch.manual_seed(0)
+    for frames, told, size in ((10, {}, scale), (2, {"history": 2, "scale": (0.1,) * 12}, (0.1,) * 12)):
+        led = FrozenController(lambda seen: seen, **told)
+        seen, action = torch.randn(3, frames * 20), torch.randn(3, 12)
+        after = led.lead(seen, action)
+        commands = slice(20 * (frames - 1) + 3, 20 * (frames - 1) + 15)
+        moved = seen[:, commands] + torch.tensor(size) * action
+        torch.testing.assert_close(after[:, commands][:, :6], moved[:, :6])
+        turn = rotations.from_two_columns(moved[:, 6:])
+        torch.testing.assert_close(after[:, commands][:, 6:], torch.cat((turn[..., 0], turn[..., 1]), -1))
+        assert torch.equal(after[:, : commands.start], seen[:, : commands.start])
+        assert torch.equal(after[:, commands.stop :], seen[:, commands.stop :])
+
+
+def test_no_gradient_goes_through_the_controller(env):
+    told = TensorDict(observation=torch.zeros(2, 770), action=torch.zeros(2, 12, requires_grad=True), batch_size=[2])
+    assert not env.transform[-1]._inv_call(told)["action"].requires_grad

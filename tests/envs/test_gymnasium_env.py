@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
+from torchrl.envs import TransformedEnv
 
 from torchrl_athletic.envs.gymnasium_env import TASKS, GymnasiumVectorEnv
 from torchrl_athletic.envs.registration import TASKS as NAMES
+from torchrl_athletic.testing import ToyEnv
+from torchrl_athletic.transforms import GaitClock, ObservationHistory
 
 
 def test_every_task_is_registered_under_its_name():
@@ -107,3 +110,47 @@ def test_an_unknown_task_and_a_step_before_the_start_are_refused():
         GymnasiumVectorEnv("Jump")
     with pytest.raises(gymnasium.error.ResetNeeded, match="Call reset first"):
         GymnasiumVectorEnv("WholeBody", 1).step(np.zeros((1, 19), np.float32))
+
+
+@pytest.fixture
+def toy(monkeypatch):
+    """Rows whose episodes end at different times, terminated or truncated in turn."""
+
+    def make(num_envs):
+        history = ObservationHistory(["joint_position"], 3, ["seen"], flatten=True)
+        env = TransformedEnv(ToyEnv(num_envs), history)
+        return env.append_transform(GaitClock(0.02, random_start=True))
+
+    monkeypatch.setitem(TASKS, "Toy", make)
+    return make
+
+
+def test_rows_start_anew_one_by_one_as_they_end(toy):
+    """As TorchRL's own loop has it."""
+    envs, env = GymnasiumVectorEnv("Toy", 4), toy(4)
+    first, _ = envs.reset()
+    td = env.reset()
+    np.testing.assert_array_equal(first, td["observation"])
+    some = 0
+    for k in range(20):
+        action = torch.full((4, 3), 0.1 * k)
+        step, td = env.step_and_maybe_reset(td.set("action", action))
+        after, done = step["next"], step["next", "done"].flatten().numpy()
+        shown, reward, terminated, truncated, infos = envs.step(action.numpy())
+        np.testing.assert_array_equal(shown, td["observation"])
+        np.testing.assert_array_equal(envs._shown["seen"], td["seen"])
+        np.testing.assert_array_equal(reward, after["reward"].flatten())
+        np.testing.assert_array_equal(terminated, after["terminated"].flatten())
+        np.testing.assert_array_equal(truncated, after["truncated"].flatten())
+        assert bool(infos) == done.any()
+        if done.any():
+            np.testing.assert_array_equal(infos["_final_obs"], done)
+            np.testing.assert_array_equal(infos["final_obs"], after["observation"])
+        some += done.any() and not done.all()
+    assert some > 5
+
+
+def test_of_a_list_of_seeds_the_first_one_counts(toy):
+    envs = GymnasiumVectorEnv("Toy", 2)
+    envs.reset(seed=[4, 9])
+    assert envs.env.transform[-1].seed == 4

@@ -130,3 +130,34 @@ def test_the_goal_is_drawn_as_three_arrows():
     draw_goal(scene, goal_env(by_row=True).reset()[0])
     assert scene.ngeom == 3
     np.testing.assert_allclose(scene.geoms[0].pos, POSES[0, :3], atol=1e-6)
+    assert scene.geoms[0].size[2] == pytest.approx(KEYPOINT_LENGTH / 2, rel=1e-3)  # half as long as what is tracked
+
+
+def test_poses_are_those_of_joints_drawn_evenly_that_touch_nothing_and_are_over_the_clearance():
+    robot = z1()
+    model = robot.model()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    generator, expected, touched = np.random.default_rng(3), [], 0
+    low, high = np.array(robot.position_limit)[:6].T
+    while len(expected) < 100:
+        data.qpos[:6] = generator.uniform(low, high)
+        mujoco.mj_forward(model, data)
+        place = data.sensor("end_effector_position").data
+        touched += data.ncon > 0 and place[2] > 0.0
+        if data.ncon == 0 and place[2] > 0.0:
+            expected.append(place.copy())
+    found = reachable_poses(robot, count=100, seed=3, clearance=0.0)
+    np.testing.assert_allclose(found[:, :3], expected, atol=1e-6)
+    assert touched > 0
+
+
+def test_far_away_the_near_sight_is_full_and_the_goal_itself_is_shown_behind():
+    far = POSES + torch.tensor([9.0, -9.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    shown = goal_env(poses=far, by_row=True).reset()
+    way, near, place, turn = shown["goal_observation"].split((12, 12, 3, 6), -1)
+    assert torch.equal(near, (10 * way).clamp(-1, 1))
+    assert near.min() == -1
+    assert near.max() == 1
+    torch.testing.assert_close(place, far[:, :3])
+    torch.testing.assert_close(turn, rotations.two_columns(far[:, 3:]))

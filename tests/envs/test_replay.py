@@ -11,10 +11,11 @@ from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from torchrl_athletic.envs import ReplayTakes, Takes, TorqueEnv, replay_env
-from torchrl_athletic.envs.replay import HISTORY, AddedTorque
+from torchrl_athletic.envs.replay import HISTORY, AddedTorque, _start_of
 from torchrl_athletic.functional import actuator_dynamics, rewards
 from torchrl_athletic.identification import Simulator, open_loop
 from torchrl_athletic.networks import uan
+from torchrl_athletic.robots import b2z1, z1
 from torchrl_athletic.testing import no_host_sync
 from torchrl_athletic.training import control_step, takes_of, torque_unit
 from torchrl_athletic.transforms import EquivalentTarget, PDControl, TorqueSpeedClip, UANCorrection
@@ -419,3 +420,62 @@ def test_takes_that_contradict_themselves_are_refused():
         Takes(still[:20], still[:20], still[:20], (20,))
     with pytest.raises(ValueError, match=r"robot\.joint_names"):
         replay_env(ROBOT, Takes(*[torch.zeros(50, 3)] * 3, (50,)))
+
+
+def test_starts_have_a_history_behind_them_and_room_before_them_in_takes_of_every_length():
+    still = torch.zeros(60, 2)
+    several = Takes(still, still, still, (25, 10, 25))
+    assert several.starts().tolist() == [*range(19, 24), *range(54, 59)]
+    assert several.starts(room=4).tolist() == [19, 20, 54, 55]
+    assert several.ends().tolist() == [24] * 25 + [34] * 10 + [59] * 25
+
+
+def own_replay(num_envs=2, lagging=False, **told):
+    chain = [TorqueSpeedClip(ROBOT.torque_limit, ROBOT.velocity_limit), PDControl(ROBOT.kp, ROBOT.kd)]
+    chain = corrected().chain(decimation=1) if lagging else chain
+    replayed = ReplayTakes(TAKES, ROBOT, chain=chain, by_row=True, **told)
+    return TransformedEnv(TorqueEnv(ROBOT, num_envs=num_envs), Compose(AddedTorque(), *chain, replayed))
+
+
+def test_rows_of_a_part_of_a_batch_start_where_those_of_the_whole_do():
+    starts = torch.tensor([30, 40, 100])
+    assert own_replay(2, starts=starts, first_row=2).reset()["sample"].flatten().tolist() == [100, 30]
+
+
+@pytest.mark.parametrize("lagging", [False, True])
+@pytest.mark.parametrize("state", [False, True])
+def test_a_row_that_left_the_recording_is_shown_the_recording(state, lagging):
+    """Its errors and, where asked for, positions, velocities and torques: those of an episode that starts there."""
+    told = {"bound": 0.01, "penalty": -3.0, "state": state, "lagging": lagging}
+    env = own_replay(starts=torch.tensor([30, 40]), **told)
+    mad = torch.tensor([[20.0, 0.0], [0.0, 0.0]])
+    step = next(step for step in played(env, lambda td: td.set("action", mad), 15)[0] if step["next", "terminated"])
+    after = step["next"]
+    assert after["reward"].item() == -3.0
+    assert (after["joint_reward"] == -3.0).all()
+    fresh = own_replay(starts=after["sample"].flatten(), **told).reset()["observation"][0]
+    newest = [HISTORY - 1, 2 * HISTORY - 1, *range(2 * HISTORY, fresh.shape[-1])]
+    torch.testing.assert_close(after["observation"][:, newest], fresh[:, newest])
+
+
+def test_a_row_may_be_off_by_one_and_a_half_radians_and_no_more():
+    env = own_replay(2, starts=torch.tensor([30]))
+    shown = nothing(env.reset())
+    env.base_env.physics.qpos[:, 0] += torch.tensor([1.4, 1.6], dtype=torch.float64)
+    assert env._step(shown)["terminated"].flatten().tolist() == [False, True]
+
+
+def test_of_a_robot_with_a_gripper_the_arm_is_corrected():
+    arm = z1()
+    pose = torch.tensor(arm.default_pose).expand(30, -1)
+    shown = replay_env(arm, Takes(pose, torch.zeros_like(pose), pose, (30,)), num_envs=2).reset()
+    assert shown["torque_correction"].shape == (2, 6)
+    torch.testing.assert_close(shown["joint_position"], pose[:2])
+
+
+def test_what_no_recording_tells_starts_as_the_robot_stands():
+    dog = b2z1()
+    start, key = _start_of(TorqueEnv(dog)), dog.model().key(dog.keyframe)
+    np.testing.assert_array_equal(start.qpos, key.qpos)
+    np.testing.assert_array_equal(start.qvel, key.qvel)
+    assert start.qpos[2] > 0.3

@@ -1,15 +1,18 @@
 """The sled: what pulls on the hand, what is commanded, what is rewarded."""
 
 import math
+from dataclasses import replace
 
+import mujoco
 import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
-from torchrl_athletic.envs import NO_DISTURBANCES, sled_drift, sled_pull_env, sled_pull_rewards
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, sled_drift, sled_pull_env, sled_pull_rewards
 from torchrl_athletic.envs.sled_pull import KNOWN
-from torchrl_athletic.functional.commands import CommandRanges
+from torchrl_athletic.envs.whole_body import PRIVILEGED
+from torchrl_athletic.functional.commands import CommandRanges, sled_commands
 from torchrl_athletic.functional.phase import sled_phases
 from torchrl_athletic.networks import pretrained
 from torchrl_athletic.robots import Handle, b2z1
@@ -76,7 +79,7 @@ def test_drift_to_either_side_costs_alike_and_the_wrong_speed_by_its_square():
             start_line=[[1.0, 0.0, 0.0]],
             base_position=[[-3.0, y, 0.5]],
             base_quaternion=[[math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)]],
-            base_linear_velocity=[[speed, 0.0, 0.0]],
+            base_linear_velocity=[[speed, 0.7, 0.7]],
             base_velocity_command=[[-0.5, 0.0, 0.0]],
             batch_size=[1],
         )
@@ -94,3 +97,48 @@ def test_the_rope_pulls_at_the_rate_of_the_physics_and_the_critic_knows_the_sled
     assert kinds.index(SledRope) < kinds.index(Decimation)
     shown = env.reset()
     torch.testing.assert_close(shown["privileged"][:, -3:], torch.cat([shown[key] for key in KNOWN], -1))
+
+
+def test_the_environment_below_is_told_all_that_the_task_was(monkeypatch):
+    """Nothing here is a default."""
+    told, below = {}, "torchrl_athletic.envs.sled_pull"
+    monkeypatch.setattr(f"{below}.whole_body_env", lambda robot, **asked: told.update(asked, robot=robot))
+    monkeypatch.setattr(f"{below}.references", lambda *motion: [motion])
+    off, phases = replace(NO_DISTURBANCES, encoder_offset=(0.0, 0.1)), sled_phases()
+    given = {"num_envs": 7, "max_steps": 9, "seed": 5, "first_row": 3, "history": 2}
+    sleds = {"mass": (21.0, 22.0), "friction": (0.3, 0.4)}
+    sled_pull_env(ROBOT, schedule=phases, disturbances=off, motion="other", velocity=BACK, **sleds, **given)
+    assert told.items() >= {**given, "robot": ROBOT, "schedule": phases, "disturbances": off}.items()
+    assert told["privileged"] == (*PRIVILEGED, *KNOWN)
+    walk, hold = told["commands"]
+    assert (walk.ranges, walk.dt, walk.seed, walk.first_row) == (BACK, 0.02, 5, 3)
+    assert hold == ("other", ROBOT, phases, {"end_effector_command": "end_effector_command"})
+    [rope] = told["objects"]
+    assert (rope.dt, rope.mass, rope.friction, rope.seed, rope.first_row) == (0.005, (21.0, 22.0), (0.3, 0.4), 5, 3)
+    assert [type(part).__name__ for part in told["extra"]] == ["StartLine"]
+    terms, _ = told["terms"]
+    for name in ("joint_limits", "joint_deviation"):
+        assert terms[name].keys == ("true_joint_position",)
+    assert terms["wrist"].term.keys == ("true_joint_position",)
+
+
+def test_each_term_has_its_phase_and_its_scale():
+    terms, scales = sled_pull_rewards(ROBOT, sled_phases())
+    own = ("ee_pose_tracking", "velocity", "lateral_drift", "heading_drift", "wrist")
+    assert {name: terms[name].phases for name in own} == dict.fromkeys(own, (1,)) | {"ee_pose_tracking": (0,)}
+    assert [scales[name] for name in own] == [5.0, -5.0, -1.0, -1.0, -1.0]
+
+
+def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_training(monkeypatch):
+    made = []
+    below = "torchrl_athletic.envs.sled_pull.whole_body_env"
+    monkeypatch.setattr(below, lambda *robot, **told: made.append((robot, told)))
+    sled_pull_env()
+    [([robot], told)] = made
+    assert robot.ground == ("floor", "terrain")
+    assert "handle" in robot.loads
+    assert robot.model().opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    assert (told["schedule"], told["disturbances"]) == (sled_phases(), Disturbances())
+    assert [told[name] for name in ("num_envs", "max_steps", "seed", "first_row")] == [4096, 1000, 0, 0]
+    assert told["commands"][0].ranges == sled_commands()
+    assert (told["objects"][0].mass, told["objects"][0].friction) == ((20.0, 150.0), (0.1, 0.2))

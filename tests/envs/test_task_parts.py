@@ -93,3 +93,23 @@ def test_commands_are_those_of_the_motion():
     torch.testing.assert_close(
         made["joint_reference"].table[0, 0], torch.tensor(ROBOT.default_pose, dtype=torch.float32)
     )
+
+
+def test_a_motion_runs_at_its_own_speed_beside_the_phases_of_the_task():
+    """The set-up takes 2.5 s and the throw one: the tables' last rows are read when they are over."""
+    for part in references("throw", ROBOT, throw_phases()):
+        assert part.phase_keys == ("task_phase_index", "task_phase_step")
+        assert part.lengths[:2].tolist() == [126, 51]
+        for phase, steps in ((0, 125), (1, 50)):
+            here = [torch.tensor([[phase]]), torch.tensor([[steps]])]
+            [(_, shown)] = part._values(*here).items()
+            torch.testing.assert_close(shown[0], part.table[phase, steps])
+
+
+def test_a_base_that_stands_level_at_its_height_costs_nothing():
+    assert value(stance([1]), base_height=[0.6], projected_gravity=[0.0, 0.0, -1.0]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_shared_terms_read_the_joints_that_they_are_told():
+    terms, _ = auxiliary_rewards(ROBOT, "true_joint_position")
+    assert terms["joint_limits"].keys == terms["joint_deviation"].keys == ("true_joint_position",)

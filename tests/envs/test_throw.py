@@ -16,15 +16,24 @@ from torchrl_athletic.envs import (
     throw_distance,
     throw_env,
     throw_reference,
+    throw_summary,
     throw_task,
 )
 from torchrl_athletic.envs.throw import BUCKET, DT, PLACED_AT, STEPS, throw_rewards
+from torchrl_athletic.functional import rewards
 from torchrl_athletic.functional.ball import GRAVITY
 from torchrl_athletic.networks import uan
 from torchrl_athletic.robots import Bucket, with_bucket, z1
 from torchrl_athletic.testing import no_host_sync
 from torchrl_athletic.training import CapturedRollout, Rollout
-from torchrl_athletic.transforms import BallFlight, Decimation, DomainRandomization, RandomizationRanges
+from torchrl_athletic.transforms import (
+    BallFlight,
+    Decimation,
+    DomainRandomization,
+    EncoderOffset,
+    RandomizationRanges,
+    StartRanges,
+)
 
 ROBOT = with_bucket(z1(), BUCKET)
 REFERENCE = throw_reference(ROBOT)
@@ -171,9 +180,13 @@ def test_the_policy_sees_no_ball_but_the_critic_does():
     shown = follow(env, steps=100)
     frame = shown["frame"][0, 99]
     assert frame.shape[-1] == 6 + 6 + 6 + 12 + 4
-    torch.testing.assert_close(frame[:6], shown["joint_position"][0, 99, :6])
-    torch.testing.assert_close(shown["privileged"][0, 99, :3], shown["ball_position"][0, 99])
-    assert shown["ball_position"][0, 99].abs().max() > 0
+    now, moving = shown[0, 99], shown[0, 50]
+    arm = [moving["joint_position"][:6], moving["joint_velocity"][:6], moving["action_history"][-1, :6]]
+    assert torch.equal(moving["frame"], torch.cat((*arm, REFERENCE[50], REFERENCE[55], moving["task_phase"])))
+    assert torch.equal(moving["action_history"][-1, :6], REFERENCE[49])
+    of_the_ball = ("ball_position", "ball_linear_velocity", "bucket_position", "bucket_linear_velocity")
+    assert torch.equal(now["privileged"], torch.cat([now[key] for key in of_the_ball]))
+    assert now["ball_position"].abs().max() > 0
 
 
 def test_zero_action_is_the_reference_and_the_gripper_stays_shut(thrown):
@@ -310,3 +323,72 @@ def test_the_ball_flies_the_same_whatever_stands_outside():
     few, many = inside.rollout(5, act)["next"], alone.rollout(20, act)["next"]
     for key in ("ball_position", "ball_linear_velocity", "ball_away", "ball_age"):
         torch.testing.assert_close(few[key], many[key][:, 3::4])
+
+
+ORDER = [
+    "EncoderOffset", "InitialState", "BallFlight", "PowerClip", "TorqueSpeedClip", "PDControl", "Decimation",
+    "DomainRandomization", "StepCounter", "TaskPhase", "ReferenceTrajectory", "ActionHistory", "ThrowFailure",
+    "RewardTerms", "UnaryTransform", "UnaryTransform", "UnaryTransform", "CatTensors", "ObservationHistory",
+    "CatTensors", "AroundReference",
+]  # fmt: skip
+
+
+def test_every_part_stands_in_its_place_and_is_told_what_the_environment_was():
+    randomization = DomainRandomization(RandomizationRanges(friction=None, restitution=None), joints="arm")
+    told = {"spread": 0.02, "tolerance": 0.3, "ends": False, "seed": 5, "first_row": 3}
+    env = throw_env(ROBOT, num_envs=2, sensing=[EncoderOffset()], extra=[randomization], **told)
+    assert [type(part).__name__ for part in env.transform] == ORDER
+    part = {type(part).__name__: part for part in env.transform}
+    start, flight, failure = part["InitialState"], part["BallFlight"], part["ThrowFailure"]
+    assert (start.seed, start.first_row) == (5, 3)
+    assert start.ranges == StartRanges(0.02, 0.0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3)
+    assert (flight.dt, flight.rim, flight.radius) == (0.005, BUCKET.rim, BUCKET.ball_radius)
+    assert (flight.placed, flight.phase, part["PowerClip"].max_power) == (300, None, 300.0)
+    limits = torch.tensor(ROBOT.position_limit)[:6]
+    torch.testing.assert_close(failure.limits, limits + torch.tensor([-0.3, 0.3]))
+    assert failure.ends is False
+    assert part["StepCounter"].max_steps == STEPS
+    torch.testing.assert_close(part["ActionHistory"].before, torch.tensor(ROBOT.default_pose))
+
+
+def test_terms_of_all_phases_are_what_they_are_by_hand():
+    torch.manual_seed(0)
+    terms, scales = throw_rewards(ROBOT)
+    failed = torch.tensor([[False], [True], [False], [True]])
+    before = TensorDict(throw_failed=torch.tensor([[False], [False], [True], [True]]), batch_size=[4])
+    shapes = {"applied_torque": (7,), "joint_velocity": (7,), "joint_position": (7,), "action_history": (3, 7)}
+    after = TensorDict({key: 2 * torch.randn(4, *shape) for key, shape in shapes.items()}, [4])
+    after["throw_failed"], after["arm_force"] = failed, torch.tensor([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0], [0.1, 0.1]])
+    position, pose = after["joint_position"], torch.tensor(ROBOT.default_pose)
+    low, high = torch.tensor(ROBOT.position_limit).T
+    first, second, third = after["action_history"].unbind(1)
+    expected = {
+        "mechanical_power": (after["applied_torque"] * after["joint_velocity"]).sum(-1).abs(),
+        "action_smoothness": (third - second).square().sum(-1) + (third - 2 * second + first).square().sum(-1) / 2,
+        "joint_deviation": (position - pose).abs().sum(-1),
+        "collision": torch.tensor([0.0, 1.0, 1.0, 0.0]),
+        "joint_limits": ((low - position).clamp(min=0) + (position - high).clamp(min=0)).sum(-1),
+        "failure": torch.tensor([0.0, 1.0, 0.0, 0.0]),  # once
+    }
+    for name, value in expected.items():
+        torch.testing.assert_close(terms[name](before, after)[:, 0], value, msg=name)
+    own = {"reference": -5.0, "forward": 20.0, "upward": 20.0, "lateral": -0.5, "failure": -1000.0}
+    assert scales == own | {name: rewards.WBC_SCALES[name] for name in expected if name != "failure"}
+
+
+def test_a_throw_that_failed_stays_failed():
+    transform = ThrowFailure(ROBOT, ends=False)
+    before = TensorDict(task_phase_index=[[1], [1]], throw_failed=[[True], [False]], batch_size=[2])
+    pose = torch.tensor(ROBOT.default_pose).expand(2, -1)
+    high, held = torch.tensor([[0.5, 0.0, 0.5]] * 2), torch.zeros(2, 1, dtype=torch.bool)
+    after = TensorDict(joint_position=pose, bucket_position=high, ball_away=held, batch_size=[2])
+    transform.advance(before, after)
+    assert after["throw_failed"].flatten().tolist() == [True, False]
+
+
+def test_a_summary_counts_failed_throws_as_of_no_length():
+    flies = {"ball_position": torch.tensor([[3.0, 0.0, 0.035]] * 3), "ball_linear_velocity": torch.zeros(3, 3)}
+    flags = {"ball_away": torch.ones(3, 1, dtype=torch.bool), "throw_failed": torch.tensor([[True], [False], [False]])}
+    found = throw_summary(TensorDict({**flies, **flags}, [3]))
+    assert found == {k: pytest.approx(x) for k, x in zip(found, (2.0, 2**0.5, 1 / 3), strict=True)}
+    assert list(found) == ["distance_m", "spread_m", "failed"]

@@ -1,5 +1,7 @@
 """One step of the environment is one step of MuJoCo, and what it shows is the state that the step led to."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from torchrl.envs import check_env_specs
 
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.physics import BatchPhysics
-from torchrl_athletic.robots import b2z1, z1
+from torchrl_athletic.robots import Terrain, b2z1, z1
 
 ARM, DOG = z1(), b2z1()
 
@@ -145,3 +147,30 @@ def test_physics_of_other_joints_is_refused():
     physics = BatchPhysics(ARM.model(), 1, joint_names=ARM.joint_names[::-1])
     with pytest.raises(ValueError, match=r"joint_names=robot\.joint_names"):
         TorqueEnv(ARM, physics)
+
+
+def test_a_robot_without_sensors_of_its_base_is_read_off_its_free_joint():
+    """To what the sensors of one that has them say."""
+    sensing, bare = TorqueEnv(DOG, num_envs=2), TorqueEnv(replace(DOG, sensors={}), num_envs=2)
+    actions = torques(sensing, 30, size=20.0)
+    one, other = (roll(env, actions)[-1] for env in (sensing, bare))
+    keys = {"base_position", "base_quaternion", "base_linear_velocity", "base_angular_velocity", "projected_gravity"}
+    assert keys <= set(other.keys())
+    for key in keys:
+        torch.testing.assert_close(other[key], one[key], atol=1e-5, rtol=1e-4, msg=key)
+    assert one["base_angular_velocity"].abs().max() > 0.1
+
+
+def test_torques_lie_within_what_the_motors_give_at_rest():
+    space, limit = TorqueEnv(ARM, num_envs=2).full_action_spec["torque"].space, torch.tensor(ARM.torque_limit)
+    torch.testing.assert_close(space.high, limit.expand(2, -1))
+    torch.testing.assert_close(space.low, -limit.expand(2, -1))
+
+
+def test_the_ground_below_the_base_is_the_mean_of_as_large_a_square_as_one_likes():
+    rough = b2z1(terrain=Terrain(roughness=(0.1, 0.1)))
+    env = TorqueEnv(rough, footprint=1.5)
+    place = torch.rand(50, 3, generator=torch.Generator().manual_seed(0)) * 4 - 2
+    below = place[:, 2:] - env.heights(place, None)["base_height"]
+    torch.testing.assert_close(below, env.ground.averaged(1.5).height(place[:, :2]))
+    assert (below - env.ground.averaged(0.5).height(place[:, :2])).abs().max() > 1e-3

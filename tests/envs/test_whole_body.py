@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from torchrl.envs import check_env_specs
+from tensordict import TensorDict
+from torchrl.envs import StepCounter, Transform, check_env_specs
 
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, whole_body_env, whole_body_rewards
-from torchrl_athletic.envs.whole_body import ACTION_SCALE, PRIVILEGED, fallen
+from torchrl_athletic.envs.whole_body import ACTION_SCALE, PRIVILEGED, TrackingErrors, fallen
 from torchrl_athletic.functional.commands import CommandRanges
 from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.functional.rewards import WBC_SCALES
@@ -18,12 +19,18 @@ from torchrl_athletic.networks import actor, uan
 from torchrl_athletic.robots import Terrain, b2z1, with_options
 from torchrl_athletic.training.rollout import control_step
 from torchrl_athletic.transforms import (
+    B2Z1_PUSHES,
     ActionDelay,
     DomainRandomization,
     EncoderOffset,
     ExternalPush,
     InitialState,
     PDControl,
+    PowerClip,
+    RandomizationRanges,
+    RandomTransform,
+    StartRanges,
+    TaskPhase,
     UANCorrection,
 )
 
@@ -55,6 +62,9 @@ def test_without_arguments_it_is_the_paper_s_pre_training():
     assert parts[DomainRandomization].ranges.mass_scale == (0.5, 1.5)
     assert (parts[EncoderOffset].low, parts[EncoderOffset].high) == (-0.05, 0.05)
     assert (parts[ActionDelay].min_steps, parts[ActionDelay].max_steps) == (0, 6)
+    assert parts[InitialState].ranges == StartRanges(base_position=(12.0, 12.0, 0.0))
+    assert parts[ExternalPush].pushes == B2Z1_PUSHES
+    assert (parts[PowerClip].max_power, parts[StepCounter].max_steps, parts[TaskPhase].width) == (300.0, 1000, 4)
     assert "terrain" in env.base_env.robot.ground
     assert whole_body_env.__kwdefaults__["num_envs"] == 4096
     td = env.reset()
@@ -354,8 +364,92 @@ def test_staggered_robots_are_of_all_ages_when_a_training_begins():
 def test_the_critic_knows_what_no_robot_can_sense():
     env = whole_body_env(ROBOT, num_envs=2, net=None)
     td = env.reset()
-    privileged = env.transform[-1]
-    for key in ("push", "randomization", "encoder_offset", "base_height", "foot_height", "base_linear_velocity"):
-        changed = privileged._call(td.clone().set(key, td[key] + 1.0))["privileged"]
-        assert (changed != td["privileged"]).sum() == td[key].numel(), key
-    assert (privileged._call(td.clone().set("frame", td["frame"] + 1.0))["privileged"] != td["privileged"]).any()
+    known = {key: torch.randn_like(td[key].float()) for key in ("frame", *PRIVILEGED)}
+    seen = env.transform[-1]._call(td.clone().update(known))["privileged"]
+    assert torch.equal(seen, torch.cat([value.flatten(1) for value in known.values()], -1))
+    assert torch.equal(td["frame"], td["observation"][:, -77:])
+
+
+class Watcher(Transform):
+    """A part that asks for a field of the model and, as an object, for a sensor at every step."""
+
+    def __init__(self, field):
+        super().__init__()
+        self.fields, self.every_step = (field,), ("end_effector_position",)
+
+
+ORDER = [
+    "EncoderOffset", "Watcher", "PowerClip", "TorqueSpeedClip", "PDControl", "ActionDelay", "Decimation",
+    "StepCounter", "StaggeredEpisodes", "InitialState", "DomainRandomization", "ExternalPush", "TaskPhase",
+    "CommandSampler", "GaitClock", "Watcher", "PoseError", "TrackingErrors", "ActionScaling", "ActionHistory",
+    "RewardTerms", "UnaryTransform", "CatTensors", "ObservationHistory", "Privileged",
+]  # fmt: skip
+
+
+def test_every_part_stands_in_its_place_and_is_told_what_the_environment_was():
+    """An action lasts 4 * 3 * 1 ms, which is nobody's default."""
+    randomization = RandomizationRanges(mass_scale=(0.7, 0.8))
+    chance = Disturbances(randomization, B2Z1_PUSHES[1:2], StartRanges(0.01), (0.02, 0.03), (1, 4))
+    ranges, phases = CommandRanges(frame_height=0.4), throw_phases()
+    told = {"substeps": 3, "arm_power": 77.0, "history": 3, "max_steps": 9, "task_width": 6, "seed": 5, "first_row": 3}
+    env = whole_body_env(
+        with_options(ROBOT, timestep=0.001), num_envs=2, net=None, commands=ranges, schedule=phases,
+        disturbances=chance, objects=[Watcher("dof_armature")], extra=[Watcher("dof_damping")], staggered=True, **told,
+    )  # fmt: skip
+    assert [type(part).__name__ for part in env.transform] == ORDER
+    drawn = [part for part in env.transform if isinstance(part, RandomTransform)]
+    assert {(part.seed, part.first_row) for part in drawn} == {(5, 3)}
+    assert len(drawn) == 9
+    part = {type(part).__name__: part for part in env.transform}
+    for name in ("ExternalPush", "TaskPhase", "CommandSampler", "GaitClock"):
+        assert part[name].dt == pytest.approx(0.012), name
+    scales = {name: 0.012 * scale for name, scale in WBC_SCALES.items()}
+    assert part["RewardTerms"].scales == pytest.approx(scales)
+    assert (part["PowerClip"].max_power, part["PowerClip"].joints) == (77.0, "arm")
+    assert (part["ActionDelay"].min_steps, part["ActionDelay"].max_steps) == (1, 4)
+    assert torch.equal(part["ActionDelay"].before, POSE)
+    assert torch.equal(part["ActionHistory"].before, torch.zeros(19))
+    assert (part["EncoderOffset"].low, part["EncoderOffset"].high) == (0.02, 0.03)
+    assert part["StepCounter"].max_steps == part["StaggeredEpisodes"].max_steps == 9
+    assert (part["InitialState"].ranges, part["DomainRandomization"].ranges) == (chance.starts, randomization)
+    assert (part["ExternalPush"].pushes, part["CommandSampler"].ranges) == (chance.pushes, ranges)
+    assert (part["TaskPhase"].schedule, part["TaskPhase"].width) == (phases, 6)
+    assert (part["PoseError"].frame_height, part["ObservationHistory"].length) == (0.4, 3)
+    assert {"dof_armature", "dof_damping", "body_mass"} <= set(env.base_env.physics.fields)
+    forces = ("foot_force", "leg_force", "trunk_force", "arm_force", "hand_force")
+    assert set(env.base_env.every_step) == {*forces, "end_effector_position"}
+
+
+def test_it_is_made_on_the_device_that_is_asked_for(monkeypatch):
+    made = []
+
+    def refuse(robot, **told):
+        made.append(told["device"])
+        raise NotImplementedError
+
+    monkeypatch.setattr("torchrl_athletic.envs.whole_body.TorqueEnv", refuse)
+    with pytest.raises(NotImplementedError):
+        whole_body_env(ROBOT, device="cuda:1", net=None)
+    assert made == ["cuda:1"]
+
+
+def test_errors_of_keypoints_and_of_turning_are_distances_by_hand():
+    torch.manual_seed(0)
+    shapes = {"pose_error": (5, 4, 3)} | dict.fromkeys(
+        ("base_linear_velocity", "base_angular_velocity", "base_velocity_command"), (5, 3)
+    )
+    shown = TensorDict({key: torch.randn(shape) for key, shape in shapes.items()}, [5])
+    errors = TrackingErrors()._call(shown.clone())["tracking"]
+    way = shown["pose_error"]
+    torch.testing.assert_close(errors["position"], way[:, 0].norm(dim=-1, keepdim=True))
+    torch.testing.assert_close(errors["keypoints"][:, 0], sum(way[:, k].norm(dim=-1) for k in range(4)) / 4)
+    turning = shown["base_angular_velocity"][:, 2:] - shown["base_velocity_command"][:, 2:]
+    torch.testing.assert_close(errors["yaw_rate"], turning.abs())
+
+
+def test_a_robot_has_fallen_that_is_low_or_leans_by_more_than_60_degrees():
+    lean = torch.deg2rad(torch.tensor([0.0, 0.0, 59.0, 61.0, 180.0]))
+    gravity = torch.stack((lean.sin(), torch.zeros(5), -lean.cos()), -1)
+    height = torch.tensor([[0.24], [0.26], [0.5], [0.5], [0.5]])
+    shown = TensorDict(base_height=height, projected_gravity=gravity, batch_size=[5])
+    assert fallen(shown).flatten().tolist() == [True, False, False, True, True]

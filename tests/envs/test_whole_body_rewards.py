@@ -91,3 +91,9 @@ def test_what_is_left_out_has_neither_term_nor_scale():
     assert TERMS.keys() == SCALES.keys() == WBC_SCALES.keys()
     terms, scales = whole_body_rewards(ROBOT, without=("gait",))
     assert terms.keys() == scales.keys() == WBC_SCALES.keys() - {"gait"}
+
+
+def test_an_action_that_changes_costs_and_more_where_its_change_changes():
+    history = torch.zeros(3, 19)
+    history[2, 4], history[1, 13] = 0.5, 1.0
+    assert earned("action_smoothness", action_history=history) == pytest.approx(0.25 + 1.0 + (0.25 + 4.0) / 2)

@@ -248,3 +248,19 @@ def test_a_frame_stands_on_the_ground_under_the_base():
     assert seen[0, :3].tolist() == pytest.approx([0.6, 0.0, 0.3])
     command = torch.cat((seen[:, :3], rotations.two_columns(ahead)), -1)
     torch.testing.assert_close(pose_to_world(command, base, ahead, 0.5, torch.tensor([[0.5]]))[0], position)
+
+
+def test_commands_are_drawn_from_what_the_robot_can_do():
+    """Degrees; elevations go from the ground ahead to behind the head."""
+    turns = {"elevation": (-48, 135), "azimuth": (-30, 30), "roll": (-45, 45), "pitch": (-20, 45), "yaw": (-30, 30)}
+    others = {"forward": (-1.0, 1.0), "lateral": (-0.5, 0.5), "yaw_rate": (-1.0, 1.0), "distance": (0.5, 0.9)}
+    ranges = CommandRanges()
+    for name, between in turns.items():
+        assert np.degrees(getattr(ranges, name)) == pytest.approx(between), name
+    for name, between in others.items():
+        assert getattr(ranges, name) == between, name
+    assert (ranges.standstill_probability, ranges.interval, ranges.duration) == (0.1, 7.0, (2.0, 5.0))
+    assert (ranges.frame_height, ranges.straighten, ranges.shoulder) == (0.5, 0.0, (0.15, 0.0, 0.25))
+    ahead = command_ranges("ahead")
+    assert ahead == replace(ranges, distance=(0.4, 0.8), elevation=ahead.elevation)
+    assert np.degrees(ahead.elevation) == pytest.approx((-50, 35))

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from torchrl_athletic.functional.gait import TROT, advance_cycle, foot_height, gait_phase
+from torchrl_athletic.functional.gait import TROT, advance_cycle, foot_height, gait_phase, in_swing
 
 CYCLE = torch.linspace(0, 1, 1001)[:-1].unsqueeze(-1)
 OFFSET = torch.tensor(TROT)
@@ -47,3 +47,12 @@ def test_a_foot_that_is_ahead_shows_what_the_clock_shows_later():
     ahead, later = foot_height(CYCLE, torch.tensor([0.3])), foot_height(CYCLE + 0.3, torch.zeros(1))
     torch.testing.assert_close(ahead, later, atol=1e-6, rtol=0)
     assert math.isclose(ahead.max().item(), 0.1, rel_tol=1e-5)
+
+
+@pytest.mark.parametrize("duty", [0.5, 0.75])
+def test_a_foot_swings_from_the_end_of_its_stance_to_the_end_of_its_cycle(duty):
+    cycle = torch.tensor([[0.0], [duty - 0.125], [duty], [0.875], [1.0]])
+    assert in_swing(cycle, torch.zeros(1), duty).flatten().tolist() == [False, False, True, True, False]
+    ahead = in_swing(cycle - 0.25, torch.tensor([0.25]), duty)
+    assert torch.equal(ahead, in_swing(cycle, torch.zeros(1), duty))
+    assert ((foot_height(CYCLE, OFFSET, duty=duty) > 0) <= in_swing(CYCLE, OFFSET, duty)).all()

@@ -69,3 +69,16 @@ def test_terms_keep_the_batch_and_one_column(batch):
     ]  # fmt: skip
     assert {value.shape for value in values} == {(*batch, 1)}
     assert {value.dtype for value in values} == {torch.float32}
+
+
+def test_scales_are_those_of_the_paper_s_two_tables():
+    """Fey et al. 2025, appendix A: WBC and UAN rewards."""
+    assert rewards.WBC_SCALES == {
+        "ee_pose_tracking": 5.0, "linear_velocity_tracking": 2.0, "angular_velocity_tracking": 1.0,
+        "gait": -0.5, "foot_slip": -0.5, "foot_clearance": -40.0,
+        "mechanical_power": -1e-4, "action_smoothness": -0.05, "linear_velocity_z": -2.0, "angular_velocity_xy": -0.05,
+        "joint_deviation": -0.25, "collision": -5.0, "joint_limits": -10.0, "contact_force": -4e-6,
+    }  # fmt: skip
+    tracking = ("joint_position_relaxed", "joint_position_moderate", "joint_position_strict")
+    assert [rewards.UAN_SCALES[name] for name in tracking] == [4.0, 4.0, 5.0]
+    assert (rewards.UAN_SCALES["joint_position_error"], rewards.UAN_SCALES["action_smoothness"]) == (-1.5, 0.5)

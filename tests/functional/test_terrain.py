@@ -34,3 +34,13 @@ def test_the_mean_keeps_a_slope_and_the_highest_covers_every_height_near():
         for column in (-1, 0, 1):
             near = heights.roll((row, column), (0, 1))[1:-1, 1:-1]
             assert (high[1:-1, 1:-1] >= near).all()
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(0, 2), (2, 0), (1, 3)])
+def test_filters_look_as_far_along_each_axis_as_they_are_told(rows, columns):
+    heights = torch.rand(9, 12)
+    for found, of in ((averaged(heights, rows, columns), torch.mean), (highest(heights, rows, columns), torch.amax)):
+        for r in range(9):
+            for c in range(12):
+                near = heights[max(r - rows, 0) : r + rows + 1, max(c - columns, 0) : c + columns + 1]
+                torch.testing.assert_close(found[r, c], of(near))

@@ -292,3 +292,26 @@ def test_what_a_net_sees_of_the_group_is_the_same_for_each_joint_and_stands_behi
         [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 5.0, 6.0, 7.0, 8.0],
         [6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 5.0, 6.0, 7.0, 8.0],
     ]
+
+
+def test_a_motor_drawn_weaker_or_stronger_is_clipped_at_its_own_torque():
+    data = TensorDict(
+        torque=torch.full((2, 3), 9.0),
+        joint_velocity=torch.full((2, 3), 5.0),
+        torque_limit_scale=torch.tensor([[1.0], [0.5]]),
+        batch_size=[2],
+    )
+    assert TorqueSpeedClip(4.0, 10.0).inv(data)["torque"][:, 0].tolist() == [2.0, 1.0]
+
+
+def test_torques_that_somebody_else_holds_are_left_as_they_are():
+    for joints in (None, [0, 2], [1, 2]):
+        given = torch.full((1, 3), 9.0)
+        shown = {"joint_position": torch.zeros(1, 3), "position_target": torch.ones(1, 3)}
+        data = TensorDict(torque=given, joint_velocity=torch.ones(1, 3), **shown, batch_size=[1])
+        size = 3 if joints is None else 2
+        data["error_history"] = torch.zeros(1, size, 2, 3)
+        for link in (PowerClip(1.0, joints), UANCorrection(Last(2), joints, length=3), TorqueSpeedClip(1.0, 9.0)):
+            changed = link._inv_call(data.copy())["torque"]
+            assert not torch.equal(changed, given)
+            assert (given == 9.0).all()

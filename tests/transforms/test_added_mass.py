@@ -408,3 +408,14 @@ def test_one_graph_holds_it(fuse):
     alive = ~last["done"][:, 0]
     torch.testing.assert_close(held(env).cpu()[alive], on.clamp(min=EMPTY)[alive])
     assert_constants_follow(env)
+
+
+def test_the_phase_and_the_mass_of_an_empty_hand_may_be_others():
+    phases = PhaseSchedule((Phase("reach", 0.01), Phase("wait", 0.01), Phase("lift")))
+    load = AddedMass(mass=(2.0, 2.0), phase=2, empty_mass=0.5)
+    chain = Compose(PDControl(ARM.kp, ARM.kd), Decimation(2), TaskPhase(phases, dt=0.01), load)
+    env = TransformedEnv(TorqueEnv(ARM, fields=load.fields), chain)
+    shown = env.reset()
+    for mass in (0.5, 0.5, 2.0):
+        assert held(env).item() == mass
+        shown = act(env, shown)

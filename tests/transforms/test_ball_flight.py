@@ -3,6 +3,7 @@
 from functools import partial
 
 import torch
+from tensordict import TensorDict
 from torchrl.envs import Compose, StepCounter, TransformedEnv
 
 from torchrl_athletic.envs import TorqueEnv
@@ -42,3 +43,27 @@ def test_a_ball_stays_there_when_its_phase_is_over():
 def test_without_a_phase_it_counts_from_the_start_of_the_episode():
     schedule = PhaseSchedule((Phase("set-up", 0.1), Phase("settle", start_probability=0.5)))
     assert placed(shown(schedule)).int().tolist() == [[0, 0, *[1] * 8] * 2] * 8
+
+
+def test_a_ball_that_is_away_is_not_caught_again_and_one_inside_turns_with_its_walls():
+    """Its bucket points along x; the first ball flies below it, the second is carried, by a bucket that turns."""
+    flight = BallFlight(0.005, rim=0.05, radius=0.035, placed_at=0.005)
+    axis = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    before = TensorDict(
+        ball_position=[[-1.0, 0.0, 3.0], [0.0, 0.0, 0.04]],
+        ball_linear_velocity=torch.zeros(2, 3),
+        ball_away=[[True], [False]],
+        ball_age=[[9], [9]],
+        bucket_axis=axis,
+        batch_size=[2],
+    )
+    turned = torch.tensor([[0.0, 1.0, 0.0], [0.6, 0.0, 0.8]])
+    bucket = {"bucket_position": torch.zeros(2, 3), "bucket_linear_velocity": torch.zeros(2, 3), "bucket_axis": turned}
+    after = TensorDict(bucket, [2])
+    flight.advance(before, after)
+    assert after["ball_away"].flatten().tolist() == [True, False]
+    torch.testing.assert_close(after["ball_linear_velocity"][0], torch.tensor([0.0, 0.0, -9.81 * 0.005]))
+    above = after["ball_position"][1].norm()
+    sideways = torch.tensor([0.8, 0.0, -0.6])  # across the walls that turn
+    turning = above * ((turned - axis)[1] @ sideways) / 0.005
+    torch.testing.assert_close(after["ball_linear_velocity"][1] @ sideways, turning)

@@ -136,3 +136,20 @@ def test_straightening_needs_the_pose_of_the_base():
 def test_one_goal_in_ten_is_to_stand():
     many = commands.draw_goal(streams.stream(0, torch.arange(5000)), CommandRanges().bounds(), 0.1)[0][:, :3]
     assert (many == 0).all(-1).float().mean().item() == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_pose_is_told_from_a_shoulder_and_in_a_frame_of_one_s_own():
+    names = {f"{name}_keys": (f"{name}_position", f"{name}_quaternion") for name in ("base", "end_effector")}
+    own = CommandRanges(shoulder=(0.3, 0.1, -0.1), frame_height=0.2)
+    steps = rollout(3, own, **names)
+    heading = rotations.yaw_quaternion(rotations.yaw(steps["base_quaternion"][:, 0]))
+    frame = torch.cat((steps["base_position"][:, 0, :2], torch.full((50, 1), 0.2)), -1)
+    seen = rotations.rotate_inverse(heading, steps["end_effector_position"][:, 0] - frame)
+    torch.testing.assert_close(steps["end_effector_command"][:, 0, :3], seen, atol=1e-5, rtol=1e-5)
+    goal = steps["command_goal"][:, 0]
+    distance = (commands.goal_to_pose(goal, torch.tensor(own.shoulder))[:, :3] - torch.tensor(own.shoulder)).norm(
+        dim=-1
+    )
+    torch.testing.assert_close(distance, goal[:, 3])
+    start = commands.goal_to_pose(steps["command_start"][:, 0], torch.tensor(own.shoulder))[:, :3]
+    torch.testing.assert_close(start, seen, atol=1e-5, rtol=1e-5)

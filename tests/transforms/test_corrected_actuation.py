@@ -26,6 +26,7 @@ from torchrl_athletic.transforms.corrected_actuation import (
     IN_THE_MODEL,
     NOT_ACTED_OUT,
     OF_THE_RECORDING,
+    _in_model,
 )
 
 EFFECTS = {e.name: e for e in (*FIT_TRIMS, *CATALOGUE)}
@@ -323,9 +324,21 @@ def test_a_motor_drawn_stronger_or_weaker_has_that_limit_here_too():
     )
     chain = CorrectedActuation(found, timestep=0.002, kp=100.0, kd=0.0, torque_limit=6.0)
     env = TransformedEnv(TorqueEnv(from_mjcf(TWO, torque_limit=[9.0, 9.0]), num_envs=2), chain)
-    torque = env.transform._inv_call(env.reset().update(seen))["torque"]
+    shown = env.reset().update(seen)
+    torque = env.transform._inv_call(shown.copy())["torque"]
     assert torque.tolist() == [pytest.approx([3.2, 6.0]), pytest.approx([1.6, 5.4])]
+    shown["kp_scale"], shown["kd_scale"] = torch.tensor([[0.01, 0.02]] * 2), torch.tensor([[1.0, 2.0]] * 2)
+    chain.kd.fill_(0.1)
+    torque = env.transform._inv_call(shown)["torque"]
+    assert torque.tolist() == [pytest.approx([1.0 - 0.2, 2.0 - 0.4])] * 2
 
 
 TWO = """<mujoco><worldbody><body><joint name="a"/><geom size=".1"/><body pos="1 0 0"><joint name="b"/><geom size=".1"/>
 </body></body></worldbody><actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
+
+
+def test_a_link_weighs_what_it_weighs_without_those_that_hang_on_it():
+    model = mujoco.MjModel.from_xml_string(BENCHES["two_link_arm"][0])
+    for joint in range(2):
+        body = model.body(model.jnt_bodyid[joint])
+        assert _in_model(model, "link_mass", model.joint(joint).name, (0.1,)) == (0.1, body.mass[0])

@@ -211,3 +211,59 @@ def test_two_of_them_that_would_undo_each_other_or_share_a_name_are_refused():
 
 def _only(**ranges):
     return RandomizationRanges(**(dict.fromkeys(vars(RandomizationRanges())) | ranges))
+
+
+def test_every_quantity_of_every_joint_and_link_is_drawn_for_itself():
+    """And shown to the critic as it was drawn, in the order of the ranges."""
+    env = make_env(200)
+    td, physics = env.reset(), env.base_env.physics
+    drawn, ranges = td["randomization"], RandomizationRanges()
+    floor, legs = physics.model.geom("floor").id, slice(0, 12)
+    links = torch.tensor(physics.model.body_mass) > 0
+    scale = physics.field("body_mass")[:, links] / torch.tensor(physics.model.body_mass)[links]
+    shift = (physics.field("body_ipos") - torch.tensor(physics.model.body_ipos))[:, links].flatten(1)
+    found = {
+        "friction": physics.field("geom_friction")[:, floor, :1],
+        "restitution": None,
+        "stiffness_scale": td["kp_scale"][:, legs],
+        "damping_scale": td["kd_scale"][:, legs],
+        "torque_limit_scale": td["torque_limit_scale"][:, legs],
+        "mass_scale": scale,
+        "com_offset": shift,
+    }
+    first = 0
+    for name, value in found.items():
+        unit = drawn[:, first : first + (1 if value is None else value.shape[1])]
+        first += unit.shape[1]
+        if value is not None:
+            low, high = getattr(ranges, name)
+            torch.testing.assert_close(value.float(), low + (high - low) * (unit + 1) / 2, rtol=1e-4, atol=1e-5)
+    assert first == drawn.shape[1]
+    softness = -physics.field("geom_solref")[:, floor, 1].float()  # falls as the restitution rises
+    order = drawn[:, 1].argsort()
+    assert (softness[order].diff() >= 0).all()
+    assert (torch.corrcoef(drawn[:, :40].T) - torch.eye(40)).abs().max() < 0.35
+
+
+def test_ground_and_links_may_be_named():
+    some = {"bodies": ["link03"], "ground": ["FR_foot"]}
+    ranges = _only(friction=(2.0, 3.0), mass_scale=(1.1, 1.5))
+    env = make_env(3, ranges=ranges, **some)
+    env.reset()
+    physics = env.base_env.physics
+    for field, at in (
+        ("geom_friction", physics.model.geom("FR_foot").id),
+        ("body_mass", physics.model.body("link03").id),
+    ):
+        value, given = physics.field(field), torch.tensor(getattr(physics.model, field))
+        changed = (value != given).flatten(2).any(-1) if value.ndim > 2 else value != given
+        assert changed.nonzero().tolist() == [[row, at] for row in range(3)]
+
+
+def test_ranges_are_those_of_the_paper_s_table():
+    """Fey et al. 2025, appendix A. What it does not name does not differ."""
+    paper = {
+        "friction": (0.5, 4.0), "restitution": (0.0, 0.5), "stiffness_scale": (0.9, 1.1), "damping_scale": (0.5, 1.5),
+        "torque_limit_scale": (0.9, 1.1), "mass_scale": (0.5, 1.5), "com_offset": (-0.02, 0.02),
+    }  # fmt: skip
+    assert {name: between for name, between in vars(RandomizationRanges()).items() if between is not None} == paper

@@ -1,6 +1,7 @@
 """A task's own end of an episode."""
 
 import torch
+from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
 from torchrl_athletic.testing import ToyEnv, TransformContract
@@ -47,3 +48,12 @@ def test_the_condition_sees_what_the_step_started_from():
     for time, (before, after) in enumerate(seen[-2:]):
         assert before.equal(steps["joint_position"][:, time])
         assert after.equal(steps["next", "joint_position"][:, time])
+
+
+def test_flags_may_be_named():
+    end = EarlyTermination(lambda before, after: before["here"], ["truncated"])
+    before, no = TensorDict(here=torch.tensor([[True], [False]]), batch_size=[2]), torch.zeros(2, 1, dtype=torch.bool)
+    after = TensorDict({key: no.clone() for key in ("done", "terminated", "truncated")}, [2])
+    end._step(before, after)
+    assert after["truncated"].flatten().tolist() == [True, False]
+    assert not (after["done"] | after["terminated"]).any()

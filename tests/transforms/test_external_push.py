@@ -189,3 +189,44 @@ def test_a_reset_ends_the_pushes_of_all_who_push_one_body():
         assert (acting[0] == 0).all()
         assert (acting[1] != 0).any()
         env.step(still(env, again))
+
+
+def test_forces_and_torques_are_within_their_own_sizes_on_the_bodies_of_their_group():
+    pushes = [Push(("c", "a"), force=(4.0, 5.0), torque=(2.0, 3.0)), Push(("b",), force=(8.0, 9.0), torque=(6.0, 7.0))]
+    push = ExternalPush(pushes, dt=0.005)
+    assert push.bodies == ("c", "a", "b")
+    wrench = push._wrench(torch.rand(500, 8, generator=torch.Generator().manual_seed(0)))
+    for first, sizes in ((0, ((4, 5), (4, 5), (8, 9))), (3, ((2, 3), (2, 3), (6, 7)))):
+        size = wrench[..., first : first + 3].norm(dim=-1)
+        for body, (low, high) in enumerate(sizes):
+            hit = size[:, body][size[:, body] > 0]
+            assert low - 1e-5 <= hit.min() < low + 0.1
+            assert high - 0.1 < hit.max() <= high + 1e-5
+
+
+def test_bodies_are_found_by_their_names_in_the_order_of_the_groups():
+    env = TransformedEnv(TorqueEnv(from_mjcf(FLOATING)), ExternalPush([Push(("tip",)), Push(("base",))], dt=0.005))
+    td = env.reset()
+    tip, base = torch.tensor([1.0, 0, 0, 0, 0, 0]), torch.tensor([0.0, 2, 0, 0, 0, 0])
+    env.step(still(env, td.set("push", torch.stack((tip, base))[None])))
+    model, acting = env.base_env.physics.model, env.base_env.physics.xfrc_applied[0].float()
+    assert torch.equal(acting[model.body("tip").id], tip)
+    assert torch.equal(acting[model.body("base").id], base)
+
+
+def test_a_rest_and_a_push_take_two_to_six_seconds_and_up_to_half_of_one():
+    push = ExternalPush(PUSHES, dt=0.02)
+    assert (push.rest, push.duration) == ((2.0, 6.0), (0.05, 0.5))
+    ends = torch.tensor([[0.0], [1.0]])
+    assert push._steps(ends, push.rest).flatten().tolist() == [100, 300]
+    assert push._steps(ends, (0.0, 0.05)).flatten().tolist() == [1, 2]
+
+
+def test_the_robot_is_pushed_by_up_to_a_third_of_its_weight_and_less_further_out():
+    robot = b2z1()
+    weight = 9.81 * robot.model().body_mass.sum()
+    most = [(push.force[1], push.torque[1]) for push in B2Z1_PUSHES]
+    assert most[0][0] == pytest.approx(weight / 3, rel=0.1)
+    assert most == sorted(most, reverse=True)
+    assert {(push.force[0], push.torque[0]) for push in B2Z1_PUSHES} == {(0.0, 0.0)}
+    assert [len(push.bodies) for push in B2Z1_PUSHES] == [1, 4, 4, 1]

@@ -3,6 +3,7 @@
 import mujoco
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
@@ -94,3 +95,26 @@ def test_no_robot_starts_in_rough_ground_and_none_is_flung_out_of_it():
         forces.append(td["foot_force"].amax(-1))
     assert torch.stack(forces).max() < 8000  # a landing; 109 kN before starts were lifted
     assert (forces[-1] < 2000).all()
+
+
+def test_speeds_are_drawn_apart_for_every_joint_and_every_way_to_move_and_turn():
+    ranges = StartRanges(0.1, 0.7, (0.3, 0.0, 0.4), (0.0,) * 3, (0.5, 0.2, 0.6), (0.9, 0.8, 0.4))
+    env = make_env(300, ranges)
+    td, physics = env.reset(), env.base_env.physics
+    speeds = torch.cat((physics.qvel[:, :6].float(), td["joint_velocity"]), -1)
+    most = torch.tensor([0.5, 0.2, 0.6, 0.9, 0.8, 0.4, *[0.7] * 19])
+    torch.testing.assert_close(speeds.abs().amax(0), most, rtol=0.05, atol=0)
+    moved = torch.cat((speeds, td["base_position"][:, :1], td["joint_position"][:, :18]), -1)
+    assert (torch.corrcoef(moved.T) - torch.eye(44)).abs().max() < 0.3
+
+
+def test_what_a_transform_further_in_starts_from_is_moved_and_not_forgotten():
+    robot, keys = b2z1(), {"qpos_key": "place", "qvel_key": "speed"}
+    start = InitialState(StartRanges(0.0, 0.0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3), **keys)
+    env = TransformedEnv(TorqueEnv(robot, num_envs=2), start)
+    env.reset()
+    qpos, qvel = env.base_env.physics.qpos - 0.1, torch.full((2, 25), 0.3)
+    qpos[:, 3:7] = torch.tensor([1.0, 0.0, 0.0, 0.0])
+    told = start._reset_env_preprocess(TensorDict({"place": qpos, "speed": qvel}, [2]))
+    torch.testing.assert_close(told["place"], qpos)
+    torch.testing.assert_close(told["speed"], qvel.double())

@@ -52,8 +52,8 @@ def test_a_motor_drawn_weaker_moves_the_target_nearer_and_a_stiffer_drive_too() 
         action=torch.ones(1, 2), joint_position=torch.zeros(1, 2), joint_velocity=torch.ones(1, 2), batch_size=[1]
     )
     seen["torque_limit_scale"] = torch.tensor([[1.0, 0.5]])
-    seen["kp_scale"] = torch.tensor([[1.0, 2.0]])
+    seen["kp_scale"], seen["kd_scale"] = torch.tensor([[1.0, 2.0]]), torch.tensor([[4.0, 3.0]])
     target = near.inv(seen.clone())["action"]
-    kp = torch.tensor([[20.0, 40.0]])
-    torque = pd_torque(target, seen["joint_position"], seen["joint_velocity"], kp, torch.tensor(0.5))
+    kp, kd = torch.tensor([[20.0, 40.0]]), torch.tensor([[2.0, 1.5]])
+    torque = pd_torque(target, seen["joint_position"], seen["joint_velocity"], kp, kd)
     assert torque.tolist() == [[pytest.approx(4.0 * 0.9), pytest.approx(2.0 * 0.9)]]

@@ -198,3 +198,20 @@ def test_what_cannot_be_shown_is_refused(arguments, told):
 def test_tables_of_one_reference_have_one_length():
     with pytest.raises(ValueError, match="Resample them to one grid"):
         ReferenceTrajectory({"qpos": QPOS, "qvel": QVEL[::-1]}, DT, DT)
+
+
+@pytest.mark.parametrize("at_end", ["hold", "loop"])
+@pytest.mark.parametrize("interpolate", [True, False])
+def test_between_two_samples_and_past_the_last_it_does_what_it_was_asked_to(interpolate, at_end):
+    told = {"table_dt": 2 * DT, "interpolate": interpolate, "at_end": at_end}
+    steps = environment(12, shortest=60, shown=["qpos"], random_start=True, reset_state=RESET, **told).rollout(40)
+    now = 0.5 * steps["reference_step"][..., 0]
+    for row, number in enumerate(steps["reference_id"][:, 0, 0].tolist()):
+        table = QPOS[number]
+        last = len(table) - 1
+        for k, at in enumerate(now[row].tolist()):
+            one, other = int(at), int(at) + 1
+            one, other = (i % (last + 1) if at_end == "loop" else min(i, last) for i in (one, other))
+            expected = table[one] + (at % 1) * (table[other] - table[one]) if interpolate else table[one]
+            torch.testing.assert_close(steps["reference"][row, k], expected)
+    torch.testing.assert_close(steps["joint_position"][:, 0], steps["reference"][:, 0])

@@ -2,13 +2,14 @@
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.functional import rewards
 from torchrl_athletic.robots import z1
-from torchrl_athletic.transforms import ActionHistory, Decimation, PDControl, RewardTerms, Term
+from torchrl_athletic.transforms import ActionHistory, Decimation, InPhase, PDControl, RewardTerms, Term
 
 ROBOT = z1()
 TERMS = {
@@ -120,3 +121,11 @@ def test_rewards_add_up_over_two_groups_of_terms():
     one, two = (RewardTerms({"alive": TERMS["alive"]}, {"alive": s}, terms_key=k) for s, k in ((1.0, "a"), (2.0, "b")))
     data = TransformedEnv(TorqueEnv(ROBOT, num_envs=2), Compose(one, two)).rollout(2)
     assert (data["next", "reward"] == 3).all()
+
+
+def test_a_term_counts_in_the_phases_that_its_action_was_taken_in():
+    """A step that leads to another phase still counts for the one that it began in."""
+    before = TensorDict(phase=[[0], [1], [2], [3]], speed=torch.zeros(4), batch_size=[4])
+    after = TensorDict(phase=[[1], [2], [3], [0]], speed=torch.tensor([5.0, 6.0, 7.0, 8.0]), batch_size=[4])
+    gain = InPhase([1, 3], lambda one, other: other["speed"] - one["speed"], "phase")
+    assert gain(before, after).tolist() == [[0.0], [6.0], [0.0], [8.0]]

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
@@ -247,3 +248,14 @@ def test_an_environment_that_cannot_hold_a_rope_is_refused(base, advice):
 def test_a_sled_that_cannot_be_is_refused(wrong, advice):
     with pytest.raises(ValueError, match=advice):
         SledRope(**{"dt": DT, **wrong})
+
+
+def test_a_rope_of_one_s_own_is_as_stiff_and_damps_as_much_as_it_is_told():
+    rope = SledRope(DT, stiffness=300.0, damping=50.0)
+    still = {"sled_position": torch.zeros(1, 2), "sled_velocity": torch.zeros(1, 2), "rope_force": torch.zeros(1, 3)}
+    numbers = {"sled_mass": 5.0, "sled_friction": 0.1, "sled_hook_height": 0.0, "rope_length": 1.0, "rope_tension": 0.0}
+    before = TensorDict({**still, **{key: torch.tensor([[value]]) for key, value in numbers.items()}}, [1])
+    grip = {"handle_position": [[-2.0, 0.0, 0.0]], "handle_linear_velocity": [[-0.5, 0.0, 0.0]]}
+    after = TensorDict({key: torch.tensor(value) for key, value in grip.items()}, [1])
+    rope.advance(before, after)
+    assert after["rope_tension"].item() == pytest.approx(300.0 - 50.0 * 0.25)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite, Unbounded
+from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from torchrl_athletic.functional import rotations
 from torchrl_athletic.functional.commands import pose_to_world
+from torchrl_athletic.transforms.stateful import unbounded_like
 
 Pose = tuple[NestedKey, NestedKey]
 """Keys of a position (*B, 3) [m] and a quaternion (*B, 4), wxyz, both in the world."""
@@ -79,6 +80,6 @@ class PoseError(Transform):
     forward = _call
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        shape = observation_spec[self.pose_keys[0]].shape
-        observation_spec[self.error_key] = Unbounded((*shape[:-1], 4, 3), device=observation_spec.device)
+        position = observation_spec[self.pose_keys[0]]
+        observation_spec[self.error_key] = unbounded_like(position, (*position.shape[:-1], 4, 3))
         return observation_spec
