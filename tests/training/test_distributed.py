@@ -56,6 +56,12 @@ def test_advantages_are_standardised_as_torchrl_does():
     assert plain["value_target"].equal(stock["value_target"])
 
 
+@pytest.mark.parametrize(("spread", "left"), [(1e-3, 1.0), (1e-5, 0.1), (0.0, 0.0)])
+def test_advantages_that_hardly_differ_are_not_blown_up(spread, left):
+    value = 2.0 + spread * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64).view(3, 1)
+    assert float(jobs.standardized(value, ALONE).std()) == pytest.approx(left, rel=1e-6)
+
+
 def test_training_in_two_processes_is_training_in_one_where_rows_explore_alike(tmp_path):
     """Three iterations of everything: collection, normaliser, advantages, update, learning rate, reports."""
     whole = jobs.exact_training(ALONE)
