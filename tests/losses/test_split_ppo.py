@@ -61,6 +61,13 @@ def test_without_a_coefficient_the_critic_stays_out_of_the_sum_but_can_be_asked(
     assert loss.loss_critic(batch)["loss_critic"] == whole
 
 
+def test_values_that_are_not_to_be_clipped_are_not(case):
+    policy, value, batch = case
+    plain, told = (SplitClipPPOLoss(policy, value, clip_value=clip).loss_critic(batch) for clip in (None, False))
+    assert set(told.keys()) == set(plain.keys()) == {"loss_critic", "explained_variance"}
+    assert told["loss_critic"] == plain["loss_critic"]
+
+
 def test_actor_and_critic_each_see_their_own_samples(case):
     policy, value, batch = case
     loss = SplitClipPPOLoss(policy, value)
