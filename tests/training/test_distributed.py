@@ -156,6 +156,15 @@ def test_standardising_each_minibatch_in_each_process_is_refused():
         SplitOptimizationStepper(loss, average=ALONE.average_)
 
 
+@pytest.mark.parametrize(("count", "joined", "left"), [(2, True, 1), (2, False, 0), (1, True, 0)])
+def test_connections_are_closed_where_there_are_some(count, joined, left, monkeypatch):
+    closed = []
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: joined)
+    monkeypatch.setattr(torch.distributed, "destroy_process_group", lambda: closed.append(count))
+    Processes(0, count).leave()
+    assert len(closed) == left
+
+
 def test_without_torchrun_there_is_one_process():
     assert join_processes() == ALONE
     assert ALONE.seed(7) == 7
