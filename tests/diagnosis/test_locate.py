@@ -1,7 +1,10 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from diagnosis.columns import NAMES, STEP, signals
 
+from torchrl_athletic.diagnosis import locate as locating
 from torchrl_athletic.diagnosis.locate import _binned, feature, feature_unit, locate, regime_maps, regime_of
 from torchrl_athletic.diagnosis.screen import Bank
 
@@ -192,3 +195,23 @@ def test_features_run_along_all_takes():
 def test_where_an_effect_explains_most_is_said_in_words(explained, name, words):
     torque = np.stack([0 * TIME, explained], -1)
     assert regime_of(bank_of(torque), torque, 1, name).startswith(words)
+
+
+def signals_of(time, velocity):
+    shape = np.stack([0 * time, velocity], 1)
+    return SimpleNamespace(time=time, velocity=shape, position=shape, load=shape, acceleration=shape, command=shape)
+
+
+def test_regimes_of_time_are_thirds_of_a_take_and_a_tenth_of_a_second_after_a_reversal(monkeypatch):
+    monkeypatch.setattr(locating, "feature_unit", lambda s, name, joint: "u")
+    time = 5.0 + np.arange(600) * 0.01
+    velocity = np.where(np.arange(600) < 300, 1.0, -1.0) * (1 + 0.001 * np.arange(600))
+    take = signals_of(time, velocity)
+    inside = dict(locating._regimes([take], 1))
+    assert np.flatnonzero(inside["in the first third of the take"]).tolist() == list(range(200))
+    assert np.flatnonzero(inside["in the last third of the take"]).tolist() == list(range(400, 600))
+    after = np.flatnonzero(inside["just after a reversal"])
+    assert (after[0], len(after)) == (300, pytest.approx(10, abs=1))
+    several = dict(locating._regimes([take, take], 1))
+    assert not [name for name in several if "take" in name]
+    assert np.flatnonzero(several["moving backwards"]).tolist() == [*range(300, 600), *range(900, 1200)]
