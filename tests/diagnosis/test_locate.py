@@ -1,3 +1,4 @@
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -160,6 +161,13 @@ def test_a_map_shows_the_missing_torque_as_a_function_of_its_feature():
     assert (speed.before <= speed.before_band[:, 1]).all()
     assert (speed.unit, speed.torque_unit, speed.noise) == ("rad/s", "N·m", 1.0)
     np.testing.assert_allclose(maps["shoulder", "speed"].before, 0)
+
+
+def test_the_noise_of_a_map_is_that_of_its_joint_the_mean_over_the_takes():
+    take = signals(np.zeros((N, 2)), **MOTION)
+    takes = [replace(take, noise=np.array(noise)) for noise in ([1.0, 3.0], [2.0, 5.0])]
+    maps = regime_maps(Bank(takes, [], noise=np.ones(2)), np.zeros((2 * N, 2)), rng())
+    assert {m.joint: m.noise for m in maps} == {"shoulder": 1.5, "elbow": 4.0}
 
 
 def test_a_joint_that_hardly_ever_counts_has_no_map():
