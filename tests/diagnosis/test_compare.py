@@ -116,3 +116,10 @@ def test_windows_of_several_pieces_start_one_after_the_other_and_far_apart():
     assert (steps > 0).all()
     assert (steps > 30.0).sum() == 2
     np.testing.assert_allclose(steps[steps < 30.0], 0.5, atol=0.02)
+
+
+@pytest.mark.parametrize(("after", "share"), [(1.0, 0.0), (1.3, 0.0), (2.0, 1.0)])
+def test_of_a_given_model_at_its_floor_all_is_open_once_a_correction_is_clearly_above_it(after, share):
+    """An energy as large as the floor's, beyond the floor."""
+    at_floor = Score(1.0, after, 1.0, 0.0, {"elbow": {"before": 1.0, "after": after, "floor": 1.0}})
+    assert open_share(at_floor) == share

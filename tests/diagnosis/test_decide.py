@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from torchrl_athletic.diagnosis import decide as deciding
 from torchrl_athletic.diagnosis.decide import decided_by, others_than
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
@@ -136,3 +137,25 @@ def test_a_trial_that_gives_no_names_is_never_chosen_and_speaks_against_no_other
     options = [Proposal(None, None), Proposal(None, None, np.inf, on_trial=True, joints=True)]
     found, against, taken = decided(options, errors, [leaving(0.9), leaving(0.01)], 0.5 * np.arange(400))
     assert (found, against[0], taken) == (0, 0.0, [True, False])
+
+
+@pytest.mark.parametrize(
+    ("preferred", "joints", "kept"), [(0, True, [1]), (0, False, []), (1, True, [0]), (2, False, [0])]
+)
+def test_beside_the_chosen_one_stay_the_first_of_the_torques_and_the_standard_joints(
+    preferred, joints, kept, monkeypatch
+):
+    def proposal(of_joints):
+        return Proposal(None, SimpleNamespace(fit=SimpleNamespace(terms=[])), joints=of_joints)
+
+    fitted = SimpleNamespace(hypothesis=SimpleNamespace(terms=(), trims=()))
+    trials = tuple(
+        Trial(proposal(of_joints), fitted, {}, np.zeros((1, 1)), np.zeros(1)) for of_joints in (False, joints, False)
+    )
+    monkeypatch.setattr(deciding, "decided_by", lambda trials: (preferred, np.array([0.0, 1.0, 2.0]), [True] * 3))
+    monkeypatch.setattr(deciding, "others_than", lambda *_: ())
+    monkeypatch.setattr(deciding, "torque_is_open", lambda trial: False)
+    proposed = SimpleNamespace(located=None, drive=None)
+    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=()))
+    assert found.trial.fitted is fitted
+    assert list(found.beside) == [trials[k] for k in kept]

@@ -1,6 +1,9 @@
 """A fit finds the numbers of joints whose motion is known in closed form or comes from another integrator."""
 
 import json
+import sys
+from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -9,8 +12,11 @@ from diagnosis.plants import pendulum, smooth_torque
 
 from torchrl_athletic.diagnosis import Fit, fit
 from torchrl_athletic.diagnosis.fit_command import FitConfig, fit_table, main
+from torchrl_athletic.diagnosis.fitting import JointParameter, _binds, _taken_back
+from torchrl_athletic.effects import Parameter
 from torchrl_athletic.recordings import Recording, write_recording
 
+fitting = sys.modules["torchrl_athletic.diagnosis.fitting"]
 STEP = 0.005
 RATE = 100.0
 INERTIA, GRAVITY_TORQUE = 0.09, 0.5 * 9.81 * 0.4  # of the model
@@ -174,3 +180,54 @@ def test_a_missing_model_is_said_in_one_line(tmp_path):
     write_recording(recording(np.ones((100, 1)), np.zeros((100, 1))), tmp_path / "take.npz")
     with pytest.raises(SystemExit, match=r"error: .*no such model"):
         main(FitConfig(tmp_path / "none.xml", (tmp_path / "take.npz",), output=tmp_path / "out"))
+
+
+def friction(**changes):
+    told = JointParameter("elbow", "coulomb_friction", "torque", "N·m", 0.0, 0.5, (0.4, 0.6), "identified")
+    return replace(told, **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "value", "state"),
+    [
+        ({}, 0.0, "taken back"),
+        ({"state": "not identified", "remark": "never moves"}, 0.0, "not identified"),
+        ({"joint": "wrist"}, 0.5, "identified"),
+        ({"effect": "viscous_friction"}, 0.5, "identified"),
+        ({"value": 0.0, "state": "not needed"}, 0.0, "not needed"),
+    ],
+)
+def test_only_what_was_taken_back_is_told_so(changes, value, state):
+    gone = [SimpleNamespace(key=("coulomb_friction", "elbow"))]
+    told = _taken_back(friction(**changes), gone)
+    assert (told.value, told.state) == (value, state)
+    assert (told.remark == "recordings kept aside got worse") is (state == "taken back")
+    assert told.ci95 == (0.4, 0.6)
+
+
+def test_an_interval_of_95_percent_is_1_96_deviations_to_either_side_of_its_own_fit_within_its_bounds(monkeypatch):
+    """Of a needed number by the last fit's deviation about its value; of one that is not, by the fit of all numbers."""
+    p = [
+        Parameter(f"p{k}", "1", 0.0, low, high, 1.0) for k, (low, high) in enumerate([(-9, 9), (-9, 9), (0, 9), (0, 0)])
+    ]
+    candidate = SimpleNamespace(where="elbow", joint=0, effect=SimpleNamespace(name="drag"), parameters=tuple(p))
+    free = np.array([True, True, True, False])
+    near = SimpleNamespace(free=free, values=np.array([1.0, 2.0, 3.0, 0.0]), sigma=np.array([0.1, 0.2, 0.3]))
+    again = SimpleNamespace(free=np.array([True, False, True, False]), sigma=np.array([0.5, 4.0]))
+    monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
+    monkeypatch.setattr(fitting, "_reasons", lambda *_: ["", "", "unseen"])
+    y, needed = np.array([1.5, 0.0, 3.5, 0.0]), np.array([True, False, True, False])
+    told = fitting._parameters(SimpleNamespace(terms=[candidate]), near, again, y, needed, None)
+    expected = [(1.5 - 0.98, 1.5 + 0.98), (2 - 0.392, 2 + 0.392), (0.0, 9.0)]
+    assert [t.ci95 for t in told] == [pytest.approx(ends) for ends in expected]
+    assert [t.value for t in told] == [1.5, 0.0, 3.5]
+    assert [t.state for t in told] == ["identified", "not needed", "not identified"]
+
+
+def test_a_bound_binds_where_it_is_neither_natural_nor_given():
+    p = Parameter("torque", "N·m", 2.0, 0.0, 9.0, 1.0)
+    binds = [bool(_binds(friction(value=value), p)) for value in (0.0, 2.0, 5.0, 9.0)]
+    assert binds == [False, False, False, True]
+    assert "torque of elbow (coulomb friction) ends at its bound of 9 N·m" in _binds(friction(value=9.0), p)
+    low = Parameter("scale", "1", 1.0, 0.2, 3.0, 1.0)
+    assert "bound of 0.2:" in _binds(friction(value=0.2), low)

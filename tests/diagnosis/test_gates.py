@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from torchrl_athletic.diagnosis import gates
 from torchrl_athletic.diagnosis.calibration import Grounds, probability, rival_probability
 from torchrl_athletic.diagnosis.compare import far_joints
+from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis
 from torchrl_athletic.diagnosis.gates import summarise, verdict_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score
 from torchrl_athletic.diagnosis.screen import Candidate
@@ -226,6 +227,13 @@ def test_the_summary_says_the_most_important_first():
     assert text[1] == "80 % of the error arises at elbow; it is densest when moving backwards (elbow)."
     assert text[2].startswith("Over 0.5 s windows of recordings kept aside the error falls to 10 %")
     assert "4 % of its energy above the sensors' floor stays unexplained" in text[2]
+    other = (Location("wrist", "everywhere", 0.9, (0.8, 1.0)), *WHERE)
+    assert summarise("explained", [FINDING], other, None, True, 0.0)[1] == (
+        "90 % of the error arises at wrist; it is densest when moving backwards (elbow)."
+    )
+    even = dataclasses.replace(FINDING, probability=STATEMENT.likely)
+    told = summarise("unexplained", [FINDING, even], (), None, True, 0.5)
+    assert told[1] == "Not identified at elbow; coulomb friction fits best, at 50 %."
     assert "none were kept aside" in summarise("explained", [FINDING], WHERE, score(0.0), False, 0.04)[2]
 
 
@@ -265,3 +273,90 @@ def test_a_gear_is_not_read_from_the_noise_of_a_joint_that_the_given_model_follo
     )
     assert gates._is_noise(compliance, seen) is expected
     assert not gates._is_noise(dry, seen)
+
+
+def friction(values, nominal=0.0):
+    parameters = tuple(Parameter(f"p{k}", "1", nominal, 0.0, 2.0, 1.0) for k in range(len(values)))
+    return Candidate(CoulombFriction(), 1, "elbow", parameters)
+
+
+def test_a_finding_is_as_sure_as_the_surest_of_its_numbers_in_deviations_of_its_draws():
+    samples = np.array([[1.0, 0.4], [3.0, 0.6]])  # deviations 1 and 0.1
+    assert gates._certainty(friction((2.0, 0.5)), np.array([2.0, 0.5]), samples) == pytest.approx(5.0)
+    assert gates._certainty(friction((2.0, 0.5)), np.array([-7.0, 0.1]), samples) == pytest.approx(7.0)
+    still = np.ones((3, 1))  # draws that are all alike do not make it certain beyond a thousandth of its scale
+    assert gates._certainty(friction((1.0,)), np.array([0.5]), still) == pytest.approx(500.0)
+
+
+def test_an_interval_ends_at_the_bounds_of_its_parameter():
+    p = Parameter("p", "1", 0.0, 0.0, 2.0, 1.0)
+    assert gates._within(p, (-0.5, 1.5)) == (0.0, 1.5)
+    assert gates._within(p, (0.5, 2.5)) == (0.5, 2.0)
+
+
+def terms():
+    """Dry friction and a soft gear of the elbow, and dry friction of the wrist."""
+    where = ((CoulombFriction(), 1, "elbow"), (Compliance(), 1, "elbow"), (CoulombFriction(), 2, "wrist"))
+    return [Candidate(*each, (Parameter("torque", "N·m", 0.0, 0.0, 1.2, 1.0),)) for each in where]
+
+
+def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_class(monkeypatch):
+    one, beside, far = terms()
+    rival = Candidate(StribeckFriction(), 1, "elbow", one.parameters)
+    faint = Candidate(JointSpring(), 1, "elbow", one.parameters)
+    h = Hypothesis((beside, one, far))
+    samples = np.stack([np.linspace(*ends, 201) for ends in ((0.1, 0.3), (0.8, 1.0), (0.4, 0.6))], 1)
+    fitted = Fitted(h, np.array([0.2, 0.9, 0.5]), samples, 0.0)
+    best = SimpleNamespace(fit=SimpleNamespace(terms=[], strain=3.0))
+    bank = SimpleNamespace(prediction=lambda fit, term: None)
+    part = SimpleNamespace(
+        judge=SimpleNamespace(bank=bank), best=best, left_of=lambda c: 0.11 * c.joint, excess_of=lambda c: 0.7 * c.joint
+    )
+    grounds, of_class = [], []
+    monkeypatch.setattr(gates, "_sentence", lambda candidate, named, grounds: str(named))
+    monkeypatch.setattr(gates, "scatter", lambda *_: 0.05)
+    monkeypatch.setattr(gates, "_energy_share", lambda *_: 0.6)
+    monkeypatch.setattr(gates, "regime_of", lambda bank, explained, joint, name: f"{name} of {joint}")
+    monkeypatch.setattr(gates, "probability", lambda g, effect: grounds.append(g) or 0.4)
+    monkeypatch.setattr(gates, "rival_probability", lambda likely, own, share: share / own * likely)
+    monkeypatch.setattr(gates, "class_probability", lambda *told: of_class.append(told) or told[1])
+    rated = [
+        SimpleNamespace(atom=SimpleNamespace(candidate=c), share=share)
+        for c, share in ((rival, 0.3), (one, 0.6), (faint, 0.02))
+    ]
+    found = gates._finding(
+        part, SimpleNamespace(candidate=one), fitted, one, rated, 0.3, {beside.key}, frozenset({"wrist"})
+    )
+    (g,) = grounds
+    assert (g.share, g.left, g.excess, g.scatter, g.open, g.energy) == (0.6, 0.11, 0.7, 0.05, 0.3, 0.6)
+    assert (g.terms, g.strain, g.senseless, g.leans, g.far) == (2, 3.0, False, True, False)
+    assert (found.effect, found.joint, found.probability) == ("coulomb_friction", "elbow", 0.4)
+    assert found.parameters["torque"].value == 0.9
+    low, high = found.parameters["torque"].ci95
+    assert low < 0.805
+    assert 0.995 < high <= 1.2
+    assert [(r.effect, r.joint, r.probability) for r in found.rivals] == [
+        ("stribeck_friction", "elbow", pytest.approx(0.2))
+    ]
+    assert found.sentence == "{'torque': 0.9}"
+    assert of_class == [(0.4, pytest.approx(0.6), pytest.approx(0.7), 0.6)]
+    assert found.class_probability == pytest.approx(0.4 + 0.2)  # with what is of its class, not with the spring
+    assert found.law_probability == pytest.approx(0.4 / 0.6)
+    assert found.regime.endswith("of 1")
+    beside_it = gates._finding(
+        part, SimpleNamespace(candidate=beside), fitted, beside,
+        [SimpleNamespace(atom=SimpleNamespace(candidate=beside), share=1.0)], 0.3, {beside.key}, frozenset({"elbow"}),
+    )  # fmt: skip
+    assert (grounds[1].senseless, grounds[1].leans, grounds[1].far) == (True, False, True)
+    assert beside_it.class_probability == beside_it.probability  # nonsense speaks for no class
+
+
+def test_the_worst_of_the_scores_says_how_much_is_open(monkeypatch):
+    told = []
+    one, *_ = terms()
+    term = SimpleNamespace(candidate=one)
+    part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[term])))
+    monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a[5]) or FINDING)
+    fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
+    gates.judge_findings([part], fitted, [score(0.2), score(0.7)], {one.key: ()})
+    assert told == [pytest.approx(0.7)]

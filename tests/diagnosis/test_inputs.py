@@ -97,6 +97,48 @@ def test_a_locked_joint_leaves_all_bodies_where_they_were(angle):
     np.testing.assert_allclose(data[1].qfrc_bias, data[0].qfrc_bias[:1], atol=1e-3)
 
 
+@pytest.mark.parametrize("kind", ["hinge", "slide"])
+def test_a_locked_joint_is_held_at_its_reading_whatever_the_models_zero_and_the_turn_of_its_body(kind):
+    """``ref`` is the reading where the model draws the joint; its body is turned, and its axis is no unit vector."""
+    xml = f"""<mujoco><worldbody><body><joint name="hip" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/>
+      <body pos="0.5 0.1 0" quat="0.8 0.3 -0.2 0.4"><joint name="knee" type="{kind}" axis="0 2 1" pos="0.1 0.2 0.05"
+        ref="{0.4 if kind == "slide" else 20}"/><geom size="0.1" pos="0.2 0 0"/></body></body></worldbody></mujoco>"""
+    free = mujoco.MjModel.from_xml_string(xml)
+    held = mujoco.MjModel.from_xml_string(locked_joints(xml, ("knee=0.7",), [])[0])
+    data = mujoco.MjData(free), mujoco.MjData(held)
+    data[0].qpos[:], data[1].qpos[:] = (0.3, 0.7), 0.3
+    for model, one in zip((free, held), data, strict=True):
+        mujoco.mj_kinematics(model, one)
+    np.testing.assert_allclose(data[1].geom_xpos, data[0].geom_xpos, atol=1e-5)
+    np.testing.assert_allclose(data[1].xmat, data[0].xmat, atol=1e-5)
+    assert np.abs(free.body_pos[-1] - held.body_pos[-1]).max() > 0.01
+
+
+def test_recordings_keep_every_channel_of_the_joints_that_are_left(tmp_path):
+    """Columns all differ, so that none can be taken for another's."""
+    (tmp_path / "robot.xml").write_text(SERVO)
+    time = np.arange(100) / 100
+    columns = {name: np.stack([0.001 * k + np.sin(time), 1.0 + k + 0 * time], 1) for k, name in enumerate(
+        ("position", "velocity", "position_target", "torque_measured"))}  # fmt: skip
+    whole = Recording(
+        time,
+        ("hip", "knee"),
+        **columns,
+        kp=np.array([30.0, 40.0]),
+        kd=np.array([2.0, 3.0]),
+        torque_semantics="link_side",
+    )
+    for name in ("fitted", "aside"):
+        write_recording(whole, tmp_path / f"{name}.npz")
+    asked = Flags(tmp_path / "robot.xml", (tmp_path / "fitted.npz",), (tmp_path / "aside.npz",), lock=("knee",))
+    given = inputs(asked)
+    for (left,) in (given.recordings, given.heldout):
+        assert left.joint_names == ("hip",)
+        for name, column in columns.items():
+            np.testing.assert_allclose(getattr(left, name), column[:, :1], err_msg=name)
+        assert (left.kp.tolist(), left.kd.tolist()) == ([30.0], [2.0])
+
+
 def test_a_joint_that_moves_is_not_locked_in_silence(tmp_path):
     time = np.arange(100) / 100
     swings = Recording(time, ("hip", "knee"), np.stack([time, time], 1), torque_command=np.zeros((100, 2)))
@@ -128,4 +170,7 @@ def test_a_weight_that_changes_the_model_is_said_first(tmp_path):
     write_recording(heavy, tmp_path / "heavy.npz")
     notes = inputs(Flags(tmp_path / "robot.xml", (tmp_path / "heavy.npz",))).notes
     assert notes[0] == "Notes of the recordings change the model: payload_kg = 0.5, fastened to the last link."
+    write_recording(replace(heavy, metadata={"payload_kg": 1.5}), tmp_path / "aside.npz")
+    both = inputs(Flags(tmp_path / "robot.xml", (tmp_path / "heavy.npz",), (tmp_path / "aside.npz",))).notes
+    assert "payload_kg = 0.5, 1.5, fastened" in both[0]
     assert json.dumps(notes)

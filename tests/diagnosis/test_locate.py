@@ -1,7 +1,11 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from diagnosis.columns import NAMES, STEP, signals
 
+from torchrl_athletic.diagnosis import locate as locating
 from torchrl_athletic.diagnosis.locate import _binned, feature, feature_unit, locate, regime_maps, regime_of
 from torchrl_athletic.diagnosis.screen import Bank
 
@@ -159,6 +163,13 @@ def test_a_map_shows_the_missing_torque_as_a_function_of_its_feature():
     np.testing.assert_allclose(maps["shoulder", "speed"].before, 0)
 
 
+def test_the_noise_of_a_map_is_that_of_its_joint_the_mean_over_the_takes():
+    take = signals(np.zeros((N, 2)), **MOTION)
+    takes = [replace(take, noise=np.array(noise)) for noise in ([1.0, 3.0], [2.0, 5.0])]
+    maps = regime_maps(Bank(takes, [], noise=np.ones(2)), np.zeros((2 * N, 2)), rng())
+    assert {m.joint: m.noise for m in maps} == {"shoulder": 1.5, "elbow": 4.0}
+
+
 def test_a_joint_that_hardly_ever_counts_has_no_map():
     valid = np.tile([True, False], (N, 1))
     masked = Bank([signals(np.ones((N, 2)), valid, **MOTION)], [], noise=np.ones(2))
@@ -192,3 +203,23 @@ def test_features_run_along_all_takes():
 def test_where_an_effect_explains_most_is_said_in_words(explained, name, words):
     torque = np.stack([0 * TIME, explained], -1)
     assert regime_of(bank_of(torque), torque, 1, name).startswith(words)
+
+
+def signals_of(time, velocity):
+    shape = np.stack([0 * time, velocity], 1)
+    return SimpleNamespace(time=time, velocity=shape, position=shape, load=shape, acceleration=shape, command=shape)
+
+
+def test_regimes_of_time_are_thirds_of_a_take_and_a_tenth_of_a_second_after_a_reversal(monkeypatch):
+    monkeypatch.setattr(locating, "feature_unit", lambda s, name, joint: "u")
+    time = 5.0 + np.arange(600) * 0.01
+    velocity = np.where(np.arange(600) < 300, 1.0, -1.0) * (1 + 0.001 * np.arange(600))
+    take = signals_of(time, velocity)
+    inside = dict(locating._regimes([take], 1))
+    assert np.flatnonzero(inside["in the first third of the take"]).tolist() == list(range(200))
+    assert np.flatnonzero(inside["in the last third of the take"]).tolist() == list(range(400, 600))
+    after = np.flatnonzero(inside["just after a reversal"])
+    assert (after[0], len(after)) == (300, pytest.approx(10, abs=1))
+    several = dict(locating._regimes([take, take], 1))
+    assert not [name for name in several if "take" in name]
+    assert np.flatnonzero(several["moving backwards"]).tolist() == [*range(300, 600), *range(900, 1200)]

@@ -1,4 +1,5 @@
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -8,7 +9,16 @@ from diagnosis.plants import record as swing
 from effects.arm import JOINTS, arm, record
 from scipy.signal import lfilter
 
-from torchrl_athletic.diagnosis.prepare import PAYLOAD, drive_signals, prepare
+from torchrl_athletic.diagnosis.prepare import (
+    PAYLOAD,
+    _limit,
+    _periods,
+    _torque_noise,
+    _velocity_fits,
+    _with_known_noise,
+    drive_signals,
+    prepare,
+)
 from torchrl_athletic.effects import ActuationDelay, TorqueScale
 from torchrl_athletic.recordings import Recording, RecordingError
 
@@ -206,3 +216,57 @@ def test_the_noise_of_the_drive_is_that_of_its_torque_sensor(takes):
     quiet, loud = (drive(takes, lambda u: lfilter([0.2], [1, -0.8], u, axis=0), noise) for noise in (0.0, 0.05))
     extra = (loud.missing - quiet.missing).std(0)
     np.testing.assert_allclose(loud.noise, extra, rtol=0.25)
+
+
+def test_noise_of_a_torque_is_read_from_what_no_smooth_torque_has():
+    """Of white noise it is the deviation, of a smooth torque nothing, and a channel of zeros has the least there is."""
+    time = np.arange(4000) / 500
+    rng = np.random.default_rng(0)
+    clean = np.stack([3 * np.sin(2 * time), np.cos(time), 0 * time], 1)
+    noise = np.array([0.2, 0.05, 0.0])
+    found = _torque_noise(clean + noise * rng.standard_normal(clean.shape))
+    np.testing.assert_allclose(found[:2], noise[:2], rtol=0.05)
+    assert found[2] == pytest.approx(1e-12)
+
+
+def test_grids_are_shared_by_takes_of_one_rate_whatever_the_jitter():
+    takes = [SimpleNamespace(rate=rate) for rate in (500.0, 500.6, 505.0, 250.0, 504.5)]
+    assert _periods(takes) == pytest.approx([1 / 500, 1 / 500, 1 / 505, 1 / 250, 1 / 505])
+
+
+@pytest.mark.parametrize(
+    ("scales", "fits"), [((1.0, None), True), ((1.0, 1.3), False), ((0.7, 1.0), False), ((None, None), True)]
+)
+def test_velocities_count_where_they_are_slopes_of_the_positions_on_every_joint(scales, fits):
+    assert _velocity_fits(SimpleNamespace(velocity_scale=scales)) is fits
+
+
+def test_the_limit_of_a_motor_is_the_less_of_both_ways_and_known_of_all_joints_or_none(monkeypatch):
+    told = {"of": ([-30.0, -8.0], [20.0, 9.0])}
+    monkeypatch.setattr("torchrl_athletic.diagnosis.prepare.torque_range", lambda *_: map(np.array, told["of"]))
+    assert _limit(None, None).tolist() == [20.0, 8.0]
+    told["of"] = ([-30.0, -np.inf], [20.0, np.inf])
+    assert _limit(None, None) is None
+
+
+@dataclass(frozen=True)
+class Noise:
+    position_noise: np.ndarray
+    noise_correlation: np.ndarray
+    velocity_noise: np.ndarray | None
+
+
+def test_a_take_of_an_experiment_has_the_noise_of_the_earlier_ones():
+    """The median over them, of each channel; of velocities only where it has them itself."""
+    earlier = [
+        Noise(np.full(2, 1.0 * k), np.full(2, 0.1 * k), None if k == 2 else np.full(2, 5.0 * k)) for k in (1, 2, 9)
+    ]
+    new = [Noise(np.full(2, 99.0), np.full(2, 99.0), velocity) for velocity in (None, np.full(2, 99.0))]
+    *kept, blind, seeing = _with_known_noise([*earlier, *new], 3)
+    assert kept == earlier
+    for q in (blind, seeing):
+        assert q.position_noise.tolist() == [2.0, 2.0]
+        assert q.noise_correlation.tolist() == pytest.approx([0.2, 0.2])
+    assert blind.velocity_noise is None
+    assert seeing.velocity_noise.tolist() == [25.0, 25.0]
+    assert _with_known_noise(new, 0) == new

@@ -100,3 +100,15 @@ def test_equals_share_the_probability_and_odds_do_not_depend_on_the_level(monkey
         options = [scored(level, term), scored(level, rival)]
         monkeypatch.setattr(proposal, "alternatives", lambda *_, options=options: options)
         assert [o.share for o in answer_set(Proposal(None, options[0]), term)] == [0.5, 0.5]
+
+
+def test_what_is_left_is_that_of_a_terms_joint_and_of_the_worst_one_for_a_cause_of_the_whole_robot():
+    before, after = np.array([4.0, 10.0, 0.5]), np.array([1.0, 12.0, 0.4])
+    judge = SimpleNamespace(bare="bare", excess=lambda fit: before if fit == "bare" else after)
+    part = Proposal(judge, SimpleNamespace(fit="best"))
+    assert part.left().tolist() == [0.25, 1.0, 0.0]  # no more than all, and of noise nothing
+    of = [SimpleNamespace(joint_name=f"{j}", joint=j) for j in range(3)]
+    assert [part.left_of(c) for c in of] == [0.25, 1.0, 0.0]
+    assert [part.excess_of(c) for c in of] == [1.0, 12.0, 0.4]
+    whole = SimpleNamespace(joint_name=None, joint=0)
+    assert (part.left_of(whole), part.excess_of(whole)) == (1.0, 12.0)

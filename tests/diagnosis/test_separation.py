@@ -10,7 +10,7 @@ from diagnosis.columns import Given, candidate, signals
 
 from torchrl_athletic.diagnosis.screen import Bank
 from torchrl_athletic.diagnosis.search import Judge
-from torchrl_athletic.diagnosis.separation import Rivals, every_nth
+from torchrl_athletic.diagnosis.separation import PairProducts, Rivals, every_nth
 from torchrl_athletic.diagnosis.thresholds import PLAN
 from torchrl_athletic.effects import Fingerprint
 
@@ -157,3 +157,16 @@ def test_coefficients_stand_for_the_parameters_of_the_fit():
         given = np.concatenate(fitted.fit.values())
         np.testing.assert_allclose(coefficients.parameters(coefficients.values), given)
         np.testing.assert_allclose(coefficients.parameters(0 * given), coefficients.free[0][0].nominal)
+
+
+def test_products_of_a_recording_twice_as_long_count_twice_as_many_samples():
+    rows = np.arange(1.0, 3.0)
+    own = PairProducts({(0, 0): np.ones((2, 1, 1))}, rows, 2 * rows, 3 * rows, 4 * rows)
+    longer = own.times(2.5)
+    assert longer.count.tolist() == [2.5, 5.0]
+    assert longer.of[0, 0].flatten().tolist() == [2.5, 2.5]
+    for name in ("bent", "left", "noise"):  # means of a sample
+        assert getattr(longer, name).tolist() == getattr(own, name).tolist()
+    both = own + longer
+    assert both.count.tolist() == [1.0, 2.0, 2.5, 5.0]
+    assert both.noise.tolist() == [4.0, 8.0, 4.0, 8.0]

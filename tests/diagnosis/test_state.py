@@ -5,10 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.stages import Decided, Trial
-from torchrl_athletic.diagnosis.state import _best_followed
+from torchrl_athletic.diagnosis.state import _best_followed, _damped, _quality, _trimmed, model_changes
+from torchrl_athletic.effects import Parameter
 
 
 def trial(aside: float, joints: bool = False, floor: float = 1.0) -> Trial:
@@ -42,3 +44,77 @@ def test_nothing_that_was_kept_aside_lets_the_fitted_recordings_say_so():
     [said] = _best_followed(Decided(None, None, chosen, (first,))).sentences
     assert "what the torques alone speak for" in said
     assert "the fitted recordings" in said
+    assert "with 75 % of the error" in said
+
+
+def logged(kd, **metadata):
+    return SimpleNamespace(
+        kd=None if kd is None else np.array(kd),
+        joint_names=("hip", "knee", "foot"),
+        metadata=metadata,
+        source="a/b.npz",
+    )
+
+
+@pytest.mark.parametrize(
+    ("kds", "joints"),
+    [
+        ([(3.0, 2.0, 0.0)], ["hip", "knee"]),
+        ([(3.0, 2.0, 1.0), (3.0, 2.5, 1.0)], ["hip", "foot"]),
+        ([(3.0, 2.0, 0.0), (3.0, 0.0, 0.0)], ["hip"]),
+        ([(3.0, 2.0, 1.0), None], []),
+        ([None], []),
+    ],
+)
+def test_a_joint_is_damped_by_its_loop_where_one_kd_above_zero_is_logged_in_all_takes(kds, joints):
+    assert _damped([logged(kd) for kd in kds]) == joints
+
+
+def test_weights_are_said_with_the_takes_that_carry_them():
+    takes = [replace_source(logged(None, payload_kg=mass), name) for name, mass in
+             (("x/one.npz", 0.5), ("two.npz", 1.5), ("three.npz", 0.5), ("four.npz", 0.0))]  # fmt: skip
+    first, second = model_changes(takes)
+    assert first.startswith("The metadata of one.npz, three.npz say payload_kg: in their simulations 0.5 kg")
+    assert second.startswith("The metadata of two.npz say payload_kg: in its simulations 1.5 kg")
+    assert model_changes(takes[3:]) == []
+
+
+def replace_source(take, source):
+    take.source = source
+    return take
+
+
+def test_trims_that_moved_are_told_with_their_joint_and_by_how_much_of_the_given_number():
+    def trim(name, where, *parameters):
+        return SimpleNamespace(effect=SimpleNamespace(name=name), where=where, parameters=parameters)
+
+    mass = Parameter("scale", "1", 2.0, 1.0, 3.0, 0.1)
+    offset = Parameter("offset", "rad", 0.0, -0.5, 0.5, 0.1)
+    trims = trim("link_mass", "hip", mass), trim("encoder_offset", "knee", offset), trim("link_mass", "foot", mass)
+    for values, told in (
+        ((2.1, 0.049, 1.9), "link mass of hip +5 %, link mass of foot -5 %"),
+        ((2.019, -0.06, 2.04), "encoder offset of knee offset -0.06 rad, link mass of foot +2 %"),
+        ((2.0, 0.0, 2.0), None),
+    ):
+        said = _trimmed(SimpleNamespace(hypothesis=Hypothesis((), trims), values=np.array(values)))
+        sentence = f"Beside the findings the corrected model was adjusted within its tolerances: {told}."
+        assert said == (() if told is None else (sentence,))
+
+
+def test_the_quality_is_told_of_all_recordings_those_kept_aside_too(monkeypatch):
+    monkeypatch.setattr("torchrl_athletic.diagnosis.state.is_slide", lambda model, address, joint: joint == 1)
+    signals = SimpleNamespace(nominal=None, address=None, recording=logged(None))
+    sets = [
+        SimpleNamespace(signals=[signals], report=lambda name=name: {"recordings": [name], "used_share": name})
+        for name in ("fitted", "aside")
+    ]
+    given = SimpleNamespace(
+        recordings=[logged(None)], heldout=[logged(None, payload_kg=2.0)], drive="measured", warnings=("w",)
+    )
+    told = _quality(SimpleNamespace(train=sets[0], held=sets[1], given=given))
+    assert told["recordings"] == ["fitted", "aside"]
+    assert told["used_share"] == "fitted"
+    assert told["units"] == {"hip": "rad", "knee": "m", "foot": "rad"}
+    assert (told["drive"], told["warnings"]) == ("measured", ["w"])
+    assert "2 kg" in told["model_changes"][0]
+    assert _quality(SimpleNamespace(train=sets[0], held=None, given=given))["recordings"] == ["fitted"]

@@ -1,5 +1,7 @@
 """What makes a joint worse where it was not fitted is taken back."""
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
@@ -69,3 +71,12 @@ def test_a_diagnosis_takes_back_what_recordings_kept_aside_contradict():
     assert score.after <= score.before
     assert any("taken back" in sentence for sentence in diagnosis.answer.summary)
     assert diagnosis.corrected.hypothesis.terms == ()
+
+
+def test_what_is_taken_back_is_said_of_joints_where_something_was_corrected_and_of_the_whole_robot():
+    def term(joint):
+        return SimpleNamespace(joint_name=joint, where=joint or "the robot")
+
+    gone = [term("elbow"), term("wrist"), term(None), term("elbow")]
+    assert "corrected at elbow, the robot is taken back" in veto_sentence(gone, ["elbow", "hip"])
+    assert veto_sentence(gone[1:2], ["elbow"]) == ""

@@ -30,11 +30,13 @@ def test_friction_approaches_its_final_level_with_the_time_constant():
     )
 
 
-def test_cold_friction_that_goes_is_that_of_the_start_at_first_and_nothing_in_the_end():
+@pytest.mark.parametrize("lost", [-2.0, -3.0])
+def test_cold_friction_that_goes_is_that_of_the_start_at_first_and_nothing_in_the_end(lost):
+    """No more goes than there was: friction never pushes, nor is it greater at the start than it was said to be."""
     force, cold, constant = np.full(3000, 5.0), 2.0, 0.4
     time = STEP * np.arange(2, 3000)
     expected = (force[2:] - cold * np.exp(-time / constant)) / MASS
-    np.testing.assert_allclose(acceleration(force, (ThermalDrift(), [cold, -cold, 0.0, constant])), expected, atol=5e-3)
+    np.testing.assert_allclose(acceleration(force, (ThermalDrift(), [cold, lost, 0.0, constant])), expected, atol=5e-3)
 
 
 def test_grease_that_thins_gives_back_what_a_damper_takes():

@@ -65,3 +65,15 @@ def test_a_hidden_state_is_found_once_for_rows_of_the_same_parameters():
     width, level = np.array([2.0, 2.0, 1.0, 1.0]), np.array([0.0, 0.0, 0.5, 0.5])
     np.testing.assert_array_equal(start.of(history, width, level), [0.0, 6.0, 0.5, 4.5])
     assert sorted(asked) == [(1.0, 0.5), (2.0, 0.0)]
+
+
+def test_each_row_reaches_the_samples_of_its_own_piece_at_their_stamps_and_stays_within_it():
+    """Stamps of tenths of a second, few of which binary numbers hold; the second piece begins at sample 20."""
+    time = np.concatenate([0.1 * np.arange(20), 7.3 + 0.1 * np.arange(30)])
+    still = np.zeros((50, 1))
+    start = Start(time, still, still, still, np.array([3, 22]), begins=np.array([0, 20]))
+    for k in range(20):
+        assert start.at(np.array([time[k], time[20 + k]])).tolist() == [k, 20 + k]
+        assert start.at(np.array([time[k], time[20 + k]]) + 0.099).tolist() == [k, 20 + k]
+    assert start.at(np.array([-5.0, -5.0])).tolist() == [0, 20]
+    assert start.at(np.array([99.0, 99.0])).tolist() == [19, 49]

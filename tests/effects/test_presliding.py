@@ -7,7 +7,7 @@ from effects.explained import explained, projected
 from effects.slider import MASS, STEP, push, speed
 
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
-from torchrl_athletic.effects.presliding import Hysteresis, sliding
+from torchrl_athletic.effects.presliding import Hysteresis, directions, sliding
 from torchrl_athletic.effects.signals import bristle
 
 WANDER = np.cumsum(np.random.default_rng(0).normal(0, 0.02, 2000))
@@ -18,6 +18,16 @@ def test_several_widths_are_what_each_is_alone():
     together = sliding(WANDER, widths)
     for k, width in enumerate(widths):
         np.testing.assert_allclose(together[:, k], bristle(WANDER, width), atol=1e-12)
+
+
+def test_a_creeping_joint_is_held_by_its_share_and_one_that_slides_by_no_more_than_all_of_it():
+    s = projected(Hysteresis(), 0, (0.0, 0.1))
+    early = {"presliding": 0.01, "creep": 0.2, "turnover": 0.05}
+    plain, ahead = directions(s, 0, [{**early, "turnover": 0.0}, early]).T
+    np.testing.assert_allclose(plain, np.clip(s.fine_velocity[:, 0] / 0.2, -1, 1))
+    assert (np.abs(plain) == 1).any()
+    shift = round(0.05 / s.fine_step)
+    np.testing.assert_allclose(ahead[:-shift], plain[shift:], atol=0.05)
 
 
 def test_relaxed_bristles_wind_up_over_their_width_and_unwind_after_a_reversal():

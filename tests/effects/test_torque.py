@@ -68,6 +68,15 @@ def test_a_saturated_motor_gives_its_limit_either_way():
     np.testing.assert_allclose(np.diff(speed(position)) / STEP, np.clip(FORCE[2:], -1.8, 1.8) / MASS, atol=1e-6)
 
 
+@pytest.mark.parametrize("limits", [(1.8, 1.2), (1.2, 1.8)])
+def test_of_two_limits_the_smaller_one_holds(limits):
+    expected = np.clip(FORCE[2:], -1.2, 1.2) / MASS
+    (twice,) = push(FORCE, *((TorqueSaturation(), [limit]) for limit in limits))
+    (known,) = push(FORCE, (TorqueSaturation(), [limits[0]]), limit=limits[1])
+    for position in (twice, known):
+        np.testing.assert_allclose(np.diff(speed(position)) / STEP, expected, atol=1e-6)
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_motor_runs_up_to_its_no_load_speed(sign):
     stall, no_load = 4.0, 0.5

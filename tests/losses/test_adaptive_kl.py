@@ -37,6 +37,12 @@ def test_the_band_follows_the_target_and_the_step_the_factor():
     assert after(1e-3, 0.21, target=0.1, factor=2.0) == pytest.approx(5e-4)
 
 
+@pytest.mark.parametrize("kl", [1e-9, 0.01, 3.0])
+def test_a_rate_of_zero_stays_and_bounds_may_be_one_number(kl):
+    assert after(0.0, kl) == 0.0
+    assert after(1e-3, kl, bounds=(1e-3, 1e-3)) == pytest.approx(1e-3)
+
+
 def test_the_rate_stays_the_same_tensor():
     rate = torch.tensor(1e-3)
     optimizer = torch.optim.AdamW([torch.nn.Parameter(torch.zeros(1))], lr=rate)
@@ -51,6 +57,7 @@ def test_the_rate_stays_the_same_tensor():
         ({"target": 0.0}, "Give 0.01"),
         ({"factor": 1.0}, "Give more than 1"),
         ({"bounds": (1e-2, 1e-5)}, "least learning rate first"),
+        ({"bounds": (0.0, 1e-2)}, "least learning rate first"),
     ],
 )
 def test_a_rule_that_cannot_work_is_refused(options, advice):

@@ -9,6 +9,7 @@ from torchrl.modules import NormalParamExtractor, OneHotCategorical, Probabilist
 from torchrl.objectives import ClipPPOLoss
 
 from torchrl_athletic.losses import SplitClipPPOLoss, clipped_surrogate, gaussian_kl, sampled_kl
+from torchrl_athletic.losses.split_ppo import explained_variance
 
 OPTIONS = [
     {},
@@ -58,6 +59,13 @@ def test_without_a_coefficient_the_critic_stays_out_of_the_sum_but_can_be_asked(
     assert "loss_critic" not in loss.out_keys
     whole = SplitClipPPOLoss(policy, value).loss_critic(batch)["loss_critic"]
     assert loss.loss_critic(batch)["loss_critic"] == whole
+
+
+def test_values_that_are_not_to_be_clipped_are_not(case):
+    policy, value, batch = case
+    plain, told = (SplitClipPPOLoss(policy, value, clip_value=clip).loss_critic(batch) for clip in (None, False))
+    assert set(told.keys()) == set(plain.keys()) == {"loss_critic", "explained_variance"}
+    assert told["loss_critic"] == plain["loss_critic"]
 
 
 def test_actor_and_critic_each_see_their_own_samples(case):
@@ -185,6 +193,45 @@ def test_an_entropy_estimated_from_sixteen_draws_scatters_a_quarter_as_much():
         loss = SplitClipPPOLoss(policy, samples_mc_entropy=draws)
         spread[draws] = torch.stack([loss.loss_actor(batch)["entropy"] for _ in range(300)]).std().item()
     assert spread[16] == pytest.approx(spread[1] / 4, rel=0.2)
+
+
+def test_each_sample_of_a_batch_of_any_shape_has_its_own_losses_and_masks():
+    """Entropy that is drawn included: of samples in rows and steps it is that of the same samples in a line."""
+    policy, (_, value) = squashed(), networks()
+    batch = collected(policy, 4, 5)
+    batch["shifted_valid"] = torch.arange(20).view(4, 5) % 3 > 0
+    move(policy)
+    found = []
+    for part in (batch, batch.reshape(-1)):
+        torch.manual_seed(3)
+        out = SplitClipPPOLoss(policy, value, reduction="none", clip_value=0.2)(part)
+        for key in ("loss_objective", "loss_entropy", "loss_critic"):
+            assert out[key].shape == part.batch_size, key
+        found.append(out)
+    for key, expected in found[1].items():
+        torch.testing.assert_close(found[0][key].reshape(expected.shape), expected)
+    assert (found[0]["loss_entropy"] != 0).equal(batch["shifted_valid"])
+
+
+@pytest.mark.parametrize("size", [1e-2, 1.0, 1e4])
+def test_standardised_advantages_and_explained_variance_know_no_unit(case, size):
+    policy, value, batch = case
+    batch["value_target"] = batch["state_value"] + 0.3 * batch["advantage"]
+    expected = explained_variance(batch["state_value"], batch["value_target"])
+    found = explained_variance(size * batch["state_value"], size * batch["value_target"])
+    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3)
+    loss = SplitClipPPOLoss(policy, value, normalize_advantage=True)
+    expected = loss.loss_actor(batch)["loss_objective"]
+    batch["advantage"] = size * batch["advantage"]
+    torch.testing.assert_close(loss.loss_actor(batch)["loss_objective"], expected, rtol=1e-3, atol=1e-5)
+
+
+def test_a_batch_that_remembers_half_of_the_policy_has_its_divergence_estimated(case):
+    policy, value, batch = case
+    whole, half = (SplitClipPPOLoss(policy, value).loss_actor(b)["kl"] for b in (batch, batch.exclude("scale")))
+    log_ratio = (policy.get_dist(batch.clone()).log_prob(batch["action"]) - batch["action_log_prob"]).unsqueeze(-1)
+    torch.testing.assert_close(half, sampled_kl(log_ratio).mean().detach())
+    assert half != whole
 
 
 @pytest.mark.parametrize("separate", [False, True])

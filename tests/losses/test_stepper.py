@@ -138,12 +138,17 @@ def test_long_gradients_are_cut_but_reported_as_they_were():
 
 
 def test_decay_pulls_weights_that_have_no_gradient_to_zero():
-    stepper = make({"entropy_bonus": False}, adaptive_kl=None, actor_lr=1e-2, epochs=1, minibatches=1)
+    options = {"actor_lr": 1e-2, "critic_lr": 2e-2, "weight_decay": 0.03}
+    stepper = make({"entropy_bonus": False}, adaptive_kl=None, epochs=1, minibatches=1, **options)
     batch = collected(stepper.loss.actor_network, 8)
     batch["advantage"].zero_()
-    before = parameters(stepper.loss.actor_network)
+    with torch.no_grad():
+        batch["value_target"] = stepper.loss.critic_network(batch.clone())["state_value"]
+    nets = stepper.loss.actor_network, stepper.loss.critic_network
+    before = [parameters(net) for net in nets]
     stepper.update(batch)
-    agree(parameters(stepper.loss.actor_network), [p * (1 - 1e-2 * 0.01) for p in before])
+    for net, old, rate in zip(nets, before, (1e-2, 2e-2), strict=True):
+        agree(parameters(net), [p * (1 - rate * 0.03) for p in old])
 
 
 def test_making_a_stepper_moves_nothing():
@@ -202,16 +207,84 @@ def test_processes_speak_once_a_step_before_gradients_are_cut():
 
     def average(tensors, weight):
         heard.append((len(tensors), weight))
+        for tensor in tensors[-3:]:
+            tensor.add_(7.0)
         tensors[0].zero_()
 
     stepper = make(epochs=3, minibatches=2, critic_minibatches=1, average=average, max_grad_norm=1e-3)
     batch = collected(stepper.loss.actor_network, 32)
     batch["shifted_valid"] = torch.arange(32) < 16
-    stepper.update(batch)
+    report = stepper.update(batch)
+    assert report["loss_critic"] > 5  # what is reported goes with the gradients
+    assert report["kl"] > 5
     assert len(heard) == 3 * (2 + 1)
     assert sum(float(weight) for _, weight in heard) == 3 * (16 + 16)
     assert stepper.critic_parameters[0].grad.count_nonzero() == 0
     assert stepper.critic_parameters[1].grad.count_nonzero() > 0
+
+
+def test_all_processes_capture_if_one_of_many_has_to():
+    stepper = make(average=lambda tensors, weight: tensors[0].div_(64))
+    assert stepper._anywhere(True)
+    assert not stepper._anywhere(False)
+
+
+def test_a_graph_fits_only_while_all_that_it_reads_in_place_lies_where_it_was():
+    stepper = make(in_place=("observation", "action"))
+    batch = collected(stepper.loss.actor_network, 8)
+    stepper._static = stepper._inputs(batch)
+    assert stepper._fits(stepper._inputs(batch))
+    assert stepper._fits(stepper._inputs(batch.copy().set("advantage", batch["advantage"].clone())))
+    assert not stepper._fits(stepper._inputs(batch[:7]))
+    for name in ("observation", "action"):
+        assert not stepper._fits(stepper._inputs(batch.copy().set(name, batch[name].clone())))
+
+
+def test_another_state_needs_another_graph():
+    stepper = make()
+    stepper._graph = object()
+    stepper.load_state_dict(stepper.state_dict())
+    assert stepper._graph is None
+
+
+def test_a_report_is_the_mean_over_all_steps_and_tells_what_the_values_explained_before():
+    stepper = make({"clip_value": 0.2}, epochs=3, minibatches=2, critic_minibatches=3)
+    batch = collected(stepper.loss.actor_network, 30)
+    batch["shifted_valid"] = torch.arange(30) % 3 > 0
+    batch["value_target"][::3] = 1e3
+    told = {}
+    for name in ("loss_actor", "loss_critic"):
+        told[name], loss = [], getattr(stepper.loss, name)
+        setattr(stepper.loss, name, lambda part, name=name, loss=loss: told[name].append(loss(part)) or told[name][-1])
+    report = stepper.update(batch)
+    assert (len(told["loss_actor"]), len(told["loss_critic"])) == (6, 9)
+    for name, keys in (("loss_actor", ("loss_objective", "kl", "max_ratio", "ESS")), ("loss_critic", ("loss_critic",))):
+        for key in keys:
+            torch.testing.assert_close(report[key], torch.stack([each[key].detach() for each in told[name]]).mean())
+    target, value = (batch[key][batch["shifted_valid"]] for key in ("value_target", "state_value"))
+    expected = 1 - (target - value).var(correction=0) / target.var(correction=0)
+    torch.testing.assert_close(report["explained_variance"], expected, rtol=1e-4, atol=1e-5)
+
+
+def test_both_networks_are_given_what_their_losses_read_and_nothing_else():
+    stepper = make()
+    batch = collected(stepper.loss.actor_network, 8)
+    batch["shifted_valid"], batch["idle"] = torch.ones(8, dtype=torch.bool), torch.zeros(8)
+    shared = {"observation", "shifted_valid"}
+    acted = {"action", "action_log_prob", "advantage", "loc", "scale"}
+    assert set(stepper._actor_keys(batch)) == shared | acted
+    assert set(stepper._critic_keys(batch)) == shared | {"value_target", "state_value"}
+
+
+def test_where_no_sample_counts_nothing_is_learnt_and_nothing_breaks():
+    stepper = make({"clip_value": 0.2}, weight_decay=0.0, micro_batch=5)
+    batch = collected(stepper.loss.actor_network, 16)
+    batch["shifted_valid"] = torch.zeros(16, dtype=torch.bool)
+    nets = stepper.loss.actor_network, stepper.loss.critic_network
+    before = parameters(*nets)
+    report = stepper.update(batch)
+    assert report["loss_critic"] == report["loss_objective"] == report["critic_grad_norm"] == 0
+    agree(parameters(*nets), before, rtol=0, atol=0)
 
 
 class Overheard(TorchDispatchMode):

@@ -108,3 +108,15 @@ def test_a_critic_takes_more_inputs_behind_those_it_has():
     torch.testing.assert_close(value(TensorDict({"observation": more}, [5]))["state_value"], before)
     shown = trunk_of(value).normalizer(torch.tensor([[0.0, 0.0, 0.0, 0.0, 3.0, 150.0]]))
     assert shown[0, 4:].tolist() == [3.0, 1.5]  # by their usual sizes: none is cut off
+
+
+def test_inputs_that_are_opened_are_normalised_by_nothing_and_new_ones_by_their_usual_size():
+    """Those in between go on as they were."""
+    normalizer = RunningNormalizer(4)
+    normalizer.update(torch.tensor([[1.0, 2.0, 3.0, 4.0], [3.0, 6.0, 9.0, 12.0]]))
+    value = critic(4, hidden=(8,), normalizer=normalizer)
+    open_inputs(value, [1, 3], [0.5, 20.0])
+    assert normalizer.mean.tolist() == [2.0, 0.0, 6.0, 0.0, 0.0, 0.0]
+    assert normalizer.variance.sqrt().tolist() == pytest.approx([1.0, 1.0, 3.0, 1.0, 0.5, 20.0])
+    weight = trunk_of(value).mlp[0].weight
+    assert weight.any(0).tolist() == [True, False, True, False, False, False]

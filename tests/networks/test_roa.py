@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from torchrl_athletic.losses import SplitClipPPOLoss, SplitOptimizationStepper
-from torchrl_athletic.networks import actor, critic, deploy, roa_actor
+from torchrl_athletic.networks import RunningNormalizer, actor, critic, deploy, roa_actor
 from torchrl_athletic.networks.roa import RegularizedAdaptation, adaptation_loss
 
 
@@ -74,3 +74,34 @@ def test_ppo_teaches_the_adaptation_module_and_a_deployed_policy_needs_nothing_p
 def test_a_policy_that_cannot_adapt_is_not_deployed() -> None:
     with pytest.raises(ValueError, match="Make it with roa_actor"):
         deploy(actor(3, 2))
+
+
+def test_the_pull_on_the_encoder_grows_with_its_passes_and_no_further_than_told() -> None:
+    """The gradient of what is brought along alone, at each pass, since the latent itself is not used."""
+    torch.manual_seed(0)
+    adaptation, data = RegularizedAdaptation(3, 6, latent=2, hidden=(4,), ramp=2), seen(5)
+    told, felt = adaptation.encoder(data["randomization"]), adaptation.adapter(data["history"])
+    full = torch.autograd.grad(adaptation_loss(told, felt, 1.0), list(adaptation.encoder.parameters()))
+    for weight in (0.5, 1.0, 1.0, 1.0):
+        adaptation.zero_grad()
+        (0.0 * adaptation(data["randomization"], data["history"])).sum().backward()
+        for parameter, gradient in zip(adaptation.encoder.parameters(), full, strict=True):
+            torch.testing.assert_close(parameter.grad, weight * gradient)
+
+
+def test_a_policy_has_the_sizes_that_were_asked_for_and_only_what_it_observes_is_normalised() -> None:
+    normalizer = RunningNormalizer(4)
+    normalizer.update(3.0 + 5.0 * torch.randn(100, 4))
+    policy = roa_actor(4, 2, 3, 6, hidden=(16, 8), ramp=77, latent=5, scale=0.3, normalizer=normalizer)
+    (adaptation,) = (module for module in policy.modules() if isinstance(module, RegularizedAdaptation))
+    assert (adaptation.ramp, adaptation.encoder[-1].out_features) == (77, 5)
+    data = seen(6)
+    with torch.no_grad():
+        whole = policy(data.clone())
+        plain = policy.get_submodule("module.0.module.network")
+        latent = adaptation.encoder(data["randomization"])
+        expected = plain.trunk(normalizer(data["observation"]), latent)
+    torch.testing.assert_close(whole["loc"], expected)
+    torch.testing.assert_close(whole["scale"], torch.full((6, 2), 0.3))
+    widths = [layer.out_features for layer in plain.trunk.modules() if isinstance(layer, torch.nn.Linear)]
+    assert widths == [16, 8, 2]

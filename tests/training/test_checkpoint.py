@@ -2,6 +2,7 @@ import os
 import signal
 import subprocess
 import sys
+from copy import deepcopy
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from training.tasks import arm_env, arm_learner
 
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.robots import z1
-from torchrl_athletic.training import Checkpoints, CSVTable, train
+from torchrl_athletic.training import Checkpoints, CSVTable, Processes, train
 from torchrl_athletic.training.checkpoint import env_state, restore_env
 from torchrl_athletic.transforms import DomainRandomization, ExternalPush, Push, RandomizationRanges
 
@@ -46,7 +47,7 @@ def test_a_run_in_two_parts_is_the_run_in_one(tmp_path):
 SCRIPT = """
 import os, signal, sys
 from training.tasks import arm_learner
-from torchrl_athletic.training import Checkpoints, CSVTable, train
+from torchrl_athletic.training import Checkpoints, CSVTable, Processes, train
 
 learner = arm_learner()
 def evaluate():
@@ -99,7 +100,49 @@ def test_only_the_newest_stay(tmp_path):
     assert sorted(path.name[-1] for path in tmp_path.iterdir()) == ["2", "3"]
 
 
-@pytest.mark.parametrize(("iteration_takes", "kept"), [(4.0, [3, 6, 7]), (12.0, [1, 2, 3, 4, 5, 6, 7]), (1.0, [7])])
+class OneOfTwo(Processes):
+    """The other one does alike."""
+
+    def gather(self, value):
+        return [value] * 2
+
+
+def test_a_process_that_writes_first_keeps_one_state_more(tmp_path):
+    """If the first process dies before it writes, all go on from the one before, and no older one is of use."""
+    net = torch.nn.Linear(2, 1)
+    for net.processes in (OneOfTwo(0, 2), OneOfTwo(1, 2)):
+        for net.iteration in range(5):
+            Checkpoints(tmp_path, keep=2).save(net)
+    left = sorted(path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("checkpoint-*"))
+    name = "checkpoint-00000000000"
+    assert left == [f"{name}3", f"{name}4", *(f"rank1/{name}{k}" for k in (2, 3, 4))]
+
+
+@pytest.mark.parametrize(("then", "now"), [({}, {"seed": 1}), ({"seed": 1}, {}), ({"seed": 2}, {"seed": 1})])
+def test_a_run_of_something_else_is_not_gone_on_with_and_takes_nothing_over(then, now, tmp_path):
+    saved, other = torch.nn.Linear(2, 1), torch.nn.Linear(2, 1)
+    saved.iteration = 3
+    Checkpoints(tmp_path, made_of={"task": "throw", **then}).save(saved)
+    before = other.weight.clone()
+    told = rf"run whose seed is {then.get('seed')}; here it is {now.get('seed')}\."
+    with pytest.raises(ValueError, match=told):
+        Checkpoints(tmp_path, made_of={"task": "throw", **now}).resume(other)
+    assert other.weight.equal(before)
+    assert Checkpoints(tmp_path, made_of={"task": "throw", **then}).resume(other)
+    assert other.weight.equal(saved.weight)
+
+
+def test_what_lies_beside_a_learner_is_as_it_was(tmp_path):
+    net = torch.nn.Linear(2, 1)
+    net.iteration, scale, again = 1, torch.nn.Linear(3, 3), torch.nn.Linear(3, 3)
+    Checkpoints(tmp_path, beside={"scale": scale}).save(net)
+    assert Checkpoints(tmp_path, beside={"scale": again}).resume(torch.nn.Linear(2, 1))
+    assert again.weight.equal(scale.weight)
+
+
+@pytest.mark.parametrize(
+    ("iteration_takes", "kept"), [(4.0, [3, 6, 7]), (5.0, [2, 4, 6, 7]), (12.0, [1, 2, 3, 4, 5, 6, 7]), (1.0, [7])]
+)
 def test_slow_iterations_are_saved_by_the_clock(iteration_takes, kept, tmp_path, monkeypatch):
     """Every ten seconds, whatever the number of iterations, so that a kill loses no more than that and an iteration."""
     now, learner = [100.0], arm_learner()
@@ -152,7 +195,11 @@ def test_a_robot_of_another_mass_that_is_being_pushed_goes_on_as_it_was():
     shown, other = (each.rollout(7, break_when_any_done=False)["next"][:, -1].exclude("reward") for each in (env, twin))
     assert shown["push_on"].any()
     assert (other["push"] != shown["push"]).any()
-    current = restore_env(twin, shown.clone(), env_state(env))
+    state = env_state(env)
+    stood = deepcopy(state)
+    restore_env(twin, shown.clone(), {**state, "wrenches": {}})
+    assert not any(wrench.any() for wrench in twin.base_env.wrenches.values())
+    current = restore_env(twin, shown.clone(), state)
     assert torch.equal(twin.base_env.physics.xfrc_applied, env.base_env.physics.xfrc_applied)
     began = shown["push_on"].clone()
     for _ in range(20):
@@ -161,6 +208,13 @@ def test_a_robot_of_another_mass_that_is_being_pushed_goes_on_as_it_was():
         for key in ("joint_position", "push", "randomization"):
             torch.testing.assert_close(current[key], shown[key], rtol=0, atol=0)
     assert (shown["push_on"] != began).any()
+    env.reset()
+    for each in (env, twin):  # what was taken is a copy: it does not go on with the episode
+        each.base_env.physics.set_fields({name: value + 1 for name, value in state["fields"].items()})
+    for part, values in stood.items():
+        assert values, part
+        for name, value in values.items():
+            assert value.equal(state[part][name]), name
 
 
 def test_an_environment_of_another_library_starts_new_episodes():

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
 from torchrl_athletic.training import CSVTable, draw_curves
 from torchrl_athletic.training.curves import smoothed
@@ -25,3 +26,24 @@ def test_smoothing_keeps_a_line_and_takes_noise():
     inner = slice(20, -20)
     np.testing.assert_allclose(smoothed(line, 0.1)[inner], line[inner])
     assert smoothed(noise, 0.1).std() < 0.4
+
+
+def test_each_line_is_its_runs_column_over_what_is_asked_for_under_its_title(tmp_path, monkeypatch):
+    """Cells that are empty, of iterations without an evaluation, are passed over."""
+    rows = {"one": [(1.0, 5.0), (2.0, 3.0), (3.0, 8.0)], "two": [(4.0, 1.0), (5.0, 0.0), (6.0, 2.0)]}
+    for name, values in rows.items():
+        table = CSVTable(tmp_path / f"{name}.csv")
+        for k, (reward, error) in enumerate(values):
+            told = {"samples": 10.0 * k, "seconds": 7.0 + k, "reward": reward}
+            table.log_metrics(told if k == 1 else told | {"error": error}, step=k)
+    drawn = {}
+    monkeypatch.setattr(Axes, "plot", lambda axis, x, y, label, **_: drawn.setdefault(axis, []).append((label, x, y)))
+    shown = {"error": "how far", "reward": "how well"}
+    draw_curves({name: tmp_path / f"{name}.csv" for name in rows}, shown, tmp_path / "c.png", against="seconds")
+    for axis, column in zip(drawn, (1, 0), strict=True):
+        assert axis.get_title() == ("how well", "how far")[column]
+        assert [label for label, _, _ in drawn[axis]] == ["one", "two"]
+        for label, x, y in drawn[axis]:
+            kept = [0, 2] if column else [0, 1, 2]
+            np.testing.assert_allclose(x, [7.0 + k for k in kept])
+            np.testing.assert_allclose(y, [rows[label][k][column] for k in kept])

@@ -56,6 +56,12 @@ def test_advantages_are_standardised_as_torchrl_does():
     assert plain["value_target"].equal(stock["value_target"])
 
 
+@pytest.mark.parametrize(("spread", "left"), [(1e-3, 1.0), (1e-5, 0.1), (0.0, 0.0)])
+def test_advantages_that_hardly_differ_are_not_blown_up(spread, left):
+    value = 2.0 + spread * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64).view(3, 1)
+    assert float(jobs.standardized(value, ALONE).std()) == pytest.approx(left, rel=1e-6)
+
+
 def test_training_in_two_processes_is_training_in_one_where_rows_explore_alike(tmp_path):
     """Three iterations of everything: collection, normaliser, advantages, update, learning rate, reports."""
     whole = jobs.exact_training(ALONE)
@@ -148,6 +154,15 @@ def test_standardising_each_minibatch_in_each_process_is_refused():
     loss = SplitClipPPOLoss(actor(3, 2), critic(3), normalize_advantage=True)
     with pytest.raises(ValueError, match=r"training\.standardized"):
         SplitOptimizationStepper(loss, average=ALONE.average_)
+
+
+@pytest.mark.parametrize(("count", "joined", "left"), [(2, True, 1), (2, False, 0), (1, True, 0)])
+def test_connections_are_closed_where_there_are_some(count, joined, left, monkeypatch):
+    closed = []
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: joined)
+    monkeypatch.setattr(torch.distributed, "destroy_process_group", lambda: closed.append(count))
+    Processes(0, count).leave()
+    assert len(closed) == left
 
 
 def test_without_torchrun_there_is_one_process():

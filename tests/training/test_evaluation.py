@@ -68,6 +68,16 @@ def test_a_rollout_of_whole_episodes_tells_which_steps_belong_to_them():
     assert last_of(episodes, "age").flatten().tolist() == [4.0, 2.0, 5.0, 3.0, 6.0]
 
 
+def test_whole_episodes_are_played_without_noise_and_no_longer_than_asked_for():
+    seen = play(arm_env(episode=50), policy(), steps=3)["next"]
+    kept = whole_rollout(arm_env(episode=50), policy(), ["joint_position", "reward"], steps=3)
+    assert kept.batch_size == (4, 3)
+    for key in ("joint_position", "reward"):
+        torch.testing.assert_close(kept[key], seen[key], rtol=0, atol=0)
+    means = whole_episodes(arm_env(episode=50), policy(), ["reward"], steps=3).means
+    np.testing.assert_allclose(means["reward"], seen["reward"].mean((1, 2)), rtol=1e-5)
+
+
 def test_playing_stops_at_the_first_end_of_any_row():
     assert play(TransformedEnv(ToyEnv(num_envs=5), Counting()), Falling(), steps=10).batch_size == (5, 2)
 
@@ -86,6 +96,9 @@ def test_intervals_are_those_of_scipy_and_none_of_a_thousand_is_not_certainty():
     assert (mean, low, high) == pytest.approx((values.mean(), expected.low, expected.high))
     share, low, high = episodes.falls()
     assert low < share == 0.02 < high
+    centre = (0.02 + 1.96**2 / 400) / (1 + 1.96**2 / 200)  # Wilson's, by hand
+    half = 1.96 / (1 + 1.96**2 / 200) * np.sqrt(0.02 * 0.98 / 200 + 1.96**2 / 4 / 200**2)
+    assert (low, high) == pytest.approx((centre - half, centre + half), rel=1e-3)
     none = Episodes(np.zeros(1000, bool), np.full(1000, 9), {})
     assert none.falls()[:2] == (0.0, 0.0)
     assert 0.003 < none.falls()[2] < 0.004

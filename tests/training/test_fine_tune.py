@@ -1,17 +1,22 @@
 """Tuning begins as the controller that it goes on from, and leaves all that it says."""
 
 import json
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_athletic.envs import ball_throw_env, whole_body_env
 from torchrl_athletic.envs.ball_throw import KNOWN
-from torchrl_athletic.networks import pretrained, read_network
+from torchrl_athletic.networks import pretrained, read_network, trunk_of
 from torchrl_athletic.training import FINE_TUNE, PPO, CSVTable, FineTune, fine_tune, iterate, save_wbc, task_learner
+from torchrl_athletic.training.wbc import WATCHED
 
+module = sys.modules["torchrl_athletic.training.fine_tune"]  # beside which lies a function of its name
 SMALL = replace(FINE_TUNE, num_envs=4, horizon=4)
 
 
@@ -54,6 +59,18 @@ def test_the_critic_values_what_it_did_and_takes_in_the_task(env):
     old[:, 73:77] = 0.0
     value = pretrained("wbc_critic")(shown.clone().set("privileged", old))["state_value"]
     torch.testing.assert_close(learner.critic(shown.clone())["state_value"], value, rtol=1e-4, atol=1e-4)
+
+
+def test_what_the_task_adds_is_seen_in_its_usual_sizes_and_what_is_watched_is_that_of_the_controller(env):
+    learner = task_learner(env, SMALL, known=KNOWN, seed=5)
+    sizes = [size for key, size in KNOWN.items() for _ in range(env.observation_spec[key].shape[-1])]
+    assert len(set(sizes)) > 1
+    variance = trunk_of(learner.critic).normalizer.variance[-len(sizes) :]
+    torch.testing.assert_close(variance.sqrt(), torch.tensor(sizes))
+    assert learner.watch == WATCHED
+    assert learner.stepper.generator.initial_seed() == 5
+    assert learner.config is SMALL
+    assert not learner.normalizers  # what inputs are normalised by stays as it was
 
 
 def test_a_tuned_policy_goes_on_as_it_was(env, tmp_path):
@@ -120,6 +137,60 @@ def test_it_leaves_policy_curves_and_figures_and_goes_on(tmp_path):
     assert len(seen) == 3  # what came before is known
     with pytest.raises(ValueError, match="seed"):
         fine_tune(replace(cfg, iterations=4, seed=1), ball_throw_maker, judge=judge, **told)
+
+
+class Told(dict):
+    """Stands for a function, and notes what each call was told."""
+
+    def of(self, name, answer=None):
+        return lambda *arguments, **told: self.setdefault(name, []).append((arguments, told)) or answer
+
+
+@pytest.mark.parametrize("minutes", [None, 3.0])
+def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examination(tmp_path, monkeypatch, minutes):
+    told, policy = Told(), torch.nn.Linear(1, 1)
+    learner = SimpleNamespace(actor=policy)
+    for name in ("train", "save_wbc", "draw_episode", "write_video", "frame_strip"):
+        monkeypatch.setattr(module, name, told.of(name))
+    monkeypatch.setattr(module, "task_learner", told.of("learner", learner))
+    monkeypatch.setattr(module, "make_logger", told.of("logger", "log"))
+    monkeypatch.setattr(module, "whole_rollout", told.of("rollout", TensorDict()))
+    monkeypatch.setattr(module, "Checkpoints", told.of("checkpoints", "states"))
+    monkeypatch.setattr(torch, "manual_seed", told.of("seed"))
+    ppo = PPO(horizon=7, entropy_coeff=0.25)
+    cfg = FineTune(
+        minutes=minutes, iterations=9, seed=6, start="other", actuation="ideal", num_envs=12, ppo=ppo, episodes=5,
+        logger="none", output=tmp_path,
+    )  # fmt: skip
+    task = {"name": "throw", "known": {"goal": 2.0}, "curves": {}, "look_at": ["hand"], "steps": 500}
+    make_env = told.of("env", "world")
+    fine_tune(cfg, make_env, judge=lambda episodes: {"far": 1.0}, annotate="ball", **task)
+
+    assert told["seed"] == [((6,), {})]
+    training, *exams, film = told["env"]
+    assert training == ((12,), {"device": "cpu", "seed": 6, "staggered": True})
+    assert [(count, told["exam"]) for (count,), told in exams] == [(5, True)] * 2
+    assert exams[0] == exams[1]
+    assert film[0] == (1,)
+    assert film[1]["exam"]
+    assert len({training[1]["seed"], exams[0][1]["seed"], film[1]["seed"]}) == 3
+    ((world, config), options), = told["learner"]  # fmt: skip
+    assert (world, config) == ("world", replace(ppo, num_envs=12))
+    assert options == {"start": "other", "known": {"goal": 2.0}, "seed": 6, "cuda_graph": False}
+    (((trained,), options),) = told["train"]
+    assert trained is learner
+    assert (options["minutes"], options["iterations"]) == (minutes or 10.0, 9)
+    assert (options["logger"], options["checkpoints"]) == ("log", "states")
+    assert told["logger"] == [(("none", tmp_path, "finetune_throw"), {})]
+    (((folder,), options),) = told["checkpoints"]
+    assert folder == tmp_path / "checkpoints"
+    same = {"seed": "6", "start": "other", "actuation": "ideal", "task": "throw", "ppo": str(config)}
+    assert options["made_of"] == same
+    for (world, _, look_at, steps), _ in told["rollout"]:
+        assert (world, look_at, steps) == ("world", ["hand"], 500)
+    assert told["save_wbc"][0][1]["name"] == "throw"
+    assert told["draw_episode"] == [(("world", policy, 400), {"annotate": "ball", "follow": "base"})]
+    assert told["write_video"][0][0][1:] == (tmp_path / "throw.mp4", 50.0)
 
 
 def ball_throw_maker(num_envs, exam=False, **told):

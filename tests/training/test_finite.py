@@ -54,6 +54,20 @@ def test_rows_are_counted():
         check_finite(broken)
 
 
+def test_one_number_of_a_row_is_enough_and_the_others_do_not_move_the_step():
+    broken = batch()
+    broken["observation"][1, 2, 0] = torch.nan
+    broken["observation"][0, 3, 1] = torch.inf
+    with pytest.raises(NonFiniteError, match="is nan in row 1 at step 2; all else is finite"):
+        check_finite(broken)
+
+
+def test_without_a_time_the_numbers_that_are_none_are_counted():
+    report = TensorDict({"kl": torch.tensor(0.1), "loss": torch.tensor([1.0, torch.inf, 2.0, torch.inf, 3.0])})
+    with pytest.raises(NonFiniteError, match="'loss' of the update is inf in 2 of 5 numbers; all else is finite"):
+        check_finite(report, "update")
+
+
 def test_a_network_gone_bad_stops_the_training_before_it_learns_from_it():
     learner = arm_learner()
     iterate(learner)

@@ -1,3 +1,4 @@
+import csv
 import sys
 
 import pytest
@@ -32,6 +33,28 @@ def test_steps_that_are_done_again_are_taken_out(tmp_path):
     assert table.path.read_text().split() == ["step,reward", "1,1.0", "2,3.0"]
 
 
+def test_rows_without_a_step_are_numbered(tmp_path):
+    table = CSVTable(tmp_path / "progress.csv")
+    for reward in (1.0, 2.0, 3.0):
+        table.log_metrics({"reward": reward})
+    assert [row["step"] for row in CSVTable(table.path).rows] == ["0", "1", "2"]
+
+
+def test_a_table_that_cannot_be_written_anew_stays_as_it_was(tmp_path, monkeypatch):
+    table = CSVTable(tmp_path / "progress.csv")
+    table.log_metrics({"reward": 1.0}, step=1)
+    before = table.path.read_text()
+
+    def full(writer, rows):
+        raise OSError("no space left")
+
+    monkeypatch.setattr(csv.DictWriter, "writerows", full)
+    with pytest.raises(OSError, match="no space"):
+        table.log_metrics({"reward": 2.0, "error": 3.0}, step=2)
+    assert table.path.read_text() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["progress.csv"]
+
+
 def test_no_logger_is_none(tmp_path):
     assert make_logger("none", tmp_path) is None
 
@@ -53,7 +76,8 @@ def test_tensorboard_writes_its_event_file(tmp_path):
     logger = make_logger("tensorboard", tmp_path, "reach")
     logger.log_metrics({"reward": 1.0}, step=1)
     logger.experiment.flush()
-    assert list(tmp_path.rglob("events.out.tfevents*"))
+    (events,) = tmp_path.rglob("events.out.tfevents*")
+    assert "reach" in events.relative_to(tmp_path).parts
 
 
 def test_wandb_stays_on_this_machine(tmp_path, monkeypatch):

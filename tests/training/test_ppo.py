@@ -6,7 +6,9 @@ import torch
 from training.tasks import arm_env, arm_learner
 
 from torchrl_athletic.networks import RunningNormalizer, actor, critic
-from torchrl_athletic.training import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
+from torchrl_athletic.physics import CapacityError
+from torchrl_athletic.training import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, NonFiniteError, Processes, iterate, train
+from torchrl_athletic.training.distributed import ALONE
 from torchrl_athletic.training.ppo import collect, estimate_advantage
 
 
@@ -201,11 +203,141 @@ def test_without_an_end_there_is_no_start():
         train(arm_learner())
 
 
-def test_what_is_watched_is_reported():
-    assert iterate(arm_learner(watch=["joint_velocity"]))["joint_velocity"].isfinite()
+def test_the_reward_and_what_is_watched_are_reported_by_their_means():
+    learner, seen = arm_learner(watch=["joint_velocity"]), []
+    rollout = learner.rollout
+
+    def noting():
+        seen.append(rollout().clone())
+        return seen[-1].clone()
+
+    learner.rollout = noting
+    report = iterate(learner)
+    for key in ("reward", "joint_velocity"):
+        torch.testing.assert_close(report[key], seen[-1]["next", key].mean())
 
 
 def test_a_batch_of_another_size_than_configured_is_refused():
     learner = arm_learner()
     with pytest.raises(ValueError, match=r"num_envs=config\.num_envs"):
         Learner(arm_env(2), learner.actor, learner.critic, PPO(num_envs=4))
+
+
+def test_every_number_of_the_configuration_reaches_the_update():
+    policy = actor(7, 7, in_keys=["joint_position"], hidden=(16,))
+    value = critic(7, in_keys=["joint_position"], hidden=(16,))
+    config = PPO(
+        num_envs=4, horizon=7, discount=0.9, gae_lambda=0.8, entropy_coeff=0.03, actor_lr=2e-3, critic_lr=3e-3,
+        kl_target=0.04, epochs=3, actor_minibatches=6, critic_minibatches=2, weight_decay=0.05, clip_epsilon=0.15,
+        max_grad_norm=0.7, micro_batch=11,
+    )  # fmt: skip
+    learner = Learner(arm_env(4), policy, value, config, seed=9)
+    stepper = learner.stepper
+    told = ("actor_lr", "critic_lr", "epochs", "critic_minibatches", "max_grad_norm", "micro_batch")
+    for name in told:
+        assert float(getattr(stepper, name)) == pytest.approx(getattr(config, name)), name
+    assert (stepper.minibatches, stepper.generator.initial_seed()) == (6, 9)
+    assert (stepper.loss.clip_epsilon, stepper.loss.entropy_coeff) == (pytest.approx(0.15), pytest.approx(0.03))
+    decays = [group["weight_decay"] for each in (stepper.actor_optimizer, stepper.critic_optimizer)
+              for group in each.param_groups]  # fmt: skip
+    assert decays == [0.05, 0.05]
+    assert float(learner.kl_target) == pytest.approx(0.04)
+    assert stepper.adaptive_kl.target is learner.kl_target
+    assert (learner.rollout.horizon, float(learner.advantage.gamma), float(learner.advantage.lmbda)) == (
+        7, pytest.approx(0.9), pytest.approx(0.8),
+    )  # fmt: skip
+
+
+def test_a_state_counts_iterations_samples_and_time_and_does_not_change_as_training_goes_on():
+    first, second = arm_learner(), arm_learner(seed=1)
+    iterate(first)
+    first.seconds = 12.5
+    state = first.state_dict()["rollout"]["current"]
+    stood = {key: value.clone() for key, value in state.items()}
+    second.load_state_dict(first.state_dict())
+    assert (second.iteration, second.samples, second.seconds) == (1, 48, 12.5)
+    for value in first.rollout.current.values():
+        value.zero_()
+    assert stood["joint_position"].any()
+    for key, value in stood.items():
+        assert value.equal(state[key]), key
+
+
+def test_a_number_that_an_update_breaks_stops_the_training():
+    learner = arm_learner()
+    update = learner.stepper.update
+    learner.stepper.update = lambda batch: update(batch).set("loss_critic", torch.tensor(torch.nan))
+    with pytest.raises(NonFiniteError, match="'loss_critic' of the update is nan"):
+        iterate(learner)
+
+
+def test_speed_is_that_of_this_run_however_much_was_done_before(capsys):
+    learner = arm_learner()
+    learner.samples, learner.seconds = 10**12, 1.0
+    train(learner, iterations=2, show=[])
+    speeds = re.findall(r"samples/s=([\d,]+)", capsys.readouterr().err)
+    assert 0 < int(speeds[-1].replace(",", "")) < 10**8
+
+
+def test_a_run_that_had_come_to_its_end_is_measured_once_more():
+    learner = arm_learner()
+    learner.iteration = 3
+    assert train(learner, iterations=3, evaluate=lambda: {"error": 1.5}, progress=False) == {"error": 1.5}
+    assert learner.samples == 0
+
+
+def test_it_ends_by_whichever_comes_first():
+    learner = arm_learner()
+    train(learner, iterations=2, minutes=1e6, progress=False)
+    assert learner.iteration == 2
+    learner.seconds = 61.0
+    train(learner, iterations=10**9, minutes=1.0, progress=False)
+    assert learner.iteration == 2
+
+
+def test_contacts_that_were_left_out_are_told_but_end_nothing():
+    learner = arm_learner()
+
+    def full():
+        raise CapacityError("contacts were left out")
+
+    learner.env.base_env.physics.check = full
+    with pytest.warns(UserWarning, match="contacts were left out"):
+        train(learner, iterations=1, progress=False)
+    assert learner.iteration == 1
+
+
+class Two(Processes):
+    """The first of two processes, whose generators began so far apart."""
+
+    apart = 1
+
+    def gather(self, value):
+        return [value, value + self.apart]
+
+    def average_(self, tensors, weight=None):
+        """Alike."""
+
+    def moments(self, value):
+        return ALONE.moments(value)
+
+
+def test_processes_begin_with_all_that_the_first_ones_networks_hold_and_with_seeds_of_their_own(monkeypatch):
+    copied = []
+    monkeypatch.setattr(Two, "copy_from_first_", lambda self, tensors: copied.extend(tensors))
+    learner = arm_learner(processes=Two(0, 2))
+    held = {id(t) for net in (learner.actor, learner.critic) for t in (*net.parameters(), *net.buffers())}
+    assert {id(t) for t in copied} == held
+    assert id(learner.normalizers["joint_position"].mean) in held
+    monkeypatch.setattr(Two, "apart", 0)
+    with pytest.raises(ValueError, match="two alike try the same actions"):
+        arm_learner(processes=Two(0, 2))
+
+
+def test_graphs_are_given_up_before_the_processes_part(monkeypatch):
+    learner, done = arm_learner(), []
+    learner.stepper.release = lambda: done.append("graphs")
+    monkeypatch.setattr(Two, "leave", lambda self: done.append("processes"))
+    learner.processes = Two(0, 2)
+    learner.close()
+    assert done == ["graphs", "processes"]

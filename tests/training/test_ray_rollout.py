@@ -1,4 +1,5 @@
 import os
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -192,6 +193,79 @@ def test_a_workers_physics_starts_one_thread():
     before = os.sched_getaffinity(0)
     assert _made(lambda rows, first_row: arm_env(rows), 8, 1, seed=0).base_env.physics.batch.nthread == 1
     assert os.sched_getaffinity(0) == before
+
+
+def test_a_worker_takes_the_first_of_the_cpus_that_it_may_use_and_gives_the_others_back(monkeypatch):
+    given = []
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {5, 3} if process == 0 else {0, 1}, raising=False)
+    monkeypatch.setattr(
+        os, "sched_setaffinity", lambda process, cpus: given.append((process, set(cpus))), raising=False
+    )
+    _made(lambda rows, first_row: given.append("made") or Repeat(rows), 2, 1, seed=0)
+    assert given == [(0, {3}), "made", (0, {3, 5})]
+
+
+class Started:
+    def __init__(self, shutdown):
+        self.shutdown = shutdown
+
+    def __iter__(self):
+        return iter(())
+
+
+class Workers:
+    """Stand for Ray and its collector, and note what is asked of them."""
+
+    def __init__(self, running):
+        self.running, self.asked, self.shut = running, {}, []
+
+    def is_initialized(self):
+        return self.running
+
+    def init(self, **options):
+        self.asked["init"] = options
+
+    def cluster_resources(self):
+        return {"CPU": 8.0}
+
+    def collector(self, make, policy, **options):
+        self.asked |= {"make": make, "policy": policy, "options": options}
+        return Started(lambda: self.shut.append("workers"))
+
+    def shutdown(self):
+        self.shut.append("ray")
+
+
+def started(monkeypatch, running=False, **told):
+    monkeypatch.setattr("torchrl_athletic.training.ray_rollout.find_spec", lambda name: object())
+    ray = Workers(running)
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    monkeypatch.setitem(sys.modules, "torchrl.collectors.distributed", SimpleNamespace(RayCollector=ray.collector))
+    rollout = RayRollout(repeat_env, repeat_learner(ROWS).actor, HORIZON, workers=3, rows=ROWS, **told)
+    rollout._start()
+    return rollout, ray
+
+
+def test_a_cluster_of_ones_own_is_as_large_as_needed_and_takes_what_else_is_told(monkeypatch):
+    _, ray = started(monkeypatch, init={"log_to_driver": True, "num_cpus": 6})
+    told = {"address": "local", "include_dashboard": False, "logging_level": "warning"}
+    assert ray.asked["init"] == told | {"log_to_driver": True, "num_cpus": 6}
+    _, ray = started(monkeypatch)
+    assert ray.asked["init"] == told | {"log_to_driver": False, "num_cpus": 3}
+    _, ray = started(monkeypatch, address="auto")
+    assert ray.asked["init"] == {"address": "auto", "log_to_driver": False, "logging_level": "warning"}
+    assert ray.asked["options"]["frames_per_batch"] == 3 * ROWS * HORIZON
+    assert len(ray.asked["make"]) == 3
+
+
+@pytest.mark.parametrize(("running", "shut"), [(False, ["workers", "ray"]), (True, ["workers"])])
+def test_a_cluster_that_ran_before_runs_on(running, shut, monkeypatch):
+    rollout, ray = started(monkeypatch, running)
+    assert ("init" in ray.asked) is not running
+    rollout.load_state_dict({"batches": 5})
+    assert ray.shut == shut  # and the next call starts others
+    rollout.close()
+    assert ray.shut == shut
 
 
 def test_without_ray_the_way_to_get_it_is_told(monkeypatch):

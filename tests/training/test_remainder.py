@@ -24,6 +24,7 @@ from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import CATALOGUE, JointAddress, Plant
 from torchrl_athletic.effects.plant import Now
 from torchrl_athletic.identification.simulator import load_net
+from torchrl_athletic.recordings import Recording
 from torchrl_athletic.training import remainder, train, uan_gradient
 from torchrl_athletic.training.remainder import (
     LearnedTorque,
@@ -131,6 +132,48 @@ def test_a_net_sees_no_other_take_of_a_joined_one(damped, servo):
     np.testing.assert_allclose(found, np.concatenate(alone), rtol=0, atol=1e-6)
 
 
+THREE = """
+<mujoco><option timestep="0.005"/><worldbody>
+  <body name="one"><joint name="one" axis="0 -1 0"/><inertial pos="0 0 -0.3" mass="0.5" diaginertia="1 1 1"/>
+    <body name="two"><joint name="two" axis="0 -1 0"/><inertial pos="0 0 -0.3" mass="0.5" diaginertia="1 1 1"/>
+      <body name="three"><joint name="three" axis="0 -1 0"/>
+        <inertial pos="0 0 -0.3" mass="0.5" diaginertia="1 1 1"/></body></body></body></worldbody>
+  <actuator><motor joint="one" forcerange="-10 10"/><motor joint="two" forcerange="-20 20"/>
+    <motor joint="three" forcerange="-30 30"/></actuator></mujoco>"""
+
+
+def test_of_takes_in_another_order_each_joint_has_its_own_gains_limits_errors_and_torques():
+    """Logged as (three, one, two); the net is asked joint by joint in the robot's order, and answers in it."""
+    logged = ("three", "one", "two")
+    at, time = {"one": 1.0, "two": 2.0, "three": 3.0}, np.arange(4) * 0.005
+    by_joint = np.array([at[name] for name in logged])
+    still = np.tile(by_joint, (4, 1))
+    take = Recording(time, logged, still, position_target=still, kp=10 * by_joint, kd=0.1 * by_joint)
+    robot = driven_robot(THREE, [take])
+    assert robot.joint_names == ("one", "two", "three")
+    assert (robot.kp, robot.kd) == ((10.0, 20.0, 30.0), pytest.approx((0.1, 0.2, 0.3)))
+    assert robot.torque_limit == (10.0, 20.0, 30.0)
+    seen = []
+
+    class Asked(nn.Module):
+        def forward(self, errors: torch.Tensor) -> torch.Tensor:
+            seen.append(errors[0])
+            return torch.tensor([[[100.0], [200.0], [300.0]]])
+
+    model = mujoco.MjModel.from_xml_string(THREE)
+    plant = Plant(model, JointAddress.of(model, logged), 1)
+    law, none = LearnedTorque(Asked(), robot, plant, np.full((1, 1), 0.5)), np.zeros((1, 3))
+    law.past = np.zeros((1, 20, 3, 2))
+    velocity = np.array([[7.0, 8.0, 9.0]])
+    now = Now(none, velocity, 6.0 * by_joint[None], none[:, 0], 0.005)
+    law.note(now)
+    np.testing.assert_array_equal(law(now), [[150.0, 50.0, 100.0]])
+    newest = [(8.0, 6.0, 1.0), (9.0, 6.0 * 2, 2.0), (7.0, 6.0 * 3, 3.0)]  # velocity, torque, number of one, two, three
+    for joint, (speed, torque, number) in enumerate(newest):
+        assert seen[0][joint, 19].item() == pytest.approx((torque + 0.1 * number * speed) / (10 * number))
+        assert seen[0][joint, -1].item() == -speed
+
+
 def test_a_net_is_taught_written_and_its_share_is_told(damped, tmp_path):
     hour = 60.0  # so that the pace of a machine changes neither window nor rate
     found = learn_remainder(damped, tmp_path, minutes=hour, rate=5e-4, iterations=40, rows=8, progress=False)
@@ -210,10 +253,10 @@ def test_what_no_policys_simulation_acts_out_is_left_to_the_net():
     address = JointAddress.of(model, names)
     kinds = [by_name["viscous_friction"], by_name["load_dependent_friction"]]
     terms = tuple(Candidate(e, 0, "pendulum", e.parameters(model, address, 0)) for e in kinds)
-    whole = Simulation(model, names, Hypothesis(terms), np.array([0.2, 0.3, 0.1]))
-    kept = acted_out(whole)
-    assert [c.effect.name for c in kept.hypothesis.terms] == ["viscous_friction"]
-    np.testing.assert_array_equal(kept.values, [0.2])
+    for order, values in ((terms, [0.2, 0.3, 0.1]), (terms[::-1], [0.3, 0.1, 0.2])):
+        kept = acted_out(Simulation(model, names, Hypothesis(order), np.array(values)))
+        assert [c.effect.name for c in kept.hypothesis.terms] == ["viscous_friction"]
+        np.testing.assert_array_equal(kept.values, [0.2])
 
 
 def test_a_remark_names_what_the_net_stands_in_for_and_says_when_it_does_not_help():

@@ -6,7 +6,7 @@ from training.tasks import SEEN, arm_env
 
 from torchrl_athletic.networks import actor
 from torchrl_athletic.training import Rollout, control_step
-from torchrl_athletic.training.rollout import start_anew
+from torchrl_athletic.training.rollout import done_rows, start_anew
 
 
 def entries(tensordict):
@@ -65,6 +65,15 @@ def test_rows_that_go_on_are_not_touched_by_a_reset_beside_them():
     renewed = start_anew(env, shown)
     assert renewed["step_count"].squeeze(-1).tolist() == [0, 1]
     assert renewed["done"].sum() == 0
+
+
+def test_any_flag_ends_a_row():
+    env = TransformedEnv(CountingEnv(max_steps=4, batch_size=[4]), StepCounter(9))
+    shown = env.reset()
+    assert len(env.done_keys) == 3
+    for row, key in enumerate(env.done_keys):
+        shown[key] = torch.arange(4).unsqueeze(-1) == row
+    assert done_rows(env, shown).squeeze(-1).tolist() == [True, True, True, False]
 
 
 def test_a_step_leaves_its_input_alone():

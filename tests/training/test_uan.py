@@ -87,10 +87,13 @@ def test_torques_need_no_gains_but_all_joints():
 
 def test_takes_of_other_gains_or_joints_are_refused_and_a_robot_gets_the_gains_of_its_takes():
     other = swinging(kp=[100.0, 50.0])
+    with pytest.raises(RecordingError, match=r"kd is \[3\.0, 2\.5\], z1's is \[3\.0, 1\.5\]"):
+        takes_of([swinging(kd=[3.0, 2.5])], z1())
     with pytest.raises(RecordingError, match=r"kp is \[100\.0, 50\.0\], z1's is \[128\.0, 64\.0\]"):
         takes_of([other], z1())
     arm = with_gains_of(z1(), [other])
     assert arm.kp == (50.0, 100.0, *z1().kp[2:])
+    assert with_gains_of(z1(), [swinging(kd=[4.0, 2.5])]).kd == (2.5, 4.0, *z1().kd[2:])
     assert takes_of([other], arm).lengths == (200,)
     with pytest.raises(RecordingError, match="none of z1's"):
         takes_of([swinging(names=("elbow", "joint1"))], z1())
@@ -117,6 +120,8 @@ def test_windows_to_validate_on_share_no_sample_with_the_pieces_to_train_on():
         theirs = [r.time for r in windows if r.source == source]
         both = np.concatenate(ours + theirs)
         assert len(np.unique(both)) == len(both)
+    places = [tuple(w.time[0] for w in set_aside(takes, 0.5, 1.0, seed)[1]) for seed in (0, 0, 1)]
+    assert places[0] == places[1] != places[2]
     with pytest.raises(RecordingError, match=r"none can spare a window"):
         set_aside(takes[2:], seconds=1.0)
 
@@ -175,11 +180,17 @@ def test_joints_as_rows_are_what_each_joint_saw_did_and_earned():
     rows = joint_rows(batch)
     assert rows.shape == (12, 50)
     for row, arm, joint in ((0, 0, 0), (5, 2, 1), (11, 5, 1)):
-        for key in ("observation", "privileged", ("next", "observation")):
+        for key in ("observation", "privileged", ("next", "observation"), ("next", "privileged")):
             assert (rows[key][row] == batch[key][arm, :, joint]).all()
         assert (rows["next", "reward"][row, :, 0] == batch["next", "joint_reward"][arm, :, joint]).all()
-        assert (rows["next", "done"][row] == batch["next", "done"][arm]).all()
+        for flag in ("done", "terminated", "truncated"):
+            assert (rows["next", flag][row] == batch["next", flag][arm]).all()
+        for key in ("loc", "scale", "action"):
+            assert (rows[key][row, :, 0] == batch[key][arm, :, joint]).all()
         assert (rows["joint"][row] == joint).all()
+        assert (rows["next", "joint"][row] == joint).all()
+    assert not batch["next", "terminated"].equal(batch["next", "done"])
+    assert batch["scale"].unique().tolist() == pytest.approx([0.3])
     torch.testing.assert_close(rows["action_log_prob"].unflatten(0, (6, 2)).sum(1), batch["action_log_prob"])
 
 
@@ -205,6 +216,40 @@ def test_the_policy_that_collects_is_the_one_that_learns(credit):
         assert max(seen) > 1e-4
     assert net[1][-1].weight.abs().max() > 0
     assert learner.samples == 2 * 6 * 20 * (2 if credit == "joint" else 1)
+
+
+def test_the_best_net_so_far_is_kept_and_gone_on_with():
+    windows = set_aside([take(900)], seconds=1.0)[1]
+    first, second = (validation_of(Simulator("s", ROBOT), windows, uan(torque_unit=[1.0, 1.0])) for _ in range(2))
+    shown = TensorDict(terminated=torch.zeros(1, 3, 1, dtype=torch.bool), batch_size=[1, 3])
+    first.net[1][-1].bias.data.fill_(0.5)
+    for error, bias in ((0.2, 1.0), (0.1, 2.0), (0.3, 3.0), (0.1, 4.0)):
+        first.net[1][-1].bias.data.fill_(bias)
+        after = shown.copy().set("privileged", torch.full((1, 3, 2, 1), error))
+        first.rollout = lambda after=after: TensorDict(next=after, batch_size=[1, 3])
+        assert first()["mse"] == pytest.approx(error**2)
+    second.load_state_dict(first.state_dict())
+    assert second.best[0] == pytest.approx(0.01)
+    (bias,) = (value for name, value in second.best[1].items() if name.endswith("bias") and len(value) == 1)
+    assert bias.tolist() == [2.0]
+
+
+def test_units_of_torques_are_those_of_the_target_that_would_command_them():
+    """Position error (τ + kd v) / kp, joint by joint, and what else a net is told only where it knows that."""
+    torch.manual_seed(0)
+    arm = replace(ROBOT, kp=(50.0, 80.0), kd=(4.0, 9.0))
+    position, velocity, torque = torch.randn(3, 400, 2).unbind()
+    takes = Takes(position, velocity, 3.0 * torque + 2.0 * velocity, (400,), "torque")
+    off = (takes.command + torch.tensor(arm.kd) * velocity) / torch.tensor(arm.kp)
+    plain = units_of(takes, arm)
+    assert plain["unit"] == pytest.approx((float(off.std()), float(velocity.std())))
+    assert plain.keys() == {"unit", "sharpness_of_velocity", "torque_unit"}
+    assert units_of(takes, arm, memory=(0.1, 0.4))["memory"] == (0.1, 0.4)
+    assert units_of(takes, arm, "joint") == plain | {"joints": 2}
+    whole = units_of(takes, arm, "arm")
+    limit = torch.tensor(arm.torque_limit)
+    seen = (position, velocity, takes.command.clamp(-limit, limit))
+    assert whole["state_unit"] == pytest.approx(torch.cat([each.std(0) for each in seen]).tolist())
 
 
 def test_episodes_do_not_all_end_at_once():

@@ -233,6 +233,86 @@ def test_it_is_taken_back_to_the_states_that_were_kept_before_it_was_interrupted
         torch.testing.assert_close(one, other, rtol=0, atol=0)
 
 
+def test_a_state_holds_every_count_and_does_not_go_on_with_the_replay():
+    first, second = learner_of(uan()), learner_of(uan())
+    descend(first)
+    counts = {"iteration": 3, "samples": 400, "seconds": 5.5, "caution": 0.25, "usual": 7.0}
+    for name, count in counts.items():
+        setattr(first, name, count)
+    state = first.state_dict()
+    stood = deepcopy(state)
+    for value in first.current.values():
+        value.zero_()
+    descend(first)
+    for name, value in stood["current"].items():
+        assert value.equal(state["current"][name]), name
+    second.load_state_dict(stood)
+    assert {name: getattr(second, name) for name in counts} == counts
+
+
+def test_the_state_that_a_net_is_taken_back_to_is_between_one_and_two_intervals_old(monkeypatch):
+    monkeypatch.setattr("torchrl_athletic.training.uan_gradient.STEADY", 2)
+    learner = learner_of(uan())
+    learner.windows, states = (1,), [deepcopy(learner.net.state_dict())]
+    for _ in range(6):
+        descend(learner)
+        states.append(deepcopy(learner.net.state_dict()))
+    for kept, wanted in zip(learner.kept, (states[3], states[5]), strict=True):  # after the third and the fifth
+        for name, value in wanted.items():
+            assert name.endswith("extra_state") or kept[name].equal(value), name
+    learner.step_back()
+    for kept in (*learner.kept, learner.net.state_dict()):
+        for name, value in states[3].items():
+            assert name.endswith("extra_state") or kept[name].equal(value), name
+
+
+def test_what_is_usual_follows_the_gradients_slowly_and_the_state_to_go_back_to_later_still():
+    learner = learner_of(uan())
+    learner.windows, lengths, began = (2,), [], deepcopy(learner.net.state_dict())
+    for _ in range(3):
+        lengths.append(float(descend(learner)["grad_norm"]))
+    usual = lengths[0]
+    for length in lengths:
+        usual = 0.95 * usual + 0.05 * length
+    assert learner.usual == pytest.approx(usual)
+    for name, value in began.items():  # nor is what it is taken back to renewed at each window
+        assert name.endswith("extra_state") or learner.kept[0][name].equal(value), name
+
+
+def test_gradients_may_pass_through_some_joints_alone_each_nudged_by_its_own_strength():
+    """Of a second joint alone what both together say of it; its torque, as for a step of its own limit."""
+    arm = replace(robot(), torque_limit=(10.0, 40.0))
+    slopes = []
+    for joints in (None, (1,)):
+        env = DifferentiableTorqueEnv(arm, joints=joints, num_envs=1)
+        shown = env.reset()
+        torque = torch.tensor([[0.3, -0.2]], requires_grad=True)
+        after = env._step(shown.set("torque", torque))
+        slopes.append(torch.autograd.grad(after["joint_velocity"][0, 1], torque)[0])
+        assert env.steps[-1] == pytest.approx(40e-3)
+    assert slopes[1][0, 0] == 0
+    torch.testing.assert_close(slopes[0][0, 1], slopes[1][0, 1], rtol=1e-2, atol=0)
+    assert slopes[0][0, 1] > 0
+
+
+def test_jacobians_along_takes_of_torques_are_measured_under_those_torques(monkeypatch):
+    applied = []
+    nudged = DifferentiableTorqueEnv._nudge_copies
+    monkeypatch.setattr(
+        DifferentiableTorqueEnv,
+        "_nudge_copies",
+        lambda env, torque: applied.append(torque.clone()) or nudged(env, torque),
+    )
+    seen, arm = takes_of([take(samples=60)], robot()), robot()
+    DifferentiableTorqueEnv(arm, num_envs=8, along=seen)
+    DifferentiableTorqueEnv(arm, num_envs=8, along=replace(seen, driven="torque"))
+    kp, kd = torch.tensor(arm.kp), torch.tensor(arm.kd)
+    servo = kp * (seen.command - seen.position) - kd * seen.velocity
+    torch.testing.assert_close(applied[0], servo[::8])  # at every eighth sample
+    torch.testing.assert_close(applied[-1], seen.command[::8])
+    assert (applied[0] - applied[-1]).abs().max() > 0.1
+
+
 def test_a_walking_robot_and_no_time_are_refused():
     with pytest.raises(ValueError, match="Bolt it to the world"):
         DifferentiableTorqueEnv(b2z1())

@@ -1,14 +1,18 @@
+from types import SimpleNamespace
+
+import mujoco
 import numpy as np
 import pytest
 import torch
 from PIL import Image
+from tensordict import TensorDict
 from torchrl.envs import StepCounter, TransformedEnv
 from torchrl.testing.mocking_classes import CountingEnv
 from training.tasks import SEEN, arm_env
 
 from torchrl_athletic.networks import actor
 from torchrl_athletic.training import record_video
-from torchrl_athletic.training.video import renderer, write_video
+from torchrl_athletic.training.video import draw_episode, frame_strip, renderer, write_video
 
 
 def policy():
@@ -44,6 +48,55 @@ def test_a_video_shows_the_robot_moving_and_what_is_drawn_beside_it(tmp_path, mo
         first = np.asarray(video.convert("RGB"), float)
         video.seek(video.n_frames - 1)
         assert np.abs(np.asarray(video.convert("RGB"), float) - first).max() > 30
+
+
+def test_it_is_the_first_robot_that_is_drawn_from_above_down_and_the_camera_goes_with_it(monkeypatch):
+    if not can_draw():
+        pytest.skip("nothing here can draw")
+    model = mujoco.MjModel.from_xml_string(BALL)
+    seen = []
+    env = SimpleNamespace(physics=SimpleNamespace(model=model, qpos=torch.tensor([[0.4], [-9.0]])))
+    step = TensorDict(next=TensorDict(row=torch.arange(2), batch_size=[2]), batch_size=[2])
+    monkeypatch.setattr("torchrl_athletic.training.video.acting", lambda *_: [step])
+    note = lambda scene, step: seen.append(int(step["row"]))  # noqa: E731
+    still, followed = (draw_episode(env, None, 1, (40, 40), annotate=note, follow=body)[0] for body in (None, "ball"))
+    assert seen == [0, 0]
+    rows = [np.average(np.arange(40), weights=1e-9 + redness(frame).sum(1)) for frame in (still, followed)]
+    assert rows[0] < 18  # higher than where the camera looks by itself
+    assert rows[1] == pytest.approx(19.5, abs=1.5)
+
+
+def redness(frame):
+    red, green, blue = frame.astype(float).transpose(2, 0, 1)
+    return np.clip(red - np.maximum(green, blue), 0, None)
+
+
+BALL = """
+<mujoco><worldbody>
+  <body name="ball"><joint type="slide" axis="0 0 1"/><geom size="0.1" rgba="1 0 0 1"/></body>
+</worldbody></mujoco>"""
+
+
+def test_a_strip_shows_frames_evenly_from_the_first_to_the_last_side_by_side(tmp_path):
+    frames = [np.full((4, 3, 3), shade, np.uint8) for shade in range(0, 90, 10)]
+    with Image.open(frame_strip(frames, 3, tmp_path / "s" / "strip.png")) as picture:
+        shown = np.asarray(picture)
+    assert shown.shape == (4, 9, 3)
+    assert shown[0, ::3, 0].tolist() == [0, 40, 80]
+
+
+def test_the_camera_keeps_a_floating_base_in_its_middle_unless_told_otherwise(monkeypatch, tmp_path):
+    drawn, robot = [], SimpleNamespace(base="trunk")
+    env = SimpleNamespace(physics=object(), robot=robot)
+    for name in ("draw_episode", "write_video"):
+        monkeypatch.setattr(f"torchrl_athletic.training.video.{name}", lambda *told: drawn.append(told))
+    for follow in (None, "hand"):
+        record_video(
+            env, "policy", tmp_path / "a.mp4", steps=7, frame_rate=25.0, size=(8, 9), camera=2, annotate="goal",
+            follow=follow,
+        )  # fmt: skip
+    assert [told for told in drawn[::2]] == [(env, "policy", 7, (8, 9), 2, "goal", body) for body in ("trunk", "hand")]
+    assert drawn[1] == (None, tmp_path / "a.mp4", 25.0)
 
 
 def test_every_other_frame_goes_into_a_gif_at_its_time(tmp_path):

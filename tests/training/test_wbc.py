@@ -5,10 +5,11 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_athletic.envs import NO_DISTURBANCES, whole_body_env
-from torchrl_athletic.networks import RunningNormalizer, digest_of, pretrained, trunk_of
+from torchrl_athletic.networks import RunningNormalizer, digest_of, pretrained, read_metadata, trunk_of
 from torchrl_athletic.robots import b2z1
-from torchrl_athletic.training import PPO, iterate, save_wbc, wbc_learner
+from torchrl_athletic.training import PPO, Rollout, iterate, save_wbc, wbc_learner
 from torchrl_athletic.training.ppo import collect
+from torchrl_athletic.training.wbc import CURVES, WATCHED
 
 FEW = PPO(num_envs=4, horizon=3, epochs=1, actor_minibatches=2)
 
@@ -45,6 +46,33 @@ def test_a_new_policy_begins_at_the_default_pose():
     assert 0 < action.abs().max() < 0.05
 
 
+def test_a_new_pair_is_as_large_and_as_bold_as_told_and_watches_what_curves_are_drawn_of():
+    env = still_env()
+    learner = wbc_learner(env, FEW, hidden=(8, 6), scale=0.2, seed=4)
+    for net in (learner.actor, learner.critic):
+        sizes = [layer.out_features for layer in trunk_of(net).mlp if isinstance(layer, torch.nn.Linear)]
+        assert sizes[:-1] == [8, 6]
+    torch.testing.assert_close(learner.actor(env.reset())["scale"], torch.full((4, 19), 0.2))
+    assert learner.stepper.generator.initial_seed() == 4
+    assert learner.watch == WATCHED
+    report = iterate(learner)
+    assert set(CURVES) <= set(report.keys())
+
+
+def test_what_collects_in_place_of_the_environment_stores_what_critic_and_curves_need():
+    asked = []
+
+    def collect_by(policy, keys):
+        asked.append((policy, keys))
+        return Rollout(still_env(), policy, FEW.horizon, keys=keys)
+
+    learner = wbc_learner(still_env(), FEW, hidden=(8,), collect_by=collect_by)
+    ((policy, keys),) = asked
+    assert policy is learner.actor
+    assert set(keys) == {"privileged", *(("next", name) for name in WATCHED)}
+    assert learner.env is learner.rollout.env
+
+
 def test_both_networks_learn_the_scale_of_what_they_see():
     """By each entry's mean over all that was collected, a batch before the first included."""
     learner = wbc_learner(still_env(), FEW, hidden=(16,))
@@ -73,7 +101,11 @@ def test_both_networks_learn_the_scale_of_what_they_see():
 def test_what_was_saved_is_gone_on_with(tmp_path):
     first = wbc_learner(still_env(history=1), FEW, hidden=(16,))
     iterate(first)
+    first.seconds = 2.5
     path = save_wbc(first, tmp_path, history=1)
+    for file in (path, tmp_path / "wbc_critic.npz"):
+        told = read_metadata(file)
+        assert (told["samples"], told["seconds"], told["history"]) == (first.samples, 2.5, 1)
     second = wbc_learner(still_env(history=1), FEW, start=path)
     assert digest_of(second.actor) == digest_of(first.actor)
     assert digest_of(second.critic) == digest_of(first.critic)

@@ -1,15 +1,21 @@
 """Robots are examined in parts, and are the same robots as in one batch."""
 
+import json
+import math
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
-from torchrl_athletic.envs import Disturbances
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances
 from torchrl_athletic.networks import pretrained
 from torchrl_athletic.robots import b2z1
-from torchrl_athletic.training import examine
+from torchrl_athletic.training import Episodes, examine
 from torchrl_athletic.training import wbc_evaluation as module
 from torchrl_athletic.training.wbc_evaluation import ERRORS, Condition
-from torchrl_athletic.transforms import StartRanges
+from torchrl_athletic.transforms import RandomizationRanges, StartRanges
 
 STEPS = 6
 
@@ -40,6 +46,133 @@ def test_rows_of_two_parts_are_the_rows_of_one_batch_and_another_seed_s_are_not(
         np.testing.assert_allclose(two, one, atol=1e-5, rtol=1e-4)
         assert np.abs(other - one).max() > 1e-3, name
         assert np.diff(np.sort(one)).min() > 1e-4, name  # four robots that cannot be taken for each other
+
+
+def fell(rows, first=0, seed=0):
+    """Made-up episodes, unlike each other: of every third robot in the whole examination it is said that it fell."""
+    numbers = first + np.arange(rows)
+    means = {f"tracking/{name}": 0.1 * k + 0.01 * (numbers + seed) ** 2 for k, name in enumerate(ERRORS)}
+    return Episodes(numbers % 3 == 0, 5 + numbers, means)
+
+
+@pytest.fixture
+def played(monkeypatch):
+    """What was played, in place of playing it: condition, robots, the first one's number, and what else was told."""
+    parts = []
+
+    def play(policy, condition, rows, first, steps, seed, label, told):
+        if condition == "breaks":
+            raise KeyboardInterrupt
+        parts.append((condition, rows, first, steps, seed, told))
+        return fell(rows, first, seed)
+
+    monkeypatch.setattr(module, "_play", play)
+    return parts
+
+
+def test_an_examination_goes_on_where_it_stood_and_keeps_what_every_condition_came_to(played, tmp_path):
+    policy, table = pretrained("wbc"), tmp_path / "t" / "table.json"
+    told = {"episodes": 7, "steps": 11, "batch": 3, "seed": 4, "actuation": "ideal", "progress": False, "history": 10}
+    with pytest.raises(KeyboardInterrupt):
+        examine(policy, {"one": "first", "two": "breaks"}, table, **told)
+    found = examine(policy, {"one": "first", "two": "second"}, table, **told)
+    assert [part[:5] for part in played] == [
+        (name, rows, first, 11, 4) for name in ("first", "second") for rows, first in ((3, 0), (3, 3), (1, 6))
+    ]
+    assert played[0][5] == {"actuation": "ideal", "device": "cpu", "history": 10}
+    whole = fell(7, seed=4)
+    assert json.loads(table.read_text())["conditions"] == found == examine(policy, {}, table, **told)
+    for result in found.values():
+        assert (result["episodes"], result["fallen"]) == (7, [0, 3, 6])
+        assert result["falls"] == pytest.approx(whole.falls())
+        for name in ERRORS:
+            assert result[name] == pytest.approx(whole.mean(f"tracking/{name}"))
+
+
+@pytest.mark.parametrize(
+    "other", [{"episodes": 3}, {"steps": 9}, {"seed": 5}, {"actuation": "uan"}, {"device": "cuda"}, {"commands": "few"}]
+)
+def test_a_table_of_another_examination_is_refused(other, played, tmp_path):
+    policy, told = pretrained("wbc"), {"episodes": 2, "steps": 11, "seed": 4, "actuation": "ideal", "progress": False}
+    examine(policy, {"one": "first"}, tmp_path / "table.json", **told, commands="many")
+    (name,) = other
+    with pytest.raises(ValueError, match=f"holds an examination with {name} .*file of its own"):
+        examine(policy, {"one": "first"}, tmp_path / "table.json", **{**told, "commands": "many", **other})
+
+
+def test_one_episode_has_no_interval(tmp_path):
+    with pytest.raises(ValueError, match="one alone has no interval"):
+        examine(pretrained("wbc"), {}, tmp_path / "table.json", episodes=1)
+
+
+def test_table_and_picture_tell_each_conditions_own_numbers(tmp_path, monkeypatch):
+    results = {
+        name: {"episodes": 50, "falls": (0.04 * k, 0.02 * k, 0.11 * k)}
+        | {error: (k + 0.1 * n, k + 0.1 * n - 0.03, k + 0.1 * n + 0.03) for n, error in enumerate(ERRORS)}
+        for k, name in enumerate(("flat", "rough"), 1)
+    }
+    head, _, *rows = module.table_of(results).splitlines()
+    assert head == "| condition | falls | " + " | ".join(ERRORS.values()) + " |"
+    told = " | ".join(f"{2 + 0.1 * n:.3f} ± 0.030" for n in range(len(ERRORS)))
+    assert rows[1] == f"| rough | 8.0 % (4.0 to 22.0) | {told} |"
+    drawn = []
+    plot = Axes.plot
+    monkeypatch.setattr(Axes, "plot", lambda axis, *data, **look: drawn.append(data) or plot(axis, *data, **look))
+    module.draw_conditions(results, tmp_path / "p" / "conditions.png")
+    assert (tmp_path / "p" / "conditions.png").exists()
+    (line, heights), (mean, height, _) = drawn[:2]  # falls of the last one, which is drawn lowest
+    assert (line, heights, height) == (pytest.approx([4.0, 22.0]), [0, 0], 0)
+    assert mean == pytest.approx(8.0)
+    assert [float(d[0]) for d in drawn[1::2]] == pytest.approx([8, 4, 2.0, 1.0, 2.1, 1.1, 2.3, 1.3, 2.4, 1.4])
+
+
+def number_of(name):
+    return float(re.findall(r"[-+]?[0-9.]+", name)[-1])
+
+
+def test_each_condition_differs_from_the_nominal_one_in_what_it_is_named_after_and_nothing_else():
+    conditions = module.wbc_conditions()
+    nominal, trained = conditions["nominal"], conditions["all randomised"]
+    assert nominal.disturbances == NO_DISTURBANCES
+    assert trained.disturbances == Disturbances()
+    axes = {
+        "friction": "friction", "restitution": "restitution", "leg stiffness": "stiffness_scale",
+        "leg damping": "damping_scale", "leg stall": "torque_limit_scale", "masses": "mass_scale",
+        "centres": "com_offset",
+    }  # fmt: skip
+    plain = nominal.robot.model()
+    for words, field in axes.items():
+        ends = {number_of(name): c for name, c in conditions.items() if name.startswith(words)}
+        assert sorted(ends) == sorted(getattr(RandomizationRanges(), field))
+        for end, condition in ends.items():
+            ranges = vars(condition.disturbances.randomization)
+            assert {name: value for name, value in ranges.items() if value is not None} == {field: (end, end)}
+            assert replace(condition.disturbances, randomization=None) == NO_DISTURBANCES
+            assert condition.robot is nominal.robot
+    least, most = Disturbances().encoder_offset
+    for end in (least, most):
+        condition = conditions[f"encoders {end:+g} rad"]
+        assert condition.disturbances == replace(NO_DISTURBANCES, encoder_offset=(end, end))
+    assert conditions["delay 30 ms"].disturbances == replace(NO_DISTURBANCES, delay=(6, 6))
+    assert conditions["pushes"].disturbances == replace(NO_DISTURBANCES, pushes=Disturbances().pushes)
+    for degrees in (5, 10):
+        slope = conditions[f"slope {degrees}°"]
+        heights, place = field_of(slope.robot.model())
+        assert np.ptp(heights) == pytest.approx(math.tan(math.radians(degrees)) * 2 * place, rel=1e-3)
+    for height in (2.5, 5):
+        heights, _ = field_of(conditions[f"bumps {height:g} cm"].robot.model())
+        assert heights.max() == pytest.approx(height / 100, rel=0.01)
+        assert conditions[f"bumps {height:g} cm"].disturbances == NO_DISTURBANCES
+    options = {name: conditions[f"all randomised, {name}"].robot.model().opt for name in
+               ("1 ms steps", "elliptic cones", "100 iterations")}  # fmt: skip
+    assert options["1 ms steps"].timestep == pytest.approx(0.001)
+    assert options["elliptic cones"].cone != plain.opt.cone == options["1 ms steps"].cone
+    assert (options["100 iterations"].iterations, options["100 iterations"].ls_iterations) == (100, 50)
+
+
+def field_of(model):
+    """Heights of a model's ground [m], and half its length along x [m]."""
+    return model.hfield_data * model.hfield_size[0, 2], model.hfield_size[0, 0]
 
 
 def test_an_action_is_held_as_long_however_fine_the_steps_are():
