@@ -90,8 +90,14 @@ def pendulum_with(law: Callable[[Array, Array], Array], kind: str, seed: int, du
 
 @pytest.mark.parametrize(
     "law",
-    [lambda q, v: 0.4 * np.sign(q) * q**2 * np.abs(v), lambda q, v: -0.06 * v * np.abs(v)],
-    ids=["a push that grows with speed and deflection", "a drag that grows with the square of the speed"],
+    [
+        pytest.param(
+            lambda q, v: 0.4 * np.sign(q) * q**2 * np.abs(v),
+            id="a push that grows with speed and deflection",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(lambda q, v: -0.06 * v * np.abs(v), id="a drag that grows with the square of the speed"),
+    ],
 )
 def test_physics_outside_the_catalogue_is_not_explained_by_a_confident_wrong_name(law):
     takes = [pendulum_with(law, kind, 91) for kind in ("gaussian", "square")]
