@@ -119,6 +119,10 @@ def test_a_ball_that_is_lost_in_the_set_up_ends_the_episode_and_one_that_is_thro
     steps = env.rollout(120, still)
     assert 75 < steps.shape[1] < 100
     assert steps["next", "terminated"][0, -1]
+    cost = steps["next", "reward_terms", "lost_ball"][0]
+    assert cost[-1] == pytest.approx(-30.0)
+    assert (cost[:-1] == 0).all()
+    assert (played["next", "reward_terms", "lost_ball"] == 0).all()  # a ball that is thrown is not lost
     throws = played["next", "ball_away"] & (played["task_phase_index"] == 1)
     assert throws.any()
     assert not played["next", "terminated"][throws].any()

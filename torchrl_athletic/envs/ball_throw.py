@@ -36,6 +36,10 @@ from torchrl_athletic.transforms import (
 KNOWN = {"ball_linear_velocity": 5.0, "ball_away": 1.0, "bucket_linear_velocity": 5.0, "bucket_axis": 1.0}
 """What the critic sees besides, and the usual sizes [m/s, 1]."""
 
+LOST_BALL = -1500.0
+"""Scale of a ball lost in the set-up, which lasts one step of 0.02 s: besides the failure's 10 it costs 30, more than to
+hold the ball there as far off the motion as the untuned controller does."""
+
 
 def ball_throw_env(
     robot: Robot | None = None,
@@ -101,7 +105,8 @@ def ball_throw_rewards(
     """Terms by name, and their scales.
 
     The paper prints the distance from the motion with a plus; a reward for leaving it cannot be meant. Forward and
-    lateral are those of the episode's start, since robots start with any heading.
+    lateral are those of the episode's start, since robots start with any heading. What a lost ball costs is ours: at
+    the price of a fall it is cheaper to drop the ball than to learn to hold it.
 
     Source:
         Fey et al. 2025, appendix B-A.
@@ -114,8 +119,16 @@ def ball_throw_rewards(
         "forward": InPhase([throw], Term(_forward, *keys)),
         "upward": InPhase([throw], Term(_upward, "ball_linear_velocity")),
         "lateral": InPhase([throw], Term(_lateral, *keys)),
+        "lost_ball": lambda before, after: _lost(before, after, set_up).float(),
     }
-    scales = {"stance": -5.0, "reference": -5.0, "forward": 20.0, "upward": 20.0, "lateral": -0.5}
+    scales = {
+        "stance": -5.0,
+        "reference": -5.0,
+        "forward": 20.0,
+        "upward": 20.0,
+        "lateral": -0.5,
+        "lost_ball": LOST_BALL,
+    }
     shared, shared_scales = auxiliary_rewards(robot, position_key)
     return terms | shared, scales | shared_scales
 
