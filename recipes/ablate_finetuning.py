@@ -22,7 +22,7 @@ from torchrl.envs import TransformedEnv
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import FrozenController
-from torchrl_athletic.networks import pretrained
+from torchrl_athletic.networks import open_inputs, pretrained
 
 FIGURES = {"distance_m": "distance [m]", "release_speed_m_s": "release [m/s]", "peak_leg_power_kw": "leg power [kW]"}
 START = "wbc_wide"
@@ -87,7 +87,11 @@ def thrown(way: str, seed: int, cfg: Config) -> dict[str, float]:
 
     def make(num_envs: int, **told: Any) -> TransformedEnv:
         env = make_env(tune.actuation, num_envs, **told)
-        return env.append_transform(FrozenController(pretrained(START).to(env.device))) if way == "No-E2E" else env
+        if way != "No-E2E":
+            return env
+        controller = pretrained(START)
+        open_inputs(controller, training.phase_inputs(env))  # of phases it knows nothing
+        return env.append_transform(FrozenController(controller.to(env.device)))
 
     told = {"known": KNOWN, "curves": CURVES, "judge": judge, "steps": STEPS}
     look_at = ["ball_position", "ball_linear_velocity", "ball_away", "start_line", "peak_power"]

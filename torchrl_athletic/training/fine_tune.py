@@ -109,9 +109,8 @@ def task_learner(
         },
     )
     if not tuned:
-        phase, width = _phase_columns(env)
-        open_inputs(policy, [frame + column for frame in range(0, seen, width) for column in phase])
-        open_inputs(value, phase, new)
+        open_inputs(policy, phase_inputs(env))
+        open_inputs(value, phase_inputs(env, frames=1), new)
     return Learner(
         env,
         policy.to(env.device),
@@ -123,11 +122,26 @@ def task_learner(
     )
 
 
-def _phase_columns(env: EnvBase) -> tuple[list[int], int]:
-    """Where a frame tells the phase, and how wide a frame is."""
-    widths = {key: env.observation_spec[key].shape[-1] for key in FRAME}
-    first = sum(widths[key] for key in FRAME[: FRAME.index("task_phase")])
-    return list(range(first, first + widths["task_phase"])), sum(widths.values())
+def phase_inputs(env: EnvBase, *, frames: int | None = None) -> list[int]:
+    """Where an observation tells the phase, in each of its frames: zeros alone in the pre-training.
+
+    A controller that is told a phase without having learnt what to make of it acts by weights as they were drawn;
+    :func:`~torchrl_athletic.networks.open_inputs` at these columns makes it deaf to them.
+
+    Args:
+        env: Of a task.
+        frames: How many to look at; None takes all of ``observation``, 1 is what ``privileged`` begins with.
+
+    Example:
+        >>> from torchrl_athletic.envs import sled_pull_env
+        >>> phase_inputs(sled_pull_env(num_envs=1))[:4]
+        [73, 74, 75, 76]
+    """
+    shown = env.observation_spec
+    widths = {key: shown[key].shape[-1] for key in FRAME}
+    first, width = sum(widths[key] for key in FRAME[: FRAME.index("task_phase")]), sum(widths.values())
+    frames = shown["observation"].shape[-1] // width if frames is None else frames
+    return [frame * width + first + column for frame in range(frames) for column in range(widths["task_phase"])]
 
 
 DRAWN = 400
