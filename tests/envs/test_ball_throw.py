@@ -71,8 +71,19 @@ def test_terms_count_in_their_phases(played):
     assert terms["stance"][phase == 1].abs().max() == 0
     assert terms["stance"][phase == 2].abs().max() > 0
     throw = phase.squeeze(-1) == 1
-    velocity = played["next", "ball_linear_velocity"][throw]
-    torch.testing.assert_close(terms["upward"][throw], 20 * 0.02 * velocity[:, 2:].clamp(min=0))
+    velocity = played["next", "ball_launch_velocity"][throw]
+    torch.testing.assert_close(terms["upward"][throw], 20 * 0.02 * velocity[:, 2:])
+
+
+def test_a_ball_in_flight_earns_by_the_velocity_of_its_launch(played):
+    """As printed gravity would take the reward for a throw that goes up."""
+    flies = (played["next", "ball_away"] & (played["task_phase_index"] == 1)).squeeze(-1)
+    for row in range(2):
+        upward = played["next", "reward_terms", "upward"][row][flies[row]]
+        falls = played["next", "ball_linear_velocity"][row][flies[row]][:, 2]
+        assert len(upward) > 3
+        assert (falls.diff()[:3] < -0.1).all()
+        assert (upward == upward[0]).all()
 
 
 def test_forward_is_where_the_robot_looked_at_its_start():
@@ -80,7 +91,7 @@ def test_forward_is_where_the_robot_looked_at_its_start():
     before = TensorDict(task_phase_index=[[1]], batch_size=[1])
 
     def earned(name, velocity, yaw):
-        after = TensorDict(ball_linear_velocity=[velocity], start_line=[[3.0, 1.0, yaw]], batch_size=[1])
+        after = TensorDict(ball_launch_velocity=[velocity], start_line=[[3.0, 1.0, yaw]], batch_size=[1])
         return scales[name] * float(terms[name](before, after))
 
     left = math.pi / 2
@@ -88,7 +99,7 @@ def test_forward_is_where_the_robot_looked_at_its_start():
     assert earned("forward", [0.0, -2.0, 0.0], left) == 0.0
     assert earned("lateral", [2.0, 0.0, 0.0], left) == pytest.approx(-2.0)
     assert earned("upward", [0.0, 0.0, 3.0], left) == pytest.approx(60.0)
-    assert earned("upward", [0.0, 0.0, -3.0], left) == 0.0
+    assert earned("upward", [0.0, 0.0, -3.0], left) == pytest.approx(-60.0)  # down is no better than up is good
 
 
 def test_the_distance_is_ahead_of_the_start_whatever_way_the_robot_looks():

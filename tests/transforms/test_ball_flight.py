@@ -54,6 +54,7 @@ def test_a_ball_that_is_away_is_not_caught_again_and_one_inside_turns_with_its_w
         ball_linear_velocity=torch.zeros(2, 3),
         ball_away=[[True], [False]],
         ball_age=[[9], [9]],
+        ball_launch_velocity=[[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]],
         bucket_axis=axis,
         batch_size=[2],
     )
@@ -63,6 +64,9 @@ def test_a_ball_that_is_away_is_not_caught_again_and_one_inside_turns_with_its_w
     flight.advance(before, after)
     assert after["ball_away"].flatten().tolist() == [True, False]
     torch.testing.assert_close(after["ball_linear_velocity"][0], torch.tensor([0.0, 0.0, -9.81 * 0.005]))
+    launch = after["ball_launch_velocity"]
+    assert launch[0].tolist() == [1.0, 2.0, 3.0]  # gravity changes what flies, not how it was thrown
+    torch.testing.assert_close(launch[1], after["ball_linear_velocity"][1])
     above = after["ball_position"][1].norm()
     sideways = torch.tensor([0.8, 0.0, -0.6])  # across the walls that turn
     turning = above * ((turned - axis)[1] @ sideways) / 0.005

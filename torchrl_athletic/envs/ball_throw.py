@@ -105,19 +105,22 @@ def ball_throw_rewards(
     """Terms by name, and their scales.
 
     The paper prints the distance from the motion with a plus; a reward for leaving it cannot be meant. Forward and
-    lateral are those of the episode's start, since robots start with any heading. What a lost ball costs is ours: at
-    the price of a fall it is cheaper to drop the ball than to learn to hold it.
+    lateral are those of the episode's start, since robots start with any heading.
+
+    Two things are ours. The ball's velocity is that of its launch, and upwards has a sign: as printed, gravity takes
+    the reward for a ball that goes up, and one that goes down costs nothing, so that throws went level or downwards. A
+    lost ball costs :data:`LOST_BALL`: at the price of a fall it is cheaper to drop it than to learn to hold it.
 
     Source:
         Fey et al. 2025, appendix B-A.
     """
     set_up, throw, settle = (schedule.index(name) for name in ("throw-set-up", "throw", "settle"))
-    keys: Sequence[NestedKey] = ("ball_linear_velocity", "start_line")
+    keys: Sequence[NestedKey] = ("ball_launch_velocity", "start_line")
     terms: dict[str, RewardTerm] = {
         "stance": stance([set_up, settle]),
         "reference": off_reference([set_up], list(robot.joint_groups["arm"]), position_key),
         "forward": InPhase([throw], Term(_forward, *keys)),
-        "upward": InPhase([throw], Term(_upward, "ball_linear_velocity")),
+        "upward": InPhase([throw], Term(_upward, "ball_launch_velocity")),
         "lateral": InPhase([throw], Term(_lateral, *keys)),
         "lost_ball": lambda before, after: _lost(before, after, set_up).float(),
     }
@@ -162,7 +165,7 @@ def _lateral(velocity: Tensor, line: Tensor) -> Tensor:
 
 
 def _upward(velocity: Tensor) -> Tensor:
-    return velocity[..., 2:].clamp(min=0)
+    return velocity[..., 2:]
 
 
 def _from_start(velocity: Tensor, line: Tensor) -> Tensor:

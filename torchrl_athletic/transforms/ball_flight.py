@@ -21,7 +21,8 @@ class BallFlight(StatefulTransform):
     :func:`~torchrl_athletic.robots.with_bucket` measures, at every step. Until the ball is there, its position is 0.
 
     Writes ``ball_position``, ``ball_linear_velocity`` (N, 3) in world axes; ``ball_away`` (N, 1), whether it has left
-    the bucket; and ``ball_age`` (N, 1), steps since the phase or the episode began in which it is put in.
+    the bucket; ``ball_age`` (N, 1), steps since the phase or the episode began in which it is put in; and
+    ``ball_launch_velocity`` (N, 3), with which it left, or would leave now.
 
     Args:
         dt: Of a step at this place in the chain [s].
@@ -64,7 +65,13 @@ class BallFlight(StatefulTransform):
     ) -> None:
         if not dt > 0:
             raise ValueError(f"dt is {dt} s, needed is more than 0: the ball would hang in the air.")
-        out_keys: list[NestedKey] = ["ball_position", "ball_linear_velocity", "ball_away", "ball_age"]
+        out_keys: list[NestedKey] = [
+            "ball_position",
+            "ball_linear_velocity",
+            "ball_away",
+            "ball_age",
+            "ball_launch_velocity",
+        ]
         super().__init__(list(self.every_step), out_keys)
         self.dt, self.rim, self.radius, self.phase, self.phase_key = dt, rim, radius, phase, phase_key
         self.placed = round(placed_at / dt)
@@ -72,12 +79,12 @@ class BallFlight(StatefulTransform):
     def initial(self, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         position = torch.zeros_like(tensordict_reset.get("bucket_position"))
         age = torch.zeros_like(position[..., :1], dtype=torch.int64)
-        values = (position, position.clone(), torch.zeros_like(age, dtype=torch.bool), age)
+        values = (position, position.clone(), torch.zeros_like(age, dtype=torch.bool), age, position.clone())
         return dict(zip(self.out_keys, values, strict=True))
 
     def advance(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> None:
         bucket_position, bucket_velocity, axis = (next_tensordict.get(key) for key in self.every_step)
-        position, velocity, away, age = (tensordict.get(key) for key in self.out_keys)
+        position, velocity, away, age, launch = (tensordict.get(key) for key in self.out_keys)
         if self.phase is None:
             age = age + 1
         else:
@@ -90,12 +97,13 @@ class BallFlight(StatefulTransform):
         is_put, to_come = age == self.placed, age < self.placed
         position = torch.where(is_put, bucket_position, position).masked_fill(to_come, 0.0)
         velocity = torch.where(is_put, bucket_velocity, velocity).masked_fill(to_come, 0.0)
+        launch = torch.where(away, launch, velocity)
         away = (away | inside[2]) & (age > self.placed)
-        for key, value in zip(self.out_keys, (position, velocity, away, age), strict=True):
+        for key, value in zip(self.out_keys, (position, velocity, away, age, launch), strict=True):
             next_tensordict.set(key, value)
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
         place = observation_spec["bucket_position"]
         flag = Bounded(0, 1, shape=(*place.shape[:-1], 1), dtype=torch.bool, device=place.device)
         age = Unbounded(shape=flag.shape, dtype=torch.int64, device=place.device)
-        return dict(zip(self.out_keys, (place.clone(), place.clone(), flag, age), strict=True))
+        return dict(zip(self.out_keys, (place.clone(), place.clone(), flag, age, place.clone()), strict=True))
