@@ -32,8 +32,8 @@ def pretrained(name: str, *, trainable: bool = False) -> nn.Module:
         name: ``"wbc"``, the whole-body controller of a B2 with a Z1, a policy that reads ``observation``;
             ``"wbc_critic"``, its value function; ``"uan"``, the actuator net of the arm that both were trained with.
             ``"wbc_wide"`` and ``"wbc_wide_critic"`` take the hand to the ground and behind the head, less exactly.
-            ``"throw"``, ``"snatch"`` and ``"sled"`` are policies tuned to these tasks, ``"throw_critic"`` is the value
-            function that the first goes on with.
+            ``"throw"``, ``"snatch"`` and ``"sled"`` are policies tuned to these tasks, ``"throw_critic"`` and
+            ``"sled_critic"`` the value functions that two of them go on with.
 
         trainable: Whether it shall learn; else its parameters take no gradients.
 
