@@ -168,14 +168,19 @@ def test_it_learns_friction_from_encoders_alone(known):
     assert validate()["mse"] < before / 2
 
 
+def rates_of(learner):
+    return [group["lr"] for group in learner.optimizer.param_groups]
+
+
 def test_windows_grow_and_the_rate_falls_with_the_time():
     learner = learner_of(uan())
-    learner.windows = (4, 8, 16)
+    learner.windows, learner.usual = (4, 8, 16), math.inf  # no gradient counts as exploded
     seen = []
     for share in (0.0, 0.5, 0.99):
         learner.seconds = 60 * share
         report = descend(learner)
         seen.append((report["window"].item(), report["rate"].item()))
+        assert rates_of(learner) == pytest.approx([seen[-1][1]])  # it is what the optimiser steps with
     assert [window for window, _ in seen] == [4, 8, 16]
     assert seen[0][1] == pytest.approx(learner.rate)
     assert seen[1][1] == pytest.approx(learner.rate / 2)
@@ -207,6 +212,7 @@ def test_a_net_whose_gradient_explodes_is_taken_back_and_goes_on_at_half_the_rat
         assert name.endswith("extra_state") or (value == kept[name]).all()
     learner.env.base_env._jacobian = sound
     assert descend(learner)["rate"].item() == pytest.approx(learner.rate / 2)
+    assert rates_of(learner) == pytest.approx([learner.rate / 2])
     assert all(parameter.isfinite().all() for parameter in learner.net.parameters())
 
 
