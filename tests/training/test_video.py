@@ -85,7 +85,7 @@ TWO = """
   <camera name="before" pos="0 -1 0" xyaxes="1 0 0 0 0 1"/>
   <camera name="away" pos="0 -1 0" xyaxes="-1 0 0 0 0 1"/>
   <body name="ball"><joint type="slide" axis="0 0 1"/><geom size="0.1" rgba="1 0 0 1"/></body>
-  <body name="post" pos="3 0 0"><geom size="0.1"/></body>
+  <body name="post" pos="12 0 -1"><geom size="0.1"/></body>
 </worldbody><keyframe><key qpos="4"/></keyframe></mujoco>"""
 
 
@@ -104,10 +104,10 @@ def test_it_is_drawn_from_the_camera_that_is_named():
 
 
 def test_the_camera_looks_at_the_middle_of_all_bodies_of_the_first_keyframe_from_beyond_them():
-    """A ball 4 m up and a post 3 m ahead, 5 m apart: a little above their middle, with 1.2 m to spare."""
+    """A ball 4 m up and a post 12 m ahead, 1 m down: a little above their middle, with 1.2 m to spare."""
     centre, distance = _centre_and_distance(mujoco.MjModel.from_xml_string(TWO))
-    np.testing.assert_allclose(centre, [1.5, 0.0, 2.0 + 5.0 / 4])
-    assert distance == pytest.approx(6.2)
+    np.testing.assert_allclose(centre, [6.0, 0.0, 1.5 + 13.0 / 4])
+    assert distance == pytest.approx(14.2)
 
 
 def test_ffmpeg_is_told_width_before_height_and_the_rate_and_given_every_frame(tmp_path, monkeypatch):
