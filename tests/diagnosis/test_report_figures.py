@@ -57,6 +57,7 @@ def test_both_parts_of_a_why_share_the_quantity_and_hold_their_bands():
     m = slider().maps[1]
     missing, left = why_figure(m).axes
     assert missing.get_xlim() == left.get_xlim()
+    assert left.get_xlabel() == "speed [m/s]"
     assert missing.get_ylim()[1] > np.abs(m.before_band).max()
     assert left.get_ylim()[1] > max(np.abs(m.after_band).max(), m.noise)
 
