@@ -159,6 +159,9 @@ def test_rounded_steps_are_no_faster_than_allowed_and_sweeps_say_their_speed(tak
                 assert f"constant {speed:.2g} rad/s" in m.words("rad")
                 assert 1 / 8.0 <= m.frequency <= 2.0  # it turns at least once in its time
     assert steps > 3
+    sweeps = [m for m in motions(takes, limits, [0], 20.0) if m.kind == "sweep"]
+    first = [m.frequency for m in sweeps if m.amplitude == sweeps[0].amplitude]
+    assert max(first) == pytest.approx(8 * min(first))  # the quickest and the slowest of three speeds
 
 
 def test_the_motors_range_is_the_limit_where_there_is_one(takes):
