@@ -366,7 +366,7 @@ def test_a_net_that_is_taken_back_begins_new_episodes_and_forgets_how_it_was_mov
 
 
 def test_episodes_of_a_learner_do_not_all_end_at_once_and_its_time_ends():
-    learner = GradientLearner(replayed(uan(), num_envs=32), uan(), minutes=1.0, windows=(2, 4))
+    learner = GradientLearner(replayed(uan(), num_envs=32, max_steps=50), uan(), minutes=1.0, windows=(2, 4))
     left = learner.current["steps_left"]
     assert left.unique().numel() > 12
     assert left.min() >= 1
