@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from diagnosis.plants import pendulum, record, smooth_torque
+from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import extension
 from torchrl_athletic.diagnosis.deadline import Deadline
@@ -97,6 +97,17 @@ def test_no_law_is_offered_twice_nor_without_what_it_replaces_nor_to_a_joint_tha
         assert not names & gone
         assert names > {"hysteresis", "actuation_lag"}
     assert offers(near, swings, replace(SEEN, travel=np.array([0.9e-3]))) == []
+
+
+def test_a_base_that_leans_is_offered_once_and_to_no_joint():
+    command = np.hstack([smooth_torque(2.0, 1.0, 1), smooth_torque(2.0, 0.5, 2)])
+    xml = double_pendulum(0.005)
+    takes = prepare([record(xml, command)], mujoco.MjModel.from_xml_string(xml))
+    h = standard_joints(takes, seen_in(takes))
+    two = SimpleNamespace(problem=SimpleNamespace(hypothesis=h), values=h.nominal)
+    keys = [o.candidate.key for o in offers(two, takes, seen_in(takes))]
+    assert [key for key in keys if key[0] == "gravity_tilt"] == [("gravity_tilt", None)]
+    assert [key for key in keys if key[0] == "joint_spring"] == [("joint_spring", n) for n in ("upper", "lower")]
 
 
 @pytest.mark.parametrize(("unit", "most"), [("N·m", 80.0), ("N", 80.0), ("N·m·s/rad", 40.0), ("N·s/m", 40.0)])
