@@ -162,7 +162,8 @@ def test_a_gain_counts_where_it_is_two_per_cent_and_more_than_one_standard_error
     assert _gain(before, before - np.where(np.arange(100) % 2, 0.1, 0.2)) == pytest.approx(0.075)
 
 
-def test_the_spring_is_chosen_and_fitted_and_nothing_is_begun_without_time(near, swings):
+def test_the_spring_is_chosen_and_fitted_and_nothing_is_begun_without_time(near, swings, monkeypatch):
+    monkeypatch.setattr(extension, "ROUNDS", 1)
     seen = seen_in(swings)
     first, *rest = _chosen(near, offers(near, swings, seen), Deadline())
     assert first.candidate.effect.name == "joint_spring"

@@ -220,7 +220,7 @@ def test_bands_noise_and_axes_are_in_the_unit_that_stands_above_them(draw):
 
 
 def test_what_is_left_has_a_unit_of_its_own():
-    m = replace(slider().maps[1], noise=0.0)
+    m = replace(slider().maps[1], noise=2e-6)
     m = replace(m, after=1e-6 * m.before, after_band=1e-6 * m.before_band)
     figure = why_figure(m)
     assert [ax.texts[0].get_text() for ax in figure.axes] == [
@@ -228,6 +228,7 @@ def test_what_is_left_has_a_unit_of_its_own():
     ]  # fmt: skip
     np.testing.assert_allclose(lines(figure)["after-line"], 1e6 * m.after)
     assert heights(figure, "after-band")[1] == pytest.approx(1e6 * m.after_band.max())
+    assert heights(figure, "noise-left") == pytest.approx((-2.0, 2.0))
 
 
 def test_panels_of_one_joint_share_the_scale_that_holds_the_loudest_of_them():
