@@ -1,9 +1,12 @@
 """What was learnt counts, and for what it was learnt."""
 
+from dataclasses import replace
+
 import pytest
 
 from torchrl_athletic.diagnosis import calibration
-from torchrl_athletic.diagnosis.calibration import Grounds, class_probability, probability, widened
+from torchrl_athletic.diagnosis.calibration import Grounds, class_probability, probability, rival_probability, widened
+from torchrl_athletic.diagnosis.thresholds import STATEMENT
 
 GROUNDS = Grounds(share=0.9, left=0.2, excess=2, scatter=0.1, open=0.1, energy=0.6, terms=2, strain=1, sure=5)
 
@@ -32,3 +35,65 @@ def test_a_class_is_no_likelier_than_what_is_closed_and_accounted_for_but_as_lik
     assert class_probability(0.1, 0.99, 1.0, 1.0) > 0.5
     assert class_probability(0.1, 0.99, closed, energy) == 0.3
     assert class_probability(0.6, 0.99, closed, energy) == 0.6
+
+
+@pytest.mark.parametrize(
+    ("ground", "value", "feature"),
+    [
+        ("share", 0.5, 0.0),
+        ("share", 0.999, 6.9068 / 3),
+        ("share", 1.0, 6.9068 / 3),  # no evidence is without end
+        ("share", 0.0, -6.9068 / 3),
+        ("left", 0.0099, 0.0),
+        ("left", 0.9999, 2.0),
+        ("left", 0.0, -2.0),
+        ("excess", 0.9, 0.0),
+        ("excess", 0.0, -1.0),
+        ("excess", 99.9, 2.0),
+        ("scatter", 0.09, 0.0),
+        ("scatter", 0.0, -1.0),
+        ("open", 0.0099, 0.0),
+        ("open", 0.0, -2.0),
+        ("energy", 0.999, 0.0),
+        ("energy", 0.0, -3.0),
+        ("terms", 1, 0.0),
+        ("terms", 8, 3.0),
+        ("strain", 0.0, 0.0),
+        ("strain", 9.0, 1.0),
+        ("sure", 10.0, 0.0),
+        ("sure", 100.0, 1.0),
+        ("sure", 1e4, 1.0),
+        ("sure", 0.0, -2.0),
+    ],
+)
+def test_grounds_count_by_decades_from_where_they_are_usual_to_where_more_says_no_more(ground, value, feature):
+    """The number of findings counts by its doublings, a share by its log odds."""
+    assert replace(GROUNDS, **{ground: value}).features()[ground] == pytest.approx(feature, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("doubt", "most"),
+    [
+        ({}, 0.95),
+        ({"plain": True}, STATEMENT.equals),
+        ({"leans": True}, STATEMENT.equals),
+        ({"far": True}, STATEMENT.equals),
+        ({"share": 0.99 * STATEMENT.refutes}, STATEMENT.equals),
+        ({"share": STATEMENT.refutes}, STATEMENT.refutes),
+        ({"senseless": True}, STATEMENT.senseless),
+        ({"senseless": True, "far": True}, STATEMENT.senseless),
+    ],
+)
+def test_a_doubtful_finding_is_believed_no_more_than_its_doubt_allows_however_well_it_fits(doubt, most, monkeypatch):
+    sure = replace(GROUNDS, share=0.95, **{k: v for k, v in doubt.items() if k != "share"})
+    sure = replace(sure, share=doubt.get("share", 0.95))
+    assert STATEMENT.senseless < STATEMENT.equals < STATEMENT.refutes
+    assert sure.most == most
+    monkeypatch.setattr(calibration, "learnt", lambda part: {"intercept": 9.0} if part == "weights" else {})
+    assert probability(sure) == pytest.approx(most)
+
+
+def test_a_rival_has_its_share_of_what_the_finding_has_or_leaves_and_never_more_than_the_finding():
+    assert rival_probability(likely=0.6, own=0.75, share=0.25) == pytest.approx(0.25 * 0.6 / 0.75)
+    assert rival_probability(likely=0.9, own=0.75, share=0.25) == pytest.approx(0.1)  # what is left in all
+    assert rival_probability(likely=0.2, own=0.2, share=0.7) == 0.2

@@ -148,3 +148,10 @@ def test_every_argument_that_decides_the_answer_makes_another_digest(recordings,
         with pytest.raises(KeyboardInterrupt):
             diagnose(model, train, heldout, **{**settings, **changed})
     assert len(set(digests)) == len(digests) == 7
+
+
+def test_settings_in_another_order_are_the_same_settings_and_others_are_not():
+    one = inputs_digest("<mujoco/>", [], {"seed": 1, "drive": "command"})
+    assert one == inputs_digest("<mujoco/>", [], {"drive": "command", "seed": 1})
+    assert one != inputs_digest("<mujoco/>", [], {"seed": 2, "drive": "command"})
+    assert one != inputs_digest("<mujoco />", [], {"seed": 1, "drive": "command"})

@@ -62,15 +62,18 @@ def test_files_and_folders_are_named_one_after_the_other(folder):
 
 def test_every_flag_reaches_the_diagnosis(folder, asked, capsys):
     flags = "--model robot.xml --recordings train --drive measured --base fixed --seed 4 --time-budget 60"
-    flags += " --highest-frequency 5 --output there"
+    flags += " --highest-frequency 5 --memory 2 --output there"
     main(parsed(*flags.split()))
     [((model, recordings, heldout), settings)] = asked
     assert (model, len(recordings), heldout) == (Path("robot.xml"), 2, [])
-    assert {k: settings[k] for k in ("drive", "base", "seed", "time_budget", "highest_frequency", "output")} == {
+    assert settings["joined"] == []
+    told = ("drive", "base", "seed", "time_budget", "memory", "highest_frequency", "output")
+    assert {k: settings[k] for k in told} == {
         "drive": "measured",
         "base": "fixed",
         "seed": 4,
         "time_budget": 60.0,
+        "memory": 2.0,
         "highest_frequency": 5.0,
         "output": Path("there"),
     }
@@ -169,6 +172,19 @@ def test_foreign_columns_are_read_by_their_map(folder):
     Path("map.json").write_text(json.dumps({"joint_names": ["pendulum"], **names}))
     _, [read], _ = inputs(parsed("--model", "robot.xml", "--recordings", "log.csv", "--columns", "map.json"))
     np.testing.assert_allclose(read.position, r.position, atol=1e-9)
+
+
+def test_recordings_that_join_are_read_by_the_columns_of_the_first_ones(folder, asked):
+    r = record(pendulum(), smooth_torque(1.0))
+    table = np.stack([1e3 * r.time, np.rad2deg(r.position[:, 0]), r.torque_command[:, 0]], axis=1)
+    for name in ("log.csv", "more.csv"):
+        np.savetxt(name, table, delimiter=",", header="t,angle,u", comments="")
+    names = {"time": {"name": "t", "unit": "ms"}, "position": {"name": "angle", "unit": "deg"}, "torque_command": "u"}
+    Path("map.json").write_text(json.dumps({"joint_names": ["pendulum"], **names}))
+    main(parsed(*"--model robot.xml --recordings log.csv --columns map.json --output there".split()))
+    main(parsed(*"--output there --continue more.csv".split()))
+    [new] = asked[1][1]["joined"]
+    np.testing.assert_allclose(new.position, r.position, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -274,6 +290,8 @@ def test_what_is_left_is_handed_over_when_asked_and_only_then(folder, asked):
     given = parsed("--model", "robot.xml", "--recordings", "train", "--uan")
     assert main(given, hand_over).answer.summary == ("A net was taught.",)
     assert handed == [given.output]
+    main(given, hand_over)  # which was stopped before its end
+    assert len(handed) == 1
     main(parsed("--model", "robot.xml", "--recordings", "train"), hand_over)
     assert len(handed) == 1
 

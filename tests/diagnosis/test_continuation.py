@@ -22,12 +22,14 @@ class Settings:
 def test_new_recordings_join_the_old_ones_from_wherever_it_is_called(tmp_path, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path)
-    remember(Settings(Path("robot.xml"), (Path("a"), Path("b")), seed=4), tmp_path / "out")
+    for name, columns in (("out", None), ("mapped", Path("map.json"))):
+        remember(Settings(Path("robot.xml"), (Path("a"), Path("b")), columns=columns, seed=4), tmp_path / name)
     monkeypatch.chdir("elsewhere")
     first = recall(Settings(continue_with=(Path("c"),), output=tmp_path / "out"), tmp_path / "out")
     assert first.model == tmp_path / "robot.xml"
     assert first.recordings == (tmp_path / "a", tmp_path / "b")
     assert first.columns is None
+    assert recall(Settings(continue_with=(Path("c"),)), tmp_path / "mapped").columns == tmp_path / "map.json"
     assert first.seed == 4
     assert first.output == tmp_path / "out"
     assert [p.resolve() for p in first.continue_with] == [tmp_path / "elsewhere/c"]

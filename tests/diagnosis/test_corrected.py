@@ -479,3 +479,15 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path):
     with pytest.raises(TypeError):
         write_atomically(path, 3)
     assert json.loads(path.read_text(encoding="utf-8")) == {"π": [1.0]}
+
+
+def test_a_cause_of_the_whole_robot_comes_back_as_one():
+    (tilt,) = (e for e in CATALOGUE if e.name == "gravity_tilt")
+    model = mujoco.MjModel.from_xml_string(pendulum())
+    own = tilt.parameters(model, JointAddress.of(model, ("pendulum",)), 0)
+    values = np.linspace(0.01, 0.02, len(own))
+    one = Simulation(model, ("pendulum",), Hypothesis((Candidate(tilt, 0, None, own),)), values)
+    back = Simulation.from_json(json.loads(json.dumps(one.to_json())), model)
+    (term,) = back.hypothesis.terms
+    assert (term.joint, term.joint_name) == (0, None)
+    np.testing.assert_allclose(back.values, values)

@@ -159,3 +159,52 @@ def test_beside_the_chosen_one_stay_the_first_of_the_torques_and_the_standard_jo
     found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=()))
     assert found.trial.fitted is fitted
     assert list(found.beside) == [trials[k] for k in kept]
+
+
+def atom(name, joint="hip"):
+    return SimpleNamespace(candidate=SimpleNamespace(key=(name, joint), name=name))
+
+
+def hypothesis(terms, trims=()):
+    return SimpleNamespace(hypothesis=SimpleNamespace(terms=tuple(terms), trims=tuple(trims)))
+
+
+@pytest.mark.parametrize(("open_joints", "is_open"), [((False, True), True), ((False, False), False)])
+def test_torques_are_open_where_one_joint_misses_some_with_all_numbers_within_their_tolerances(open_joints, is_open):
+    """Terms that are findings do not count, since their absence is what is asked about; trims do."""
+    friction, mass, scored = atom("friction"), atom("mass"), []
+    judge = SimpleNamespace(
+        score=lambda atoms: scored.append(list(atoms)) or SimpleNamespace(fit="fit"),
+        is_open=lambda fit: np.array(open_joints),
+    )
+    best = SimpleNamespace(fit=SimpleNamespace(terms=[friction, mass]))
+    fitted = hypothesis([friction.candidate], [SimpleNamespace(key=("mass", "hip"))])
+    trial = Trial(Proposal(judge, best), fitted, {}, np.zeros((1, 1)), np.zeros(1))
+    assert deciding.torque_is_open(trial) is is_open
+    assert scored == [[mass]]
+
+
+def test_a_term_that_became_a_trim_is_needed_too_and_a_trim_that_is_no_term_is_not():
+    friction, mass, tilt, gone = (atom(name) for name in ("friction", "mass", "tilt", "gone"))
+    best = SimpleNamespace(fit=SimpleNamespace(terms=[friction, mass, gone]))
+    fitted = hypothesis([friction.candidate], [mass.candidate, tilt.candidate])
+    trial = Trial(Proposal(None, best), fitted, {}, np.zeros((1, 1)), np.zeros(1))
+    assert deciding.needed_by(trial) == {("friction", "hip"), ("mass", "hip")}
+
+
+def test_only_what_is_stated_is_asked_who_could_stand_in_its_place(monkeypatch):
+    friction, dropped = atom("friction"), atom("dropped")
+    best = SimpleNamespace(fit=SimpleNamespace(terms=[friction, dropped]))
+    trial = Trial(Proposal(None, best), hypothesis([friction.candidate]), {}, np.zeros((1, 1)), np.zeros(1))
+    asked = []
+    monkeypatch.setattr(deciding, "decided_by", lambda trials: (0, np.array([0.0]), [True]))
+    monkeypatch.setattr(deciding, "others_than", lambda *_: ())
+    monkeypatch.setattr(deciding, "torque_is_open", lambda trial: True)
+    monkeypatch.setattr(deciding, "answer_set", lambda part, term: asked.append(term) or "set")
+    proposed = SimpleNamespace(located="where", drive=None)
+    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=(trial,), untried=()))
+    assert asked == [friction]
+    assert found.sets == {("friction", "hip"): "set"}
+    assert found.is_open
+    nothing = deciding.decide(SimpleNamespace(proposed=proposed, trials=(), untried=()))
+    assert (nothing.located, nothing.trial) == ("where", None)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from diagnosis.plants import pendulum, smooth_torque
 
-from torchrl_athletic.diagnosis import Fit, fit
+from torchrl_athletic.diagnosis import Fit, fit, fit_command
 from torchrl_athletic.diagnosis.fit_command import FitConfig, fit_table, main
 from torchrl_athletic.diagnosis.fitting import JointParameter, _binds, _taken_back
 from torchrl_athletic.effects import Parameter
@@ -174,6 +174,51 @@ def test_the_command_prints_a_table_and_leaves_files(tmp_path, capsys):
     assert "coulomb friction [N·m]" in shown
     assert "95 %" in shown
     assert (tmp_path / "out" / "fit.json").exists()
+
+
+def test_every_flag_reaches_the_fit(tmp_path, monkeypatch, capsys):
+    told = []
+    fitted = SimpleNamespace(parameters=(), scores={}, remarks=("A remark.",))
+    monkeypatch.setattr(fit_command, "fit", lambda *given, **settings: told.append((given, settings)) or fitted)
+    (tmp_path / "model.xml").write_text(pendulum(STEP))
+    takes = [tmp_path / name for name in ("take.npz", "aside.npz")]
+    for k, path in enumerate(takes):
+        write_recording(recording(k + np.ones((100, 1)), np.zeros((100, 1))), path)
+    flags = {"drive": "measured", "seed": 7, "time_budget": 3.0, "memory": 2.0, "output": tmp_path / "out"}
+    assert main(FitConfig(tmp_path / "model.xml", (takes[0],), (takes[1],), **flags)) is fitted
+    (((model, fits, aside), settings),) = told
+    assert model == tmp_path / "model.xml"
+    assert [r.torque_command[0, 0] for r in (*fits, *aside)] == [1.0, 2.0]
+    assert {name: settings[name] for name in flags} == flags
+    shown = capsys.readouterr().out
+    assert "A remark." in shown
+    assert f"Files: {tmp_path / 'out'}" in shown
+
+
+def test_a_table_names_what_a_law_has_several_of_and_says_why_a_number_is_none():
+    """A number that is not needed or known is left blank, unless it differs from the given one all the same."""
+    rows = [
+        friction(effect="torque_scale", name="scale", unit="1", given=1.0, value=0.87654, ci95=(0.8, 0.9123)),
+        friction(effect="gain_mismatch", name="kp_scale", unit="1", given=1.0, value=2.0, state="not needed"),
+        friction(effect="stribeck_friction", name="stribeck_speed", unit="rad/s"),
+        friction(joint="wrist", value=0.0, state="not needed"),
+        friction(value=0.0, state="not identified", remark="never moves"),
+    ]
+    error = {"before": 0.5, "after": 0.25, "floor": 0.125}
+    scores = {split: SimpleNamespace(per_joint={"elbow": {k: v * x for k, v in error.items()}})
+              for split, x in (("train", 1.0), ("heldout", 2.0))}  # fmt: skip
+    text = fit_table(SimpleNamespace(parameters=rows, scores=scores, remarks=()))
+    found = [line.split("  ") for line in text.splitlines()]
+    cells = [[cell.strip() for cell in line if cell.strip()] for line in found]
+    assert cells[1:6] == [
+        ["elbow", "torque scale", "1", "0.8765", "0.8 to 0.912"],
+        ["elbow", "gain mismatch, kp", "1", "2", "0.4 to 0.6, not needed"],
+        ["elbow", "stribeck friction, stribeck speed [rad/s]", "0", "0.5", "0.4 to 0.6"],
+        ["wrist", "coulomb friction [N·m]", "0", "0.4 to 0.6, not needed"],
+        ["elbow", "coulomb friction [N·m]", "0", "not identified: never moves"],
+    ]
+    assert cells[7:9] == [["error over 0.5 s, kept aside", "given", "fitted", "floor"], ["elbow", "1", "0.5", "0.25"]]
+    assert cells[10:12] == [["error over 0.5 s, fitted", "given", "fitted", "floor"], ["elbow", "0.5", "0.25", "0.125"]]
 
 
 def test_a_missing_model_is_said_in_one_line(tmp_path):

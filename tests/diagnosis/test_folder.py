@@ -46,3 +46,22 @@ def test_a_folder_that_stays_empty_does_not_stay(tmp_path):
     with pytest.raises(ValueError, match="wrong"), locked(tmp_path / "a" / "b"):
         raise ValueError("wrong")
     assert not (tmp_path / "a" / "b").exists()
+
+
+def test_who_comes_back_locks_it_again(tmp_path):
+    for _ in range(2):
+        with locked(tmp_path):
+            (tmp_path / "note").touch()
+            with pytest.raises(BlockingIOError):
+                from_outside(tmp_path)
+
+
+def test_where_files_cannot_be_locked_nothing_half_written_is_taken_for_a_dead_process_s(tmp_path, monkeypatch):
+    def unknown(descriptor, how):
+        raise OSError("no locks here")
+
+    monkeypatch.setattr("fcntl.flock", unknown)
+    (tmp_path / ".diagnosis.json.123.unfinished").write_text("{")
+    with locked(tmp_path):
+        assert len(list(tmp_path.iterdir())) == 1
+    assert len(list(tmp_path.iterdir())) == 1

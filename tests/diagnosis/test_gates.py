@@ -360,3 +360,24 @@ def test_the_worst_of_the_scores_says_how_much_is_open(monkeypatch):
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
     gates.judge_findings([part], fitted, [score(0.2), score(0.7)], {one.key: ()})
     assert told == [pytest.approx(0.7)]
+
+
+def test_findings_are_told_by_whole_per_cent_and_then_by_what_they_account_for(monkeypatch):
+    one, *_ = terms()
+    told = [
+        dataclasses.replace(FINDING, probability=p, energy_share=e) for p, e in ((0.5, 0.9), (0.901, 0.2), (0.899, 0.6))
+    ]
+    left = list(told)
+    monkeypatch.setattr(gates, "_finding", lambda *_: left.pop(0))
+    part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)] * 3)))
+    fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
+    found = gates.judge_findings([part], fitted, [score(0.2)], {one.key: ()})
+    assert found == (told[2], told[1], told[0])
+
+
+def test_a_term_that_the_fit_does_not_have_is_not_stated(monkeypatch):
+    one, *_ = terms()
+    monkeypatch.setattr(gates, "_finding", lambda *_: FINDING)
+    part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)])))
+    nothing = Fitted(Hypothesis(()), np.zeros(0), np.zeros((3, 0)), 0.0)
+    assert gates.judge_findings([part], nothing, [score(0.2)], {one.key: ()}) == ()

@@ -40,6 +40,21 @@ def test_gains_are_those_of_position_actuators():
     assert gains_of(mujoco.MjModel.from_xml_string(SERVO)) == {"hip": (30.0, 2.0)}
 
 
+def test_gains_are_those_of_the_only_actuator_of_a_joint_if_it_is_a_position_one():
+    def gains(*actuators):
+        inner = "".join(actuators)
+        old = '<position joint="hip" kp="30" kv="2"/><motor joint="knee"/>'
+        return gains_of(mujoco.MjModel.from_xml_string(SERVO.replace(old, inner)))
+
+    hip, knee = '<position joint="hip" kp="30" kv="2"/>', '<position joint="knee" kp="7"/>'
+    assert gains(hip, knee) == {"hip": (30.0, 2.0), "knee": (7.0, 0.0)}
+    assert gains(hip, knee, hip) == {"knee": (7.0, 0.0)}
+    general = '<general joint="hip" biastype="affine" gainprm="{}" biasprm="0 {} {}"/>'
+    assert gains(general.format(5, -5, -1)) == {"hip": (5.0, 1.0)}
+    for other in (general.format(5, -4, -1), general.format(-5, 5, -1), '<velocity joint="hip" kv="3"/>'):
+        assert gains(other) == {}
+
+
 def test_targets_without_gains_take_the_models(tmp_path):
     targets(tmp_path / "log.csv")
     (tmp_path / "robot.xml").write_text(SERVO)
@@ -162,6 +177,38 @@ def test_all_problems_are_said_at_once(tmp_path, capsys):
     text, usable = checked(Flags(tmp_path / "robot.xml", (tmp_path / "good.npz",)))
     assert usable
     assert text.endswith("The inputs can be used.")
+
+
+def test_what_is_no_recording_may_lie_in_a_folder_but_is_not_named_and_joints_fit_each_other_and_the_model(tmp_path):
+    (tmp_path / "robot.xml").write_text(SERVO)
+    (tmp_path / "takes").mkdir()
+    time = np.arange(300) / 100
+    move = np.sin(4 * time)
+
+    def take(path, *names):
+        both = np.stack([move, 0.5 * move], 1)[:, : len(names)]
+        write_recording(Recording(time, names, both, torque_command=0.1 * both), path)
+
+    take(tmp_path / "takes" / "a.npz", "hip", "knee")
+    (tmp_path / "takes" / "README.txt").write_text("Of Tuesday.")
+    asked = Flags(tmp_path / "robot.xml", (tmp_path / "takes",))
+    assert checked(asked)[1]
+    assert "README" not in checked(asked)[0]
+    said, usable = checked(replace(asked, recordings=(tmp_path / "takes" / "README.txt",)))
+    assert "not a known kind of file" in said
+    assert not usable
+    take(tmp_path / "b.npz", "hip")
+    said, usable = checked(replace(asked, heldout=(tmp_path / "b.npz",)))
+    assert "knee of the model is not recorded. Record it, or say --lock knee." in said
+    assert "its joints are hip; " in said
+    assert not usable
+    said, usable = checked(Flags(tmp_path / "robot.xml", (tmp_path / "b.npz",), lock=("knee=0.1",)))
+    assert usable, said
+    take(tmp_path / "c.npz", "hip", "ankle")
+    assert (
+        "the model has no joint ankle; it has hip, knee."
+        in checked(Flags(tmp_path / "robot.xml", (tmp_path / "c.npz",)))[0]
+    )
 
 
 def test_a_weight_that_changes_the_model_is_said_first(tmp_path):

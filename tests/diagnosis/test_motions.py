@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from diagnosis.plants import pendulum, record, smooth_torque
+from diagnosis.plants import pendulum, record, slider, smooth_torque
 from scipy.signal import periodogram
 
 from torchrl_athletic.diagnosis.experiment import _path
@@ -13,6 +13,7 @@ from torchrl_athletic.diagnosis.motions import Limits, motions, touches, way
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.thresholds import PLAN
 from torchrl_athletic.effects import JointAddress
+from torchrl_athletic.effects.effect import torque_scale
 from torchrl_athletic.recordings.demo import make_recordings, two_link_arm
 
 
@@ -104,6 +105,65 @@ def test_without_a_range_a_radian_to_both_sides_of_the_start_is_taken():
     assert Limits.of(s).position == pytest.approx(np.array([[start - 1, start + 1]]))
 
 
+def limits_of(xml, *commands, start=0.0):
+    takes = [record(xml, command, start, seed=k) for k, command in enumerate(commands)]
+    found = prepare(takes, mujoco.MjModel.from_xml_string(xml)).signals
+    return Limits.of(found), takes, found
+
+
+def test_a_slide_keeps_a_twentieth_of_its_range_clear_and_without_one_stays_where_it_was_seen():
+    """A metre more than was recorded is nothing that a rail can be supposed to have."""
+    push = 2 * smooth_torque(3.0)
+    limits, takes, signals = limits_of(slider(joint='range="-3 5" limited="true"'), push)
+    assert limits.position == pytest.approx(np.array([[-3 + 0.4, 5 - 0.4]]))
+    free, takes, signals = limits_of(slider(), push)
+    position = takes[0].position
+    assert free.position == pytest.approx(np.array([[position.min(), position.max()]]))
+    assert free.velocity == pytest.approx(1.5 * np.abs(signals[0].velocity).max())
+
+
+def test_a_take_that_starts_beside_a_stop_may_stay_there():
+    joint = 'range="-60 80" limited="true"'
+    for start, side in ((np.deg2rad(-60) + 0.01, 0), (np.deg2rad(80) - 0.01, 1)):
+        limits, takes, _ = limits_of(pendulum(joint=joint), smooth_torque(3.0), start=start)
+        assert limits.position[0, side] == takes[0].position[0, 0]
+        assert limits.position[0, 1 - side] == pytest.approx(np.deg2rad((80, -60)[side]) + (-0.06, 0.06)[side])
+
+
+def test_half_more_speed_and_torque_than_any_take_had_is_allowed_and_at_least_what_every_joint_can():
+    weak, strong = smooth_torque(3.0), 20 * smooth_torque(3.0, seed=1)
+    limits, _, signals = limits_of(pendulum(), weak, strong)
+    fastest = max(np.abs(s.velocity).max() for s in signals)
+    assert fastest > 5
+    assert limits.velocity == pytest.approx(1.5 * fastest)
+    assert limits.torque == pytest.approx(1.5 * max(np.abs(s.command).max() for s in signals))
+    tame, _, signals = limits_of(pendulum(), 0.1 * weak)
+    assert tame.velocity == 2.0
+    assert tame.torque == pytest.approx(torque_scale(signals[0].nominal, signals[0].address, 0))
+    assert tame.torque > 1.5 * np.abs(signals[0].command).max()
+
+
+def test_rounded_steps_are_no_faster_than_allowed_and_sweeps_say_their_speed(takes):
+    """Steps that would be are left out; lower frequencies round them more, so that some are slow enough."""
+    limits, steps = Limits.of(takes), 0
+    for share, highest in ((1.0, 3.0), (0.5, 2.0)):
+        slower = replace(limits, velocity=share * limits.velocity, frequency=highest)
+        for m in motions(takes, slower, [0, 1], 8.0):
+            if m.kind == "steps":
+                speed = np.abs(np.diff(_path(m, m.pose, slower), axis=0)).max(0) * PLAN.rate
+                assert (speed <= slower.velocity).all()
+                steps += 1
+            elif m.kind == "sweep":
+                j = ("shoulder", "elbow").index(m.joint)
+                speed = np.median(np.abs(np.diff(m.wave[:, j]))) * PLAN.rate
+                assert f"constant {speed:.2g} rad/s" in m.words("rad")
+                assert 1 / 8.0 <= m.frequency <= 2.0  # it turns at least once in its time
+    assert steps > 3
+    sweeps = [m for m in motions(takes, limits, [0], 20.0) if m.kind == "sweep"]
+    first = [m.frequency for m in sweeps if m.amplitude == sweeps[0].amplitude]
+    assert max(first) == pytest.approx(8 * min(first))  # the quickest and the slowest of three speeds
+
+
 def test_the_motors_range_is_the_limit_where_there_is_one(takes):
     assert Limits.of(takes).torque == pytest.approx(two_link_arm().torque_limit)
 
@@ -116,6 +176,8 @@ def test_the_way_is_from_rest_to_rest_at_half_the_speed(takes):
     np.testing.assert_array_equal(path[0], start)
     np.testing.assert_allclose(path[-1], end)
     np.testing.assert_allclose(speed[[0, -1]], 0, atol=1e-12)
+    still = (np.abs(path - start).max(1) < 1e-9).sum() / PLAN.rate, (np.abs(path - end).max(1) < 1e-9).sum() / PLAN.rate
+    assert all(0.2 <= seconds < 0.25 for seconds in still)
     assert (np.abs(speed) / limits.velocity).max() == pytest.approx(0.5, rel=0.02)
 
 

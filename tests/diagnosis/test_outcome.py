@@ -6,7 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from torchrl_athletic.diagnosis import outcome
+from torchrl_athletic.diagnosis.motions import Limits
 from torchrl_athletic.diagnosis.outcome import OVERLAYS, Diagnosis, logged_gains
+from torchrl_athletic.diagnosis.result import Answer
 from torchrl_athletic.recordings import Recording
 
 STILL = np.zeros((50, 2))
@@ -59,3 +62,75 @@ def test_of_each_kind_some_recordings_are_drawn_with_the_given_and_the_corrected
         assert (d.measured == 0).all()
         assert (d.before == 1).all()
         assert (d.after == 2).all()
+
+
+@pytest.mark.parametrize(
+    ("plan", "told"), [(None, ("", 0.0)), (SimpleNamespace(sentence="Swing.", payload=0.5), ("Swing.", 0.5))]
+)
+def test_all_files_are_written_and_the_answer_that_says_so_comes_last(tmp_path, monkeypatch, plan, told):
+    files = []
+    monkeypatch.setattr(outcome, "write_json", lambda path, content: files.append((path, content)))
+    monkeypatch.setattr(outcome, "write_atomically", lambda path, text: files.append((path, text)))
+    monkeypatch.setattr(outcome, "write", lambda experiment, folder: files.append((folder, experiment)))
+    monkeypatch.setattr(outcome, "write_report", lambda *given: files.append((given[3], given)))
+    given, corrected = SimpleNamespace(model="model"), SimpleNamespace(to_json=lambda: {"values": 1})
+    answer = SimpleNamespace(to_json=lambda: {"verdict": "explained"})
+    diagnosis = Diagnosis(answer, given, corrected, "<mujoco/>", maps=("map",))
+    diagnosis.__dict__.update(experiment=plan, mjcf=SimpleNamespace(xml="<corrected/>"), overlays=("overlay",))
+    diagnosis.save(tmp_path / "out")
+    out = tmp_path / "out"
+    assert files[0] == (out / "corrected.json", {"values": 1, "model_xml": "<mujoco/>"})
+    assert files[1] == (out / "corrected.xml", "<corrected/>")
+    assert files[2] == (out, plan)
+    assert files[3][1] == (answer, ("map",), ("overlay",), out / "report.html", "model", *told)
+    assert files[4] == (out / "diagnosis.json", {"verdict": "explained"})
+
+
+def delivered(tmp_path, monkeypatch, *, drive="command", complete=True, warning="", output=True):
+    """What is handed over of three takes, one of which carried a weight, and where it was saved."""
+    measured = {"torque_measured": STILL + 5.0, "torque_semantics": "link_side"}
+    takes = tuple(replace(torques(), **measured, source=f"{k}", metadata={"payload_kg": k}) for k in (0.0, 0.5))
+    saved = []
+    monkeypatch.setattr(Diagnosis, "save", lambda self, folder: saved.append((self, folder)))
+    monkeypatch.setattr(Diagnosis, "overlays", ())
+    monkeypatch.setattr(Diagnosis, "experiment", None)
+    monkeypatch.setattr(Diagnosis, "mjcf", SimpleNamespace(warning=warning))
+    given = SimpleNamespace(xml="<mujoco/>", recordings=takes, heldout=takes[:1], drive=drive, highest_frequency=7.0)
+    decided = SimpleNamespace(located=SimpleNamespace(ready=SimpleNamespace(given=given)), evidence=("evidence",))
+    answer = Answer("explained", (), complete=complete, remarks=("first",))
+    stated = SimpleNamespace(decided=decided, answer=answer, nominal="given", corrected="corrected", maps=("map",))
+    found = outcome.deliver(stated, tmp_path if output else None)
+    assert [folder for _, folder in saved] == ([tmp_path] if output else [])
+    assert all(one is found for one, _ in saved)
+    assert (found.nominal, found.corrected, found.maps, found.xml) == ("given", "corrected", ("map",), "<mujoco/>")
+    return found
+
+
+def test_takes_are_handed_over_as_they_drove_the_simulation_without_those_that_carried_a_weight(tmp_path, monkeypatch):
+    found = delivered(tmp_path, monkeypatch)
+    assert [r.source for r in (*found.recordings, *found.heldout)] == ["0.0", "0.0"]
+    assert (found.recordings[0].torque_command == 0).all()
+    assert (found.evidence, found.highest_frequency) == (("evidence",), 7.0)
+    assert found.answer.remarks == ("first",)
+    by_current = delivered(tmp_path, monkeypatch, drive="measured", output=False)
+    assert (by_current.recordings[0].torque_command == 5).all()
+
+
+def test_what_the_written_model_cannot_say_is_remarked_and_an_incomplete_answer_brings_no_takes(tmp_path, monkeypatch):
+    assert delivered(tmp_path, monkeypatch, warning="No gear.").answer.remarks == ("first", "No gear.")
+    stopped = delivered(tmp_path, monkeypatch, complete=False, warning="No gear.")
+    assert (stopped.recordings, stopped.heldout, stopped.evidence) == ((), (), ())
+    assert stopped.answer.remarks == ("first",)
+
+
+def test_the_highest_frequency_that_was_asked_for_limits_the_plan(monkeypatch):
+    asked = []
+    monkeypatch.setattr(outcome, "next_experiment", lambda *given: asked.append(given))
+    monkeypatch.setattr(outcome.Limits, "of", lambda takes: Limits(STILL, STILL, STILL))
+    part = SimpleNamespace(judge=SimpleNamespace(bank=SimpleNamespace(takes="takes")))
+    answer = Answer("explained", (), findings=("finding",))
+    for highest in (None, 4.0):
+        _ = Diagnosis(answer, None, None, "xml", evidence=(part,), highest_frequency=highest).experiment
+    assert [given[:2] + given[3:] for given in asked] == [((part,), ("finding",), "xml")] * 2
+    assert asked[0][2] is None
+    assert asked[1][2].frequency == 4.0

@@ -78,6 +78,14 @@ def test_a_flexible_second_mass_is_reported_around_its_resonance(flexible):
     assert 0 < found.coherence <= 1
 
 
+def test_takes_whose_rates_let_unlike_bands_be_seen_say_nothing_together(flexible):
+    slower = recorded(True)
+    every = slice(None, None, 2)
+    slow = projected(Recording(slower.time[every], ("rail",), slower.position[every],
+                               torque_command=slower.command[every]))  # fmt: skip
+    assert flexibilities([flexible, slow], nothing([flexible]), BAND) == []
+
+
 def test_a_rigid_mass_is_not_reported(rigid):
     assert flexibilities([rigid], nothing([rigid]), BAND) == []
 

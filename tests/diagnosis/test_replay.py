@@ -532,3 +532,16 @@ def test_warmth_counts_from_where_the_take_began_and_not_its_piece():
 
     one, other = (simulate(windows_of(t, 0.4), build, NOTHING)[0] for t in (warm, cold))
     assert np.abs(one[0] - other[0]).max() > 1e-3  # after 3 s two thirds of it are there
+
+
+def test_a_velocity_that_is_logged_is_listened_to():
+    """A tachometer is worth more than the slope of noisy positions."""
+    time = np.arange(400) / RATE
+    rng = np.random.default_rng(0)
+    position = np.sin(6 * time)[:, None] + 1e-3 * rng.standard_normal((400, 1))
+    velocity = 6 * np.cos(6 * time)[:, None] + 1e-3 * rng.standard_normal((400, 1))
+    log = Recording(time, ("pendulum",), position, torque_command=np.zeros((400, 1)), velocity=velocity)
+    model = mujoco.MjModel.from_xml_string(pendulum())
+    told = [take_of(log, model, np.array([1e-3]), noise) for noise in (None, np.array([1e-3]))]
+    error = [np.sqrt(np.mean((t.velocity[20:-20, 0] - 6 * np.cos(6 * t.time[20:-20])) ** 2)) for t in told]
+    assert error[1] < 0.3 * error[0]

@@ -1,6 +1,8 @@
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from diagnosis.sample import RATE, arm, nothing_missing, slider
@@ -8,20 +10,26 @@ from diagnosis.sample import RATE, arm, nothing_missing, slider
 from torchrl_athletic.diagnosis.report.figures import (
     _broken_at_restarts,
     fit_figure,
+    force_word,
     overlay_figure,
     regime_figure,
+    shorten,
     summary_figure,
     svg,
+    torque_limit,
     why_figure,
 )
+from torchrl_athletic.diagnosis.report.fit_picture import fit_picture
 from torchrl_athletic.diagnosis.report.telling import (
     by_telling,
+    first_map,
     joint_order,
     map_of,
     telling_overlays,
     telling_window,
     visible_energy,
 )
+from torchrl_athletic.recordings import Recording
 
 
 def lines(figure) -> dict[str, np.ndarray]:
@@ -49,6 +57,7 @@ def test_both_parts_of_a_why_share_the_quantity_and_hold_their_bands():
     m = slider().maps[1]
     missing, left = why_figure(m).axes
     assert missing.get_xlim() == left.get_xlim()
+    assert left.get_xlabel() == "speed [m/s]"
     assert missing.get_ylim()[1] > np.abs(m.before_band).max()
     assert left.get_ylim()[1] > max(np.abs(m.after_band).max(), m.noise)
 
@@ -171,3 +180,179 @@ def test_inline_svg_is_deterministic_scalable_and_coloured_by_the_page():
     assert all(name.startswith("map7-") for name in re.findall(r'\bid="([^"]+)"', text))
     assert "font-family" not in text
     assert text.count("<text") > 5  # text stays text
+
+
+def heights(figure, gid):
+    """Lowest and highest place of a band or a span, in the numbers of its axis."""
+    for ax in figure.axes:
+        for shape in (*ax.collections, *ax.patches):
+            if shape.get_gid() == gid:
+                path = shape.get_paths()[0] if hasattr(shape, "get_paths") else shape.get_path()
+                corners = path.vertices
+                if gid.startswith("noise"):
+                    corners = shape.get_patch_transform().transform(corners)
+                return corners[:, 1].min(), corners[:, 1].max()
+    raise AssertionError(f"no {gid} was drawn")
+
+
+def in_micronewtons(m):
+    """The same map with forces a million times as small, and a correction that leaves a hundredth of it."""
+    small = {name: 1e-6 * getattr(m, name) for name in ("before", "before_band", "noise")}
+    return replace(m, **small, after=1e-8 * m.before, after_band=1e-8 * m.before_band)
+
+
+@pytest.mark.parametrize("draw", [regime_figure, why_figure])
+def test_bands_noise_and_axes_are_in_the_unit_that_stands_above_them(draw):
+    m = in_micronewtons(slider().maps[1])
+    figure = draw(m)
+    above, below = figure.axes[0], figure.axes[-1]
+    assert above.texts[0].get_text() == "missing force [×10⁻⁶ N]"
+    assert heights(figure, "before-band") == pytest.approx((1e6 * m.before_band.min(), 1e6 * m.before_band.max()))
+    assert heights(figure, "noise") == pytest.approx((-1e6 * m.noise, 1e6 * m.noise))
+    assert above.get_ylim()[1] == pytest.approx(1e6 * 1.08 * np.abs(m.before_band).max())
+    fine = 1e6
+    if draw is why_figure:
+        assert below.texts[0].get_text() == "left after the correction [×10⁻⁶ N]"
+        assert heights(figure, "noise-left") == pytest.approx((-fine * m.noise, fine * m.noise))
+        assert below.get_ylim()[1] == pytest.approx(1.08 * fine * 1.5 * m.noise)
+    assert heights(figure, "after-band") == pytest.approx((fine * m.after_band.min(), fine * m.after_band.max()))
+    np.testing.assert_allclose(lines(figure)["after-line"], fine * m.after)
+
+
+def test_what_is_left_has_a_unit_of_its_own():
+    m = replace(slider().maps[1], noise=2e-6)
+    m = replace(m, after=1e-6 * m.before, after_band=1e-6 * m.before_band)
+    figure = why_figure(m)
+    assert [ax.texts[0].get_text() for ax in figure.axes] == [
+        "missing force [N]", "left after the correction [×10⁻⁶ N]"
+    ]  # fmt: skip
+    np.testing.assert_allclose(lines(figure)["after-line"], 1e6 * m.after)
+    assert heights(figure, "after-band")[1] == pytest.approx(1e6 * m.after_band.max())
+    assert heights(figure, "noise-left") == pytest.approx((-2.0, 2.0))
+
+
+def test_panels_of_one_joint_share_the_scale_that_holds_the_loudest_of_them():
+    quiet, loud = (replace(slider().maps[1], noise=noise) for noise in (1.0, 100.0))
+    limit = torque_limit([quiet, loud])
+    assert limit == torque_limit([loud, quiet]) == pytest.approx(1.08 * 150.0)
+    assert regime_figure(quiet, limit).axes[0].get_ylim() == pytest.approx((-limit, limit))
+    assert torque_limit([quiet]) < limit
+
+
+def test_motion_and_error_are_drawn_over_the_seconds_of_the_window():
+    overlay = arm().overlays[3]
+    small = replace(overlay, **{name: 0.01 * getattr(overlay, name) for name in ("measured", "before", "after")})
+    window = slice(250, 500)
+    figure = overlay_figure(small, "elbow", "rad", window)
+    drawn, j = lines(figure), overlay.joint_names.index("elbow")
+    measured = small.measured[window, j]
+    np.testing.assert_allclose(drawn["measured-motion"], 1e3 * measured)
+    assert figure.axes[0].texts[0].get_text() == "position [mrad]"
+    size = 1e6 if "µrad" in figure.axes[1].texts[0].get_text() else 1e3
+    for name in ("before", "after"):
+        path = getattr(small, name)[window, j]
+        seen = np.isfinite(drawn[f"{name}-motion"])
+        assert seen.mean() > 0.9
+        np.testing.assert_allclose(drawn[f"{name}-motion"][seen], 1e3 * path[seen])
+        np.testing.assert_allclose(drawn[f"{name}-error"][seen], size * (path - measured)[seen])
+    for ax in figure.axes:
+        assert ax.get_xlim() == pytest.approx((small.time[250], small.time[499]))
+    assert 200 < len(lines(overlay_figure(small, "elbow", "rad", slice(0, len(small.time))))["measured-motion"]) < 600
+
+
+def test_a_track_says_its_errors_shows_its_floor_and_points_the_way_that_it_went():
+    rows = [("a", "rad", 0.4, 0.2, 0.1), ("worse", "rad", 0.1, 0.3, 0.36), ("alike", "rad", 0.4, 0.39, 0.0)]
+    ax = fit_figure(rows).axes[0]
+    texts = [text.get_text() for text in ax.texts if text.get_text()]
+    assert texts[:3] == ["a", "0.400 → 0.200 rad", "floor 0.100"]
+    floors = [text for text in ax.texts if text.get_text().startswith("floor")]
+    assert [text.get_ha() for text in floors] == ["left", "right", "left"]  # none leaves the picture
+    bars = [line.get_xdata() for line in ax.lines if line.get_linewidth() == 7]
+    assert [8 + 404 * share for share in (0.25, 0.9, 0.0)] == pytest.approx([bar[1] for bar in bars])
+    arrows = [text for text in ax.texts if text.get_text() == ""]
+    assert [np.sign(arrow.xy[0] - arrow.xyann[0]) for arrow in arrows] == [-1, 1]  # none where hardly anything changed
+
+
+def test_a_long_name_is_cut_in_the_middle_to_its_place():
+    assert shorten("x" * 24) == "x" * 24
+    assert shorten("abcdefghijkl" + "m" * 20 + "nopqrstuvwxyz") == "abcdefghijkl…pqrstuvwxyz"
+    assert len(shorten("left_front_hip_and_some_more", 10)) == 10
+    assert (force_word("N"), force_word("N·m")) == ("force", "torque")
+
+
+def test_of_recordings_kept_aside_the_one_that_errs_most_for_its_motion_comes_first():
+    """Three times the error on ten times the motion is the lesser one; what the correction leaves does not count."""
+    o = arm().overlays[0]
+    wide, narrow = (replace(o, recording=name, measured=size * o.measured) for name, size in (("w", 10.0), ("n", 1.0)))
+    wide = replace(wide, before=wide.measured + 0.03, after=wide.measured + 9.0)
+    narrow = replace(narrow, before=narrow.measured + 0.01, after=narrow.measured)
+    assert [x.recording for x in telling_overlays([wide, narrow])] == ["n", "w"]
+    assert [x.recording for x in telling_overlays([narrow, wide])] == ["n", "w"]
+
+
+def test_a_joint_is_shown_along_what_gave_its_finding_or_the_whole_robots_away_else_along_most():
+    s = arm()
+    friction = replace(s.answer.findings[0], joint="shoulder")
+    shoulder = by_telling([m for m in s.maps if m.joint == "shoulder"])
+    assert shoulder[0].feature == "acceleration"
+    for joint, feature in (("shoulder", "speed"), (None, "speed"), ("elbow", "acceleration")):
+        answer = replace(s.answer, findings=(replace(friction, joint=joint),))
+        assert first_map(answer, s.maps, "shoulder").feature == feature
+
+
+def test_a_wide_band_hides_a_missing_torque_as_its_half_does():
+    m = slider().maps[1]
+    flat = np.full_like(m.before, 2.0)
+    banded = replace(m, before=flat, before_band=np.stack([flat - 1.0, flat + 1.0], -1))
+    assert visible_energy(banded) == pytest.approx(4.0 - 1.0)
+
+
+def test_shares_of_a_joint_add_up_over_its_regimes():
+    answer = arm().answer
+    first = answer.locations[0]
+    parts = [replace(first, joint=joint, share_of_error=share) for joint, share in
+             (("elbow", 0.3), ("shoulder", 0.4), ("elbow", 0.3))]  # fmt: skip
+    quiet = replace(answer, findings=(), locations=tuple(parts))
+    assert joint_order(quiet, ["shoulder", "elbow"]) == ["elbow", "shoulder"]
+
+
+class Still:
+    """A simulation whose joints stay where they are told."""
+
+    def __init__(self, xml, by):
+        self.model, self.by = mujoco.MjModel.from_xml_string(xml), by
+
+    def rollout(self, recording):
+        return recording.position + self.by
+
+
+def test_a_fit_is_shown_on_what_was_kept_aside_with_the_worst_joints_first_and_their_units():
+    xml = """<mujoco><worldbody><body><joint name="rail" type="slide"/><geom size="0.1"/>
+      <body><joint name="hip"/><geom size="0.1"/></body></body></worldbody></mujoco>"""
+    time = 3.0 + np.arange(700) / 100
+    takes = [
+        Recording(
+            time, ("rail", "hip"), np.stack([k + time, k - time], 1), torque_command=np.zeros((700, 2)), source=k_
+        )
+        for k, k_ in ((0.0, "fitted"), (50.0, "aside"))
+    ]
+    errors = {"rail": {"before": 0.5, "after": 0.1, "floor": 0.0}, "hip": {"before": 0.25, "after": 0.2, "floor": 0.0}}
+    worse = {name: {**e, "before": 1.0 if name == "hip" else 0.1} for name, e in errors.items()}
+    scores = {"heldout": SimpleNamespace(per_joint=errors), "train": SimpleNamespace(per_joint=worse)}
+    fit = SimpleNamespace(nominal=Still(xml, 0.25), corrected=Still(xml, 0.125), scores=scores, recordings=takes[:1])
+    for heldout, order, where in ((takes[1:], [0, 1], "kept aside: aside"), ([], [1, 0], "fitted: fitted")):
+        fit.heldout = heldout
+        figure = fit_picture(fit)
+        names = [("rail", "hip")[j] for j in order]
+        assert [ax.get_title(loc="left").split(":")[0] for ax in figure.axes] == names
+        assert [ax.get_ylabel() for ax in figure.axes] == [{"rail": "[m]", "hip": "[rad]"}[name] for name in names]
+        assert figure.axes[-1].get_xlabel() == f"time [s], {where}"
+        take = (*heldout, *takes)[0]
+        for ax, j in zip(figure.axes, order, strict=True):
+            labels = [line.get_label() for line in ax.lines]
+            assert labels == ["recorded", "given model", "fitted"]
+            for line, by in zip(ax.lines, (0.0, 0.25, 0.125), strict=True):
+                np.testing.assert_allclose(line.get_xdata(), np.arange(501) / 100, atol=1e-9)  # five seconds
+                np.testing.assert_allclose(line.get_ydata(), take.position[:501, j] + by)
+        score = scores["heldout" if heldout else "train"].per_joint[names[0]]
+        assert f"error {score['before']:.3g} → {score['after']:.3g}" in figure.axes[0].get_title(loc="left")

@@ -140,3 +140,15 @@ def test_a_model_that_the_recordings_changed_is_told_before_anything_else():
     answer = arm().answer
     changed = replace(answer, quality={**answer.quality, "model_changes": ["0.5 kg hang on the last link."]})
     assert terminal_summary(changed).splitlines()[2] == "0.5 kg hang on the last link."
+
+
+def test_a_long_warning_is_indented_below_its_beginning_and_keeps_its_words_whole():
+    """Names of files and of joints can be found again, whatever hyphens they have."""
+    name = "-".join(["left-hand"] * 12)  # longer than a line
+    answer = arm().answer
+    told = replace(answer, quality={**answer.quality, "warnings": [f"{'some words ' * 15}{name} more-or-less"]})
+    text = terminal_summary(told)
+    at = next(k for k, line in enumerate(text.splitlines()) if line.startswith("Warning: some words"))
+    below = text.splitlines()[at + 1 : at + 4]
+    assert all(line.startswith("   ") for line in below)
+    assert name in text

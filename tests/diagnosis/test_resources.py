@@ -2,13 +2,14 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from diagnosis.plants import pendulum, record, smooth_torque
 
-from torchrl_athletic.diagnosis import diagnose
-from torchrl_athletic.diagnosis.resources import GIGABYTE, OutOfTime, alarm, free_memory, within_memory
+from torchrl_athletic.diagnosis import diagnose, resources
+from torchrl_athletic.diagnosis.resources import GIGABYTE, OutOfTime, alarm, free_memory, room_for_data, within_memory
 from torchrl_athletic.diagnosis.thresholds import SPENDING
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import Recording, split_at_gaps
@@ -38,6 +39,20 @@ def test_of_a_log_that_does_not_fit_stretches_from_its_whole_length_are_used(sha
     assert pieces[0].time[0] == 0.0
     assert kept.time[-1] > 3600.0 - 1.0
     assert max(np.diff([p.time[0] for p in pieces])) < 2.2 * SPENDING.stretch / share
+
+
+def test_a_log_whose_clock_began_long_before_is_cut_as_one_that_begins_at_zero():
+    log = long_log(3600.0, 50.0)
+    late = replace(log, time=log.time + 1e5)
+    kept, later = (within_memory([r], 0.2 * need(log)).recordings[0] for r in (log, late))
+    np.testing.assert_allclose(later.time - 1e5, kept.time, atol=1e-6)
+
+
+def test_room_is_what_is_asked_for_or_half_of_what_is_free_without_what_a_run_takes_in_any_case(monkeypatch):
+    monkeypatch.setattr(resources, "free_memory", lambda: 40 * GIGABYTE)
+    assert room_for_data(None) == SPENDING.share * 40 * GIGABYTE - SPENDING.fixed
+    assert room_for_data(30.0) == 30 * GIGABYTE - SPENDING.fixed
+    assert room_for_data(1e-3) == SPENDING.least
 
 
 def test_what_fits_stays_as_it_is():

@@ -9,7 +9,9 @@ from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis.screen import (
+    Atom,
     Bank,
+    Fit,
     bounded_least_squares,
     candidates_for,
     correlation_time,
@@ -342,3 +344,23 @@ def test_takes_behind_different_test_functions_are_weighed_by_their_own_noise(rn
     np.testing.assert_allclose(noise[:, 0], [5, 100, 5], rtol=1e-3)  # the mean square of one and seven is 25
     bank = Bank([wide, narrow], [])
     np.testing.assert_allclose(bank.weight[:N] / bank.weight[N:], 100, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("value", "stands_in"), [(1.5, True), (4.0, True), (2.5, False), (1.51, False), (3.99, False)])
+def test_a_number_at_either_bound_is_no_estimate(value, stands_in):
+    assert fit_of(value, 1.5, 4.0).at_bound is stands_in
+
+
+def test_a_number_that_stops_at_zero_or_at_the_given_value_is_one():
+    assert not fit_of(0.0, 0.0, 4.0, nominal=2.0).at_bound
+    assert not fit_of(2.0, 2.0, 4.0, nominal=2.0).at_bound
+    assert fit_of(0.5, 0.5, 4.0, nominal=2.0).at_bound
+
+
+def fit_of(value, low, high, nominal=1.0):
+    """A combination of one law with one number."""
+    law = Given("law", np.zeros((1, 1)), low, high, nominal)
+    law.value = lambda parameter, change: change
+    nothing = np.zeros((2, 1))
+    atom = Atom(candidate(law), {}, (0,), (0,))
+    return Fit((atom,), 1, np.array([value]), (np.array([low]), np.array([high])), 0.0, nothing, nothing)

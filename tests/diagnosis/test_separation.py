@@ -170,3 +170,11 @@ def test_products_of_a_recording_twice_as_long_count_twice_as_many_samples():
     both = own + longer
     assert both.count.tolist() == [1.0, 2.0, 2.5, 5.0]
     assert both.noise.tolist() == [4.0, 8.0, 4.0, 8.0]
+
+
+def test_pairs_weigh_by_how_probable_both_are_and_alike_where_nobody_says():
+    told, *_ = rivals(*(Along(name, (1.0, 0.0)) for name in "abc"))
+    np.testing.assert_allclose(told.weight, [1 / 3] * 3)
+    judge = Judge(Bank(told.takes, [candidate(Along(name, (1.0, 0.0))) for name in "abc"], noise=np.ones(2)))
+    weighed = Rivals(judge, [judge.score([atom]) for atom in judge.bank.atoms], [0.6, 0.3, 0.1])
+    np.testing.assert_allclose(weighed.weight, np.array([0.18, 0.06, 0.03]) / 0.27)  # (a, b), (a, c), (b, c)

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from torchrl_athletic.diagnosis import state as stating
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
@@ -118,3 +119,22 @@ def test_the_quality_is_told_of_all_recordings_those_kept_aside_too(monkeypatch)
     assert (told["drive"], told["warnings"]) == ("measured", ["w"])
     assert "2 kg" in told["model_changes"][0]
     assert _quality(SimpleNamespace(train=sets[0], held=None, given=given))["recordings"] == ["fitted"]
+
+
+@pytest.mark.parametrize(
+    ("has_trial", "drive", "asked"), [(True, None, True), (True, "drive", False), (False, None, False)]
+)
+def test_a_remainder_is_looked_for_in_both_sets_where_the_mechanics_alone_were_named(
+    has_trial, drive, asked, monkeypatch
+):
+    told = []
+    monkeypatch.setattr(stating, "remarks_on", lambda *given: told.append(given) or ("rings",))
+    monkeypatch.setattr(stating, "_trimmed", lambda corrected: ("adjusted",))
+    (train, held) = (SimpleNamespace(signals=(SimpleNamespace(kernel=k),)) for k in (0.0266, 0.5))
+    best = Trial(Proposal(None, "best"), None, {}, np.zeros((1, 1)), np.zeros(1)) if has_trial else None
+    for aside, signals in ((held, held.signals), (None, ())):
+        told.clear()
+        located = SimpleNamespace(ready=SimpleNamespace(train=train, held=aside))
+        said = stating._remarks(Decided(located, drive, best), "corrected")
+        assert said == (("rings",) if asked else ()) + ("adjusted",)
+        assert told == ([(train.signals, signals, "best", pytest.approx(5.0))] if asked else [])  # up to 5 Hz

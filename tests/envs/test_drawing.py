@@ -30,6 +30,7 @@ def test_the_axes_of_a_frame_are_red_green_and_blue(scene):
         np.testing.assert_allclose(geom.rgba[:3], np.eye(3)[axis])
         np.testing.assert_allclose(ends(geom)[1], np.eye(3)[axis], atol=1e-6)
         np.testing.assert_allclose(geom.pos, origin, atol=1e-6)
+        np.testing.assert_allclose(geom.size, [0.008, 0.008, 0.2], atol=1e-6)  # thin, and as long as told
 
 
 def test_a_command_is_drawn_in_its_frame_over_the_ground_below_a_robot_on_a_hill(scene):
@@ -45,6 +46,7 @@ def test_a_command_is_drawn_in_its_frame_over_the_ground_below_a_robot_on_a_hill
     place, ahead = ends(scene.geoms[0])
     np.testing.assert_allclose(place, [1.0, 2.6, 5.0 + 0.3 + 0.1], atol=1e-5)
     np.testing.assert_allclose(ahead, [0.0, 1.0, 0.0], atol=1e-5)
+    assert scene.geoms[0].size[2] == pytest.approx(0.15, rel=1e-3)
 
 
 def test_a_ball_is_drawn_once_it_is_there(scene):
@@ -68,7 +70,13 @@ def test_a_sled_stands_behind_its_hook_in_line_with_a_rope_that_is_red_while_it_
     np.testing.assert_allclose(box.pos, [1.2 + 0.4 * 0.6, 1.6 + 0.4 * 0.8, 0.12], atol=1e-6)
     np.testing.assert_allclose(box.mat.reshape(3, 3)[:, 0], [0.6, 0.8, 0.0], atol=1e-6)
     np.testing.assert_allclose(box.mat.reshape(3, 3)[:, 2], [0.0, 0.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(box.size, [0.4, 0.3, 0.1])  # its front is at the hook
+    assert box.size[0] == pytest.approx(np.hypot(*(box.pos[:2] - [1.2, 1.6])))
     rope = np.array([1.2, 1.6, 0.2 - 0.8])
+    for geom in (slack, taut):
+        assert geom.size[0] == pytest.approx(0.008)
+        assert geom.size[2] == pytest.approx(np.linalg.norm(rope) / 2)  # from the hand to the hook
+        np.testing.assert_allclose(geom.pos, [0.6, 0.8, 0.5], atol=1e-6)
     np.testing.assert_allclose(ends(slack)[1], rope / np.linalg.norm(rope), atol=1e-6)
     assert slack.rgba[0] == slack.rgba[1]
     assert taut.rgba[0] > 2 * taut.rgba[1]

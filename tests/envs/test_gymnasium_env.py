@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
 from torchrl.envs import TransformedEnv
 
 from torchrl_athletic.envs.gymnasium_env import TASKS, GymnasiumVectorEnv
@@ -43,6 +44,7 @@ def test_gymnasium_s_own_checker_finds_nothing(name):
 def test_many_at_once_start_anew_in_the_step_and_show_their_last_observation():
     envs = gymnasium.make_vec("torchrl_athletic/SledPull-v0", num_envs=3, max_steps=2)
     assert isinstance(envs.unwrapped, GymnasiumVectorEnv)
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP  # by which wrappers and learners tell
     first, _ = envs.reset(seed=4)
     assert envs.observation_space.contains(first)
     action = np.zeros((3, 19), np.float32)
@@ -154,3 +156,19 @@ def test_of_a_list_of_seeds_the_first_one_counts(toy):
     envs = GymnasiumVectorEnv("Toy", 2)
     envs.reset(seed=[4, 9])
     assert envs.env.transform[-1].seed == 4
+
+
+@pytest.mark.parametrize("seed", [0, [0, 9]])
+def test_zero_is_a_seed_like_any_other(toy, seed):
+    """Both streams open again, whatever they were before."""
+    envs, fresh = GymnasiumVectorEnv("Toy", 2), GymnasiumVectorEnv("Toy", 2)
+    envs.reset(seed=4)
+    envs.reset()
+    envs.reset(seed=seed)
+    fresh.reset(seed=0)
+    assert envs.env.transform[-1].seed == 0
+    assert envs.np_random_seed == 0
+    assert envs._shown["gait_phase"].equal(fresh._shown["gait_phase"])
+    kept = envs._shown["gait_phase"]
+    envs.reset()  # without one, the streams go on
+    assert not envs._shown["gait_phase"].equal(kept)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from torchrl_athletic.training import CSVTable, draw_curves
 from torchrl_athletic.training.curves import smoothed
@@ -47,3 +48,27 @@ def test_each_line_is_its_runs_column_over_what_is_asked_for_under_its_title(tmp
             kept = [0, 2] if column else [0, 1, 2]
             np.testing.assert_allclose(x, [7.0 + k for k in kept])
             np.testing.assert_allclose(y, [rows[label][k][column] for k in kept])
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_panels_stand_three_in_a_row_and_the_first_says_which_line_is_which_run(tmp_path, monkeypatch, count):
+    columns = {name: f"title of {name}" for name in ("a", "b", "c", "d")}
+    for name in ("one", "two"):
+        table = CSVTable(tmp_path / f"{name}.csv")
+        for k in range(3):
+            table.log_metrics({"samples": 1.0 * k, **dict.fromkeys(columns, 2.0 * k)}, step=k)
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, dpi: drawn.append(figure))
+    runs = {name: tmp_path / f"{name}.csv" for name in ("one", "two")[:count]}
+    draw_curves(runs, columns, tmp_path / "c.png")
+    (figure,) = drawn
+    places = [axis.get_subplotspec() for axis in figure.axes]
+    assert [(p.rowspan.start, p.colspan.start) for p in places] == [(0, 0), (0, 1), (0, 2), (1, 0)]
+    assert tuple(figure.get_size_inches()) == pytest.approx((12.0, 5.2))
+    assert {axis.get_xlabel() for axis in figure.axes} == {"samples"}
+    legends = [axis.get_legend() for axis in figure.axes]
+    assert legends[1:] == [None] * 3
+    told = [] if legends[0] is None else [text.get_text() for text in legends[0].get_texts()]
+    assert told == ([] if count == 1 else ["one", "two"])
+    draw_curves(runs, {"a": "alone"}, tmp_path / "d.png")
+    assert tuple(drawn[1].get_size_inches()) == pytest.approx((4.0, 2.6))

@@ -23,6 +23,18 @@ def test_a_table_is_gone_on_with(tmp_path):
     assert path.read_text().split() == ["step,reward", "1,1.0", "2,2.0"]
 
 
+def test_a_table_that_is_gone_on_with_keeps_columns_that_come_seldom(tmp_path):
+    """A row that a kill cut short has empty cells, and a row without an evaluation is no reason to forget it."""
+    path = tmp_path / "progress.csv"
+    path.write_text("step,error,reward\n1,0.5,1.0\n2,0.25\n")
+    table = CSVTable(path)
+    assert table.rows[1] == {"step": "2", "error": "0.25", "reward": ""}
+    table.log_metrics({"reward": 3.0}, step=3)
+    assert [row["reward"] for row in CSVTable(path).rows] == ["1.0", "", "3.0"]
+    assert [row["error"] for row in CSVTable(path).rows] == ["0.5", "0.25", ""]
+    assert path.read_text().splitlines()[0] == "step,error,reward"
+
+
 def test_steps_that_are_done_again_are_taken_out(tmp_path):
     table = CSVTable(tmp_path / "progress.csv")
     table.log_metrics({"reward": 1.0}, step=1)

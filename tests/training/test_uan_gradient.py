@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 from identification.arms import commands, recorded, robot
+from tensordict import TensorDict
 
 from torchrl_athletic.envs import replay_env
 from torchrl_athletic.identification import Simulator
@@ -168,14 +169,19 @@ def test_it_learns_friction_from_encoders_alone(known):
     assert validate()["mse"] < before / 2
 
 
+def rates_of(learner):
+    return [group["lr"] for group in learner.optimizer.param_groups]
+
+
 def test_windows_grow_and_the_rate_falls_with_the_time():
     learner = learner_of(uan())
-    learner.windows = (4, 8, 16)
+    learner.windows, learner.usual = (4, 8, 16), math.inf  # no gradient counts as exploded
     seen = []
     for share in (0.0, 0.5, 0.99):
         learner.seconds = 60 * share
         report = descend(learner)
         seen.append((report["window"].item(), report["rate"].item()))
+        assert rates_of(learner) == pytest.approx([seen[-1][1]])  # it is what the optimiser steps with
     assert [window for window, _ in seen] == [4, 8, 16]
     assert seen[0][1] == pytest.approx(learner.rate)
     assert seen[1][1] == pytest.approx(learner.rate / 2)
@@ -207,6 +213,7 @@ def test_a_net_whose_gradient_explodes_is_taken_back_and_goes_on_at_half_the_rat
         assert name.endswith("extra_state") or (value == kept[name]).all()
     learner.env.base_env._jacobian = sound
     assert descend(learner)["rate"].item() == pytest.approx(learner.rate / 2)
+    assert rates_of(learner) == pytest.approx([learner.rate / 2])
     assert all(parameter.isfinite().all() for parameter in learner.net.parameters())
 
 
@@ -311,6 +318,67 @@ def test_jacobians_along_takes_of_torques_are_measured_under_those_torques(monke
     torch.testing.assert_close(applied[0], servo[::8])  # at every eighth sample
     torch.testing.assert_close(applied[-1], seen.command[::8])
     assert (applied[0] - applied[-1]).abs().max() > 0.1
+
+
+def test_what_follows_a_loss_in_a_window_is_charged_though_the_row_tracks_well_again(monkeypatch):
+    learner = learner_of(uan())
+    learner.windows, weight, times = (4,), next(learner.net.parameters()), iter(range(4))
+    lost = torch.tensor([[[0], [1], [0], [0]], [[0], [0], [0], [0]]], dtype=torch.bool)
+
+    def scripted(env, policy, following):
+        t = next(times)
+        error = 0.1 * torch.ones(2, 2, 2) + 0.0 * weight.sum()
+        after = {"privileged": error, "terminated": lost[:, t], "reward": torch.full((2, 1), float(t))}
+        return TensorDict(next=TensorDict(after, [2]), batch_size=[2]), following
+
+    monkeypatch.setattr("torchrl_athletic.training.uan_gradient.control_step", scripted)
+    report = descend(learner)
+    assert report["lost"] == 0.5
+    assert report["train_mse"].item() == pytest.approx((3 * learner.env.transform[-1].bound ** 2 + 5 * 0.01) / 8)
+    assert report["reward"] == 1.5
+
+
+def test_a_step_follows_its_own_windows_gradient_and_no_longer_a_one_than_is_allowed():
+    twins = [learner_of(uan(), max_grad_norm=1e-3) for _ in range(2)]
+    twins[1].load_state_dict(deepcopy(twins[0].state_dict()))
+    for parameter in twins[1].net.parameters():
+        parameter.grad = torch.full_like(parameter, 1e3)  # of a window before
+    for learner in twins:
+        assert descend(learner)["grad_norm"] > 1e-3
+        length = torch.stack([p.grad.norm() for p in learner.net.parameters() if p.grad is not None]).norm()
+        assert length.item() == pytest.approx(1e-3, rel=1e-3)
+    for one, other in zip(*(learner.net.parameters() for learner in twins), strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
+
+
+def test_a_net_that_is_taken_back_begins_new_episodes_and_forgets_how_it_was_moved():
+    learner = learner_of(uan())
+    descend(learner)
+    assert learner.optimizer.state
+    left = learner.current
+    learner.step_back()
+    assert not learner.optimizer.state
+    assert learner.current is not left
+    assert not learner.current["torque_correction"].any()
+    assert {id(p) for group in learner.optimizer.param_groups for p in group["params"]} == {
+        id(p) for p in learner.net.parameters()
+    }
+
+
+def test_episodes_of_a_learner_do_not_all_end_at_once_and_its_time_ends():
+    learner = GradientLearner(replayed(uan(), num_envs=32, max_steps=50), uan(), minutes=1.0, windows=(2, 4))
+    left = learner.current["steps_left"]
+    assert left.unique().numel() > 12
+    assert left.min() >= 1
+    learner.seconds = 90.0  # later than planned it stands still, and does not take off again
+    assert (learner.share, learner.window) == (1.0, 4)
+    assert descend(learner)["rate"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_motor_without_a_limit_is_nudged_as_a_strong_one():
+    arm = replace(robot(), torque_limit=(math.inf, 40.0))
+    steps = DifferentiableTorqueEnv(arm, num_envs=1).steps
+    torch.testing.assert_close(steps.float(), torch.tensor([1e-3] * 4 + [0.1, 0.04]))
 
 
 def test_a_walking_robot_and_no_time_are_refused():

@@ -1,3 +1,4 @@
+from itertools import pairwise
 from types import SimpleNamespace
 
 import mujoco
@@ -12,7 +13,7 @@ from training.tasks import SEEN, arm_env
 
 from torchrl_athletic.networks import actor
 from torchrl_athletic.training import record_video
-from torchrl_athletic.training.video import draw_episode, frame_strip, renderer, write_video
+from torchrl_athletic.training.video import _centre_and_distance, draw_episode, frame_strip, renderer, write_video
 
 
 def policy():
@@ -59,8 +60,9 @@ def test_it_is_the_first_robot_that_is_drawn_from_above_down_and_the_camera_goes
     step = TensorDict(next=TensorDict(row=torch.arange(2), batch_size=[2]), batch_size=[2])
     monkeypatch.setattr("torchrl_athletic.training.video.acting", lambda *_: [step])
     note = lambda scene, step: seen.append(int(step["row"]))  # noqa: E731
-    still, followed = (draw_episode(env, None, 1, (40, 40), annotate=note, follow=body)[0] for body in (None, "ball"))
+    still, followed = (draw_episode(env, None, 1, (40, 60), annotate=note, follow=body)[0] for body in (None, "ball"))
     assert seen == [0, 0]
+    assert still.shape == followed.shape == (40, 60, 3)
     rows = [np.average(np.arange(40), weights=1e-9 + redness(frame).sum(1)) for frame in (still, followed)]
     assert rows[0] < 18  # higher than where the camera looks by itself
     assert rows[1] == pytest.approx(19.5, abs=1.5)
@@ -75,6 +77,51 @@ BALL = """
 <mujoco><worldbody>
   <body name="ball"><joint type="slide" axis="0 0 1"/><geom size="0.1" rgba="1 0 0 1"/></body>
 </worldbody></mujoco>"""
+
+
+TWO = """
+<mujoco><worldbody>
+  <camera name="beside" pos="0 3 0" xyaxes="-1 0 0 0 0 1"/>
+  <camera name="before" pos="0 -1 0" xyaxes="1 0 0 0 0 1"/>
+  <camera name="away" pos="0 -1 0" xyaxes="-1 0 0 0 0 1"/>
+  <body name="ball"><joint type="slide" axis="0 0 1"/><geom size="0.1" rgba="1 0 0 1"/></body>
+  <body name="post" pos="12 0 -1"><geom size="0.1"/></body>
+</worldbody><keyframe><key qpos="4"/></keyframe></mujoco>"""
+
+
+def test_it_is_drawn_from_the_camera_that_is_named():
+    if not can_draw():
+        pytest.skip("nothing here can draw")
+    model = mujoco.MjModel.from_xml_string(TWO)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    red = []
+    for camera in ("before", "beside", "away"):
+        with renderer(model, (48, 48), camera) as draw:
+            red.append(redness(draw(data)).sum())
+    assert red[0] > 5 * red[1] > 0
+    assert red[2] == 0
+
+
+def test_the_camera_looks_at_the_middle_of_all_bodies_of_the_first_keyframe_from_beyond_them():
+    """A ball 4 m up and a post 12 m ahead, 1 m down: a little above their middle, with 1.2 m to spare."""
+    centre, distance = _centre_and_distance(mujoco.MjModel.from_xml_string(TWO))
+    np.testing.assert_allclose(centre, [6.0, 0.0, 1.5 + 13.0 / 4])
+    assert distance == pytest.approx(14.2)
+
+
+def test_ffmpeg_is_told_width_before_height_and_the_rate_and_given_every_frame(tmp_path, monkeypatch):
+    told = []
+    monkeypatch.setattr("matplotlib.animation.writers.is_available", lambda name: name == "ffmpeg")
+    monkeypatch.setattr("subprocess.run", lambda command, **options: told.append((command, options)))
+    frames = [np.full((4, 6, 3), shade, np.uint8) for shade in (1, 2, 3)]
+    assert write_video(frames, tmp_path / "a.mp4", frame_rate=25.0) == tmp_path / "a.mp4"
+    ((command, options),) = told
+    after = dict(pairwise(command))
+    assert (after["-s"], after["-r"], after["-pix_fmt"]) == ("6x4", "25.0", "yuv420p")
+    assert command[-1] == str(tmp_path / "a.mp4")
+    assert options["input"] == b"".join(frame.tobytes() for frame in frames)
+    assert options["check"]  # a video that was not written is no success
 
 
 def test_a_strip_shows_frames_evenly_from_the_first_to_the_last_side_by_side(tmp_path):
@@ -104,6 +151,7 @@ def test_every_other_frame_goes_into_a_gif_at_its_time(tmp_path):
     with Image.open(write_video(frames, tmp_path / "a.gif", frame_rate=50.0)) as video:
         assert video.n_frames == 5
         assert video.info["duration"] == 40
+        assert video.info["loop"] == 0  # again and again
 
 
 def test_where_nothing_can_draw_the_error_says_what_to_install(monkeypatch, tmp_path):

@@ -184,3 +184,14 @@ def test_what_the_environment_names_is_averaged_over_the_steps_of_an_action_up_t
 def test_without_decimation_it_is_the_step_s_own():
     env = TransformedEnv(Averaging(num_envs=2, extra={"load": [1]}), Decimation(1))
     assert env.step(env.reset().set("action", torch.zeros(2, 3)))["next", "load"].flatten().tolist() == [1.0, 1.0]
+
+
+def test_what_an_action_started_from_stays_as_it_was():
+    """The steps in between are the transform's own: data that is collected shows each action beside what it saw."""
+    env = TransformedEnv(ToyEnv(3), Decimation(4))
+    before = env.reset().set("action", torch.ones(3, 3))
+    kept = before.clone()
+    after = env._step(before)
+    assert not after["joint_position"].equal(kept["joint_position"])
+    assert before["joint_position"].equal(kept["joint_position"])
+    assert before["action"].equal(kept["action"])

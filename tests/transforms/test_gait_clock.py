@@ -50,5 +50,7 @@ def test_random_starts_fill_the_cycle_evenly():
 
 
 def test_a_clock_too_fast_for_its_steps_is_refused():
-    with pytest.raises(ValueError, match="dt in seconds"):
-        GaitClock(20.0)
+    for dt, frequency in ((20.0, 2.2), (0.02, 25.0), (0.02, 40.0), (0.02, 0.0), (0.02, -1.0)):  # from half a cycle on
+        with pytest.raises(ValueError, match="dt in seconds"):
+            GaitClock(dt, frequency)
+    assert GaitClock(0.02, 24.9).frequency == 24.9

@@ -59,3 +59,11 @@ def test_on_a_buffer_it_says_where_the_history_is():
     steps = played()
     with pytest.raises(RuntimeError, match=r"joint_position_history.*from the buffer"):
         ObservationHistory(["joint_position"], 3)(steps)
+
+
+@pytest.mark.parametrize(
+    ("key", "shown"),
+    [("q", "q_history"), (("arm", "q"), ("arm", "q_history")), (("a", "b", "q"), ("a", "b", "q_history"))],
+)
+def test_it_is_shown_beside_its_source_under_a_longer_name(key, shown):
+    assert ObservationHistory([key], 3).out_keys == [shown]

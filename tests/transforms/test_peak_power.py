@@ -35,6 +35,13 @@ def test_what_a_joint_gives_back_feeds_another_and_a_brake_is_no_power():
     assert after["peak_power"].tolist() == [[2.0], [0.0]]
 
 
+def test_an_episode_starts_with_no_power_however_little_its_joints_give():
+    env = TransformedEnv(TorqueEnv(z1(), num_envs=2), PeakPower("arm"))
+    assert env.reset()["peak_power"].tolist() == [[0.0], [0.0]]
+    at_rest = env.step(env.reset().set("torque", torch.zeros(2, 7)))["next"]
+    assert (at_rest["peak_power"] < 0.1).all()
+
+
 def test_it_reads_every_step_of_the_physics_and_not_the_mean_of_an_action():
     torque = torch.tensor([[0.0, 30.0, 20.0, 0.0, 0.0, 0.0, 0.0]])
     act = lambda td: td.set("torque", torque)  # noqa: E731

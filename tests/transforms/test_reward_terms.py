@@ -123,6 +123,16 @@ def test_rewards_add_up_over_two_groups_of_terms():
     assert (data["next", "reward"] == 3).all()
 
 
+def test_a_second_group_under_the_same_key_stands_beside_the_first_one():
+    """Of terms that a task adds to those of a controller, say: none takes another's place, nor its sum."""
+    told = {"terms_key": "terms", "sums_key": "sums"}
+    one, two = (RewardTerms({name: TERMS["alive"]}, {name: s}, **told) for name, s in (("a", 1.0), ("b", 2.0)))
+    after = TransformedEnv(TorqueEnv(ROBOT, num_envs=2), Compose(one, two)).rollout(3)["next"]
+    for name, scale in (("a", 1.0), ("b", 2.0)):
+        assert (after["terms", name] == scale).all()
+        assert after["sums", name][:, -1].flatten().tolist() == [3 * scale] * 2
+
+
 def test_a_term_counts_in_the_phases_that_its_action_was_taken_in():
     """A step that leads to another phase still counts for the one that it began in."""
     before = TensorDict(phase=[[0], [1], [2], [3]], speed=torch.zeros(4), batch_size=[4])

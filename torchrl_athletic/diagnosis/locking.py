@@ -48,6 +48,7 @@ def locked_joints(
                 spec.delete(sensor)
         for key in list(spec.keys):
             spec.delete(key)
+        spec.nkey = 0  # else as many are made anew, at the model's zero
         spec.delete(joint)
     spec.compile()
     gone = {entry.partition("=")[0] for entry in lock}

@@ -1,0 +1,226 @@
+"""Laws beside the standard joint: which a joint may have, where their numbers start, and which are taken."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
+
+from torchrl_athletic.diagnosis import extension
+from torchrl_athletic.diagnosis.deadline import Deadline
+from torchrl_athletic.diagnosis.extension import (
+    FINER,
+    GAIN,
+    GEARS,
+    _beside,
+    _bounded,
+    _chosen,
+    _gain,
+    _joined,
+    extend,
+    offers,
+)
+from torchrl_athletic.diagnosis.joint_fit import descend, linearise, problem_of, weighed
+from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.standard import Seen, seen_in, standard_joints
+from torchrl_athletic.effects import Parameter
+from torchrl_athletic.recordings import Recording
+
+SEEN = Seen(*(np.array([x]) for x in (5.0, 8.0, 2.0, 4.0, 0.1, 3.0)), period=0.01)
+ON_A_SPRING = 'damping="0.05" stiffness="2" springref="20"'
+
+
+@pytest.fixture(scope="module")
+def swings():
+    """On a spring that the model does not have."""
+    sprung = pendulum(0.005, ON_A_SPRING)
+    takes = [record(sprung, smooth_torque(4.0, 2.5, seed), noise=1e-5, seed=seed) for seed in (1, 2)]
+    return prepare(takes, mujoco.MjModel.from_xml_string(pendulum(0.005)))
+
+
+@pytest.fixture(scope="module")
+def near(swings):
+    """The standard joint, fitted to them."""
+    h = standard_joints(swings, seen_in(swings))
+    free = h.bounds[1] > h.bounds[0]
+    problem = problem_of(h, swings.takes, 0.5, 20, np.random.default_rng(0), h.nominal)
+    x = descend(problem, h.nominal, free, 2, Deadline())
+    return linearise(weighed(problem, x), x, free)
+
+
+def at(h, effect, name, values):
+    (c,) = (c for c in h.terms if c.effect.name == effect)
+    return h.values_of(c, values)[[p.name for p in c.parameters].index(name)]
+
+
+def started(offered, name):
+    return [dict(zip((p.name for p in o.candidate.parameters), o.start, strict=True)) for o in offered
+            if o.candidate.effect.name == name]  # fmt: skip
+
+
+def test_each_law_starts_from_the_friction_and_the_limit_that_it_takes_the_place_of(near, swings):
+    h, values = near.problem.hypothesis, near.values.copy()
+    for name, value in (("coulomb_friction", 0.3), ("viscous_friction", 0.7)):
+        (c,) = (c for c in h.terms if c.effect.name == name)
+        h.values_of(c, values)[0] = value
+    offered = offers(replace(near, values=values), swings, SEEN)
+    slow, fast = started(offered, "stribeck_friction")
+    assert [x["stribeck_speed"] for x in (slow, fast)] == pytest.approx([0.2, 1.0])  # shares of 2 rad/s
+    assert slow["coulomb"] == fast["coulomb"] == pytest.approx(0.3)
+    (both,) = started(offered, "asymmetric_friction")
+    assert [both[f"coulomb_{side}"] for side in ("positive", "negative")] == pytest.approx([0.3, 0.3])
+    assert [both[f"viscous_{side}"] for side in ("positive", "negative")] == pytest.approx([0.7, 0.7])
+    (speed,) = started(offered, "speed_torque_limit")
+    assert speed["no_load_speed"] == pytest.approx(8.0)
+    limit = at(h, "torque_saturation", "limit", values)
+    assert speed["stall_torque"] == pytest.approx(limit)
+    narrow, wide = started(offered, "hysteresis")
+    assert [x["width"] for x in (narrow, wide)] == pytest.approx([0.03, 0.15])  # of a radian, though it travels three
+    replaced = {o.candidate.effect.name: {c.effect.name for c in o.replaced} for o in offered}
+    assert replaced["asymmetric_friction"] == {"coulomb_friction", "viscous_friction"}
+    assert replaced["joint_spring"] == set()
+    assert all(o.candidate.joint_name == "pendulum" for o in offered if not o.candidate.effect.whole_robot)
+    for o in offered:
+        assert all(p.lower <= x <= p.upper for p, x in zip(o.candidate.parameters, o.start, strict=True))
+
+
+def test_no_law_is_offered_twice_nor_without_what_it_replaces_nor_to_a_joint_that_rests(near, swings):
+    offered = offers(near, swings, SEEN)
+    spring = next(o for o in offered if o.candidate.effect.name == "joint_spring")
+    friction = next(o for o in offered if o.candidate.effect.name == "stribeck_friction")
+    for taken, gone in ((spring, {"joint_spring"}), (friction, {"stribeck_friction", "asymmetric_friction"})):
+        h, x = _joined(near, [taken])
+        left = offers(replace(near, problem=replace(near.problem, hypothesis=h), values=x), swings, SEEN)
+        names = {o.candidate.effect.name for o in left}
+        assert not names & gone
+        assert names > {"hysteresis", "actuation_lag"}
+    assert offers(near, swings, replace(SEEN, travel=np.array([0.9e-3]))) == []
+
+
+def test_a_base_that_leans_is_offered_once_and_to_no_joint():
+    command = np.hstack([smooth_torque(2.0, 1.0, 1), smooth_torque(2.0, 0.5, 2)])
+    xml = double_pendulum(0.005)
+    takes = prepare([record(xml, command)], mujoco.MjModel.from_xml_string(xml))
+    h = standard_joints(takes, seen_in(takes))
+    two = SimpleNamespace(problem=SimpleNamespace(hypothesis=h), values=h.nominal)
+    keys = [o.candidate.key for o in offers(two, takes, seen_in(takes))]
+    assert [key for key in keys if key[0] == "gravity_tilt"] == [("gravity_tilt", None)]
+    assert [key for key in keys if key[0] == "joint_spring"] == [("joint_spring", n) for n in ("upper", "lower")]
+
+
+@pytest.mark.parametrize(("unit", "most"), [("N·m", 80.0), ("N", 80.0), ("N·m·s/rad", 40.0), ("N·s/m", 40.0)])
+def test_torques_and_dampings_go_up_to_ten_times_what_was_seen_both_ways(unit, most):
+    p = _bounded(Parameter("p", unit, 0.0, -1e9, 1e9, 1.0), 0, SEEN)
+    assert (p.lower, p.upper) == (-most, most)
+    assert p.scale == pytest.approx(0.002 * most)
+    tight = _bounded(Parameter("p", unit, 1.0, 0.5, 3.0, 1.0), 0, SEEN)
+    assert (tight.lower, tight.upper) == (0.5, 3.0)
+    given = _bounded(Parameter("p", unit, 5e3, 0.0, 1e9, 1.0), 0, SEEN)
+    assert (given.lower, given.upper) == (0.0, 5e3)
+    other = Parameter("p", "rad", 0.0, -1e9, 1e9, 1.0)
+    assert _bounded(other, 0, SEEN) is other
+
+
+def test_what_a_law_replaces_goes_and_all_else_keeps_its_number(near, swings):
+    law = next(o for o in offers(near, swings, SEEN) if o.candidate.effect.name == "asymmetric_friction")
+    h, x = _joined(near, [law])
+    names = [c.effect.name for c in h.terms]
+    assert "coulomb_friction" not in names
+    assert "viscous_friction" not in names
+    assert names[-1] == "asymmetric_friction"
+    np.testing.assert_array_equal(h.values_of(law.candidate, x), law.start)
+    for c in h.terms[:-1]:
+        np.testing.assert_array_equal(h.values_of(c, x), near.problem.hypothesis.values_of(c, near.values))
+
+
+@pytest.mark.parametrize("name", ["joint_spring", "stribeck_friction"])
+def test_a_law_beside_the_others_is_linearised_as_all_of_it_would_be(near, swings, name):
+    law = next(o for o in offers(near, swings, SEEN) if o.candidate.effect.name == name)
+    beside = _beside(near, law)
+    h, x = _joined(near, [law])
+    free = h.bounds[1] > h.bounds[0]
+    np.testing.assert_array_equal(beside.values, x)
+    np.testing.assert_array_equal(beside.free, free)
+    whole = linearise(replace(near.problem, hypothesis=h), x, free)
+    np.testing.assert_allclose(beside.errors, whole.errors, atol=1e-9)
+    own = h.values_of(law.candidate, np.arange(len(x)))
+    new = np.isin(np.flatnonzero(free), own)
+    np.testing.assert_allclose(beside.columns[:, new], whole.columns[:, new], rtol=1e-4, atol=1e-9)
+    if name == "joint_spring":  # beside a law that replaces none, the others act as they did
+        np.testing.assert_allclose(beside.columns[:, ~new], whole.columns[:, ~new], rtol=1e-2, atol=1e-6)
+
+
+def test_a_gain_counts_where_it_is_two_per_cent_and_more_than_one_standard_error():
+    before = np.full(100, 2.0)
+    assert _gain(before, before - 0.1) == pytest.approx(0.05)
+    assert _gain(before, before - 0.99 * GAIN * 2.0) == 0
+    assert _gain(before, before + 0.1) == 0
+    luck = np.where(np.arange(100) % 2, 2.5, -2.1)  # a tenth is saved in the mean, and as doubtful
+    assert _gain(before, before - luck) == 0
+    assert _gain(before, before - np.where(np.arange(100) % 2, 0.1, 0.2)) == pytest.approx(0.075)
+
+
+def test_the_spring_is_chosen_and_fitted_and_nothing_is_begun_without_time(near, swings, monkeypatch):
+    monkeypatch.setattr(extension, "ROUNDS", 1)
+    seen = seen_in(swings)
+    first, *rest = _chosen(near, offers(near, swings, seen), Deadline())
+    assert first.candidate.effect.name == "joint_spring"
+    assert not rest  # one law a joint at a time
+    told = []
+    better = extend(near, swings, seen, Deadline(), told.append)
+    (spring,) = (c for c in better.problem.hypothesis.terms if c.effect.name == "joint_spring")
+    values = dict(zip((p.name for p in spring.parameters), better.problem.hypothesis.values_of(spring, better.values),
+                      strict=True))  # fmt: skip
+    assert values["stiffness"] == pytest.approx(2.0, rel=0.1)
+    assert told == sorted(told)
+    assert 0 < told[0] < told[-1] <= 1
+    assert extend(near, swings, seen, Deadline(0.0)) is near
+    slow = replace(near, seconds=1e6)
+    assert extend(slow, swings, seen, Deadline(3.9e6)) is slow  # a round takes four times as long
+
+
+def test_two_laws_that_get_into_each_others_way_leave_the_better_one_and_one_that_does_not_help_none(monkeypatch):
+    costs = {"": 1.0, "ab": 1.5, "a": 0.5, "b": 0.4}
+    near = SimpleNamespace(name="", seconds=0.0)
+    rounds = iter([["a", "b"], []])
+    monkeypatch.setattr(extension, "offers", lambda *_: [])
+    monkeypatch.setattr(extension, "_chosen", lambda *_: next(rounds))
+    monkeypatch.setattr(extension, "_with", lambda n, chosen, *_: SimpleNamespace(name="".join(chosen), seconds=0.0))
+    monkeypatch.setattr(extension, "stated", lambda n: costs[n.name])
+    assert extend(near, None, None, Deadline()).name == "a"
+    costs["a"], rounds = 0.999, iter([["a", "b"]])
+    assert extend(near, None, None, Deadline()) is near
+
+
+def test_a_gear_is_hinted_at_where_it_leaves_much_less_of_what_the_torques_leave_open(swings, near):
+    """By the stiffness that the torques like best; a spring to the world is no gear."""
+    rate, rng = 200.0, np.random.default_rng(1)
+    time = np.arange(int(6 * rate)) / rate
+    tones = ((0.7, 1.3, 2.1, 3.4, 5.1, 6.3, 7.2), rng.uniform(0, 6, 7))
+    command = sum(0.6 * (0.3 + f / 7) * np.sin(2 * np.pi * f * time + p) for f, p in zip(*tones, strict=True))
+    stiffness, link, rotor, fine = 40.0, 0.05, 0.04, 50
+    motor = speed = body = its_speed = 0.0
+    read, step = [], 1 / rate / fine
+    for k, u in enumerate(np.repeat(command, fine)):
+        if k % fine == 0:
+            read.append(motor)
+        spring = stiffness * (motor - body)
+        speed, its_speed = speed + step * (u - spring) / rotor, its_speed + step * spring / link
+        motor, body = motor + step * speed, body + step * its_speed
+    xml = """<mujoco><option timestep="0.005" gravity="0 0 0"/><worldbody><body>
+      <joint name="table" axis="0 0 1" armature="0.04"/>
+      <inertial pos="0 0 0" mass="0.1" diaginertia="0.05 0.05 0.05"/></body></worldbody>
+      <actuator><motor joint="table" ctrlrange="-20 20"/></actuator></mujoco>"""
+    position = np.array(read)[:, None] + 1e-6 * rng.standard_normal((len(read), 1))
+    take = Recording(time, ("table",), position, torque_command=command[:, None])
+    bent = prepare([take], mujoco.MjModel.from_xml_string(xml))
+    hints = extension._hints(standard_joints(bent, seen_in(bent)), bent)
+    assert 0 < len(hints) <= extension.MANY
+    names = {o.candidate.effect.name for o in hints}
+    assert len(names) == 1
+    assert names <= {law.name for law in GEARS}
+    best = dict(zip((p.name for p in hints[0].candidate.parameters), hints[0].start, strict=True))
+    assert min(FINER) * best["stiffness"] < stiffness < max(FINER) * best["stiffness"]  # among which a search begins
+    assert extension._hints(near.problem.hypothesis, swings) == []

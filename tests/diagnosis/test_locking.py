@@ -1,0 +1,64 @@
+"""Joints that stood still are held where they stood; what speaks of them goes with them."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from torchrl_athletic.diagnosis.locking import STILL, locked_joints
+from torchrl_athletic.recordings import Recording, RecordingError
+
+ARM = """<mujoco><worldbody><body><joint name="hip" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/>
+  <body pos="0.5 0 0"><joint name="knee" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/></body></body></worldbody>
+  <actuator><motor joint="hip"/><motor joint="knee"/></actuator>
+  <sensor><jointpos joint="hip"/><jointpos joint="knee"/></sensor>
+  <keyframe><key name="home" qpos="0.1 0.2"/></keyframe></mujoco>"""
+
+
+def held(angle, travel=0.0, count=100, names=("hip", "knee")):
+    time = np.arange(count) / 100
+    knee = angle + travel * np.linspace(0, 1, count)
+    return Recording(time, names, np.stack([time, knee], 1), torque_command=np.zeros((count, 2)))
+
+
+def attitude(lock, *recordings):
+    """Of the lower link, with the hip at its zero."""
+    xml, left = locked_joints(ARM, lock, recordings)
+    assert left == ("hip",)
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return data.xquat[-1]
+
+
+def test_it_is_held_at_the_median_of_all_recordings_that_have_it_and_else_at_zero():
+    several = held(0.69, 0.01), held(0.69, 0.015), held(0.7, count=900)  # the first reading is off
+    np.testing.assert_allclose(attitude(("knee",), *several), attitude(("knee=0.7",)), atol=1e-6)
+    np.testing.assert_allclose(attitude(("knee",)), attitude(("knee=0",)), atol=1e-6)
+    elsewhere = held(0.7, names=("hip", "foot"))
+    np.testing.assert_allclose(attitude(("knee",), elsewhere), attitude(("knee=0",)), atol=1e-6)
+    np.testing.assert_allclose(attitude(("knee=0.3",), *several), attitude(("knee=0.3",)), atol=1e-6)  # as it is told
+    assert np.abs(attitude(("knee=0.7",)) - attitude(("knee=0",))).max() > 0.1
+
+
+def test_what_moves_no_further_than_backlash_and_noise_stood_still():
+    locked_joints(ARM, ("knee",), [held(0.5, 0.99 * STILL)])
+    for takes in ([held(0.5, 1.01 * STILL)], [held(0.5), held(0.5 + 1.01 * STILL)]):  # within one take or between two
+        with pytest.raises(RecordingError, match=r"knee: it moves by 0\.02"):
+            locked_joints(ARM, ("knee",), takes)
+
+
+def test_motors_and_sensors_of_a_joint_go_with_it_and_those_of_others_stay():
+    xml, left = locked_joints(ARM, ("hip=0.2",), [])
+    model = mujoco.MjModel.from_xml_string(xml)
+    assert left == ("knee",)
+    assert (model.njnt, model.nu, model.nsensor, model.nkey) == (1, 1, 1, 0)  # a keyframe has a place for each joint
+    assert model.joint(model.actuator_trnid[0, 0]).name == "knee"
+    assert model.joint(model.sensor_objid[0]).name == "knee"
+    xml, left = locked_joints(ARM, ("hip=0.2", "knee"), [])
+    assert left == ()
+    assert mujoco.MjModel.from_xml_string(xml).njnt == 0
+
+
+def test_a_place_that_is_no_number_is_refused():
+    with pytest.raises(RecordingError, match=r"--lock knee=left: give a number of rad or m"):
+        locked_joints(ARM, ("knee=left",), [])

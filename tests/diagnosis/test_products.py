@@ -1,0 +1,82 @@
+"""Inner products that are kept are those of the columns, however many have come and whichever joint they touch."""
+
+import numpy as np
+import pytest
+
+from torchrl_athletic.diagnosis.products import Library, Products, gains
+
+STRETCH = np.repeat([0, 1, 2], [4, 7, 5])
+ROWS, JOINTS = len(STRETCH), 2
+
+
+@pytest.fixture(scope="module")
+def grown():
+    """Forty columns, more than there is room for at first: some of one joint, some of both. Shape (40, rows, J)."""
+    rng = np.random.default_rng(0)
+    products, whole = Products(JOINTS, STRETCH), np.zeros((40, ROWS, JOINTS))
+    for k in range(40):
+        joint = (-1, 0, 1)[k % 3]
+        whole[k][:, slice(None) if joint < 0 else joint] = np.float32(rng.normal(size=(ROWS, JOINTS)))[
+            :, slice(None) if joint < 0 else joint
+        ]
+        column = whole[k] if joint < 0 else whole[k][:, joint]
+        assert products.add(column, joint) == k
+    return products, whole
+
+
+def test_products_are_of_each_stretch_and_joint(grown):
+    products, whole = grown
+    numbers = [37, 2, 0, 25, 39]
+    gram = products.gram(numbers)
+    assert gram.shape == (JOINTS, 3, 5, 5)
+    for j in range(JOINTS):
+        for s in range(3):
+            part = whole[numbers][:, STRETCH == s, j]
+            np.testing.assert_allclose(gram[j, s], part @ part.T, atol=1e-9)
+
+
+def test_columns_come_back_in_their_order_and_none_where_they_are_zero(grown):
+    products, whole = grown
+    touching = [k for k in range(40) if k % 3 != 1]
+    np.testing.assert_array_equal(products.touching(1), whole[touching][:, :, 1])
+    np.testing.assert_array_equal(products.column(8, 1), whole[8][:, 1])
+    assert products.column(8, 0) is None
+
+
+def test_a_library_meets_columns_of_its_own_joint_alone(grown):
+    products, whole = grown
+    many = np.random.default_rng(1).normal(size=(7, ROWS))
+    library = Library(many, 1)
+    for number in (2, 3, 2, 1):  # of the second joint, of both, again, of the first
+        expected = np.zeros(7) if number % 3 == 1 else many @ whole[number][:, 1]
+        np.testing.assert_allclose(library.cross(products, number), expected)
+
+
+@pytest.mark.parametrize("held", [0, 3])
+def test_a_gain_is_what_least_squares_gains_where_no_bound_binds(held):
+    rng = np.random.default_rng(2)
+    a, groups, y = rng.normal(size=(50, held)), rng.normal(size=(4, 50, 2)), rng.normal(size=50)
+    start = np.linalg.lstsq(a, y)[0] if held else np.zeros(0)
+    left = y - a @ start
+    wide = np.full((4, 2), 1e6)
+    told = gains(
+        np.einsum("gri,grj->gij", groups, groups), np.einsum("gri,ra->gia", groups, a), a.T @ a,
+        np.einsum("gri,r->gi", groups, left), -wide, wide, (np.full(held, -1e6), np.full(held, 1e6)),
+    )  # fmt: skip
+    for gain, group in zip(told, groups, strict=True):
+        both = np.hstack([a, group])
+        after = y - both @ np.linalg.lstsq(both, y)[0]
+        assert gain == pytest.approx(left @ left - after @ after, rel=1e-6)
+
+
+def test_what_a_bound_forbids_gains_nothing_and_what_stands_beside_it_may_not_make_room():
+    column = np.random.default_rng(3).normal(size=(50, 1))
+    beside, y = column + 0.1 * np.random.default_rng(4).normal(size=(50, 1)), column[:, 0]
+    gram, cross = (column.T @ column)[None], (column.T @ beside)[None]
+    right, none, one = (column.T @ y)[None], np.zeros((1, 1)), np.ones((1, 1))
+    nothing = np.zeros((0, 0)), np.zeros((1, 1, 0)), (np.zeros(0), np.zeros(0))
+    assert gains(gram, nothing[1], nothing[0], right, -one, none, nothing[2]) == 0
+    half = gains(gram, nothing[1], nothing[0], right, none, 0.5 * one, nothing[2])
+    assert half == pytest.approx(0.75 * y @ y)  # the residual is halved
+    stuck = gains(gram, cross, beside.T @ beside, right, none, 0.5 * one, (np.zeros(1), np.zeros(1)))
+    assert stuck == pytest.approx(half)
