@@ -87,15 +87,18 @@ def thrown(way: str, seed: int, cfg: Config) -> dict[str, float]:
 
     def make(num_envs: int, **told: Any) -> TransformedEnv:
         env = make_env(tune.actuation, num_envs, **told)
-        if way != "No-E2E":
-            return env
-        controller = pretrained(START)
-        open_inputs(controller, training.phase_inputs(env))  # of phases it knows nothing
-        return env.append_transform(FrozenController(controller.to(env.device)))
+        return led(env) if way == "No-E2E" else env
 
     told = {"known": KNOWN, "curves": CURVES, "judge": judge, "steps": STEPS}
     look_at = ["ball_position", "ball_linear_velocity", "ball_away", "start_line", "peak_power"]
     return training.fine_tune(replace(tune, **WAYS[way]), make, name="throw", look_at=look_at, **told)
+
+
+def led(env: TransformedEnv) -> TransformedEnv:
+    """An action moves what the frozen controller is commanded, which is deaf to phases: it has learnt of none."""
+    controller = pretrained(START)
+    open_inputs(controller, training.phase_inputs(env))
+    return env.append_transform(FrozenController(controller.to(env.device)))
 
 
 def draw(found: dict[str, list[dict[str, float]]], path: Path) -> Path:

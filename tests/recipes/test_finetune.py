@@ -12,6 +12,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from torchrl_athletic.networks import pretrained
 from torchrl_athletic.training import CSVTable
 
 ROOT = Path(__file__).parents[2]
@@ -55,6 +56,18 @@ def test_ways_to_a_throw_are_set_side_by_side(tmp_path, capsys):
     assert "| No-E2E | " in capsys.readouterr().out
     with pytest.raises(SystemExit, match="no way 'Theirs'"):
         ablation.main(ablation.Config(ways=("Theirs",)))
+
+
+def test_a_led_controller_acts_as_in_its_training_whatever_phase_it_is_told():
+    ablation = importlib.import_module("ablate_finetuning")
+    env = ablation.led(throw.make_env("ideal", 2))
+    shown = env.reset()
+    assert shown["task_phase"].abs().max() == 1.0  # it is told a phase
+    silent = shown.select("observation").clone()
+    silent["observation"].unflatten(-1, (10, 77))[..., -4:] = 0.0
+    own = pretrained(ablation.START)(silent)["loc"]
+    led = env.transform[-1].inv(shown.set("action", torch.zeros(2, 12)))["action"]
+    torch.testing.assert_close(led, own, rtol=1e-3, atol=1e-4)
 
 
 def episodes(**entries):
