@@ -37,8 +37,8 @@ KNOWN = {"ball_linear_velocity": 5.0, "ball_away": 1.0, "bucket_linear_velocity"
 """What the critic sees besides, and the usual sizes [m/s, 1]."""
 
 LOST_BALL = -1500.0
-"""Scale of a ball lost in the set-up, which lasts one step of 0.02 s: 30 besides the 10 of a failure, more than it costs
-to hold the ball as far off the motion as the untuned controller does."""
+"""Scale of a ball lost in the set-up, which lasts one step of 0.02 s: 30 besides the 10 of a failure, more than
+it costs to hold the ball as far off the motion as the untuned controller does."""
 
 
 def ball_throw_env(
