@@ -5,7 +5,7 @@ import json
 import mujoco
 import numpy as np
 import pytest
-from diagnosis.plants import pendulum, record, smooth_torque
+from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.corrected_xml import corrected_xml, written
@@ -88,6 +88,21 @@ def test_what_json_holds_rolls_out_the_same(terms):
     for window in (0.5, None):
         np.testing.assert_array_equal(one.rollout(recording(), window), two.rollout(recording(), window))
     assert np.abs(one.rollout(recording()) - corrected({}).rollout(recording())).max() > 1e-3
+
+
+def test_a_path_has_the_columns_of_its_recording():
+    """Which may name the joints in another order than the model."""
+    xml = double_pendulum()
+    model = mujoco.MjModel.from_xml_string(xml)
+    names = tuple(model.joint(k).name for k in range(model.njnt))
+    torque = np.hstack([smooth_torque(3.0, seed=0), smooth_torque(3.0, seed=1)])
+    own = record(xml, torque, start=(0.3, -0.4))
+    assert own.joint_names == names
+    simulation = Simulation(model, names, Hypothesis((), ()), np.zeros(0))
+    turned = own.ordered(names[::-1])
+    path = simulation.rollout(own)
+    assert abs(path[:, 0] - path[:, 1]).max() > 0.1
+    np.testing.assert_allclose(simulation.rollout(turned), path[:, ::-1], atol=1e-12)
 
 
 def test_an_effect_of_another_catalogue_is_refused_by_name():

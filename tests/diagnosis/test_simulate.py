@@ -17,6 +17,15 @@ from torchrl_athletic.diagnosis.thresholds import DECISION
 stage = importlib.import_module("torchrl_athletic.diagnosis.simulate")
 
 
+def test_combinations_are_chosen_by_the_windows_of_the_recordings_that_were_fitted(monkeypatch):
+    """Those kept aside score the answer; to choose by them would make their score too good."""
+    results = {"train": ("a", 0, "errors", "began"), "heldout": ("b", 1, "others", "else")}
+    monkeypatch.setattr(stage, "_results", lambda fitted, ready: results)
+    trial = stage.scored(None, None, None)
+    assert (trial.window_errors, trial.began) == ("errors", "began")
+    assert trial.scores == {"train": "a", "heldout": "b"}
+
+
 class Started:
     """A diagnosis that has tried its first proposal, which leaves ``left`` of the motion; six effects may act alone."""
 
@@ -124,6 +133,7 @@ def test_ctrl_c_keeps_the_trials_that_were_made(monkeypatch):
         (0.01, 9.0, 3.0, np.inf),  # nothing is left to be named
         (0.5, 9.0, np.inf, np.inf),  # a number of it stops at a bound
         (0.5, 2.0, 3.0, None),  # what follows needs no other
+        (0.009, 9.0, 3.0, None),  # the error has fallen to a tenth
     ],
 )
 def test_the_standard_joints_are_tried_where_nothing_follows(monkeypatch, left, over, evidence, behind):

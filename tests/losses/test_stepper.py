@@ -137,6 +137,16 @@ def test_long_gradients_are_cut_but_reported_as_they_were():
     assert cut == pytest.approx(1e-3, rel=1e-3)
 
 
+def test_without_a_limit_the_longest_gradient_is_left_as_it_is():
+    stepper = make({"loss_critic_type": "l2"}, adaptive_kl=None, epochs=1, minibatches=1, max_grad_norm=None)
+    batch = collected(stepper.loss.actor_network, 64)
+    batch["value_target"] = batch["value_target"] * 1e3
+    report = stepper.update(batch)
+    gradient = torch.cat([p.grad.flatten() for p in stepper.critic_parameters]).norm()
+    assert gradient > 1.0
+    torch.testing.assert_close(gradient, report["critic_grad_norm"])
+
+
 def test_decay_pulls_weights_that_have_no_gradient_to_zero():
     options = {"actor_lr": 1e-2, "critic_lr": 2e-2, "weight_decay": 0.03}
     stepper = make({"entropy_bonus": False}, adaptive_kl=None, epochs=1, minibatches=1, **options)

@@ -170,6 +170,13 @@ def test_without_torchrun_there_is_one_process():
     assert ALONE.seed(7) == 7
 
 
+def test_seeds_differ_between_processes_and_between_trainings():
+    first, second = Processes(0, 2), Processes(1, 2)
+    seeds = [process.seed(seed) for process in (first, second) for seed in (7, 8)]
+    assert len(set(seeds)) == 4
+    assert seeds[:2] == [7, 8]
+
+
 SCRIPT = """
 import torch
 from training.tasks import arm_env, arm_learner

@@ -57,6 +57,11 @@ def test_offsets_are_even_in_their_range():
     assert offset.std().item() == pytest.approx(0.06 / 12**0.5, rel=0.05)
 
 
+def test_each_joint_has_an_offset_of_its_own():
+    offset = TransformedEnv(TorqueEnv(ROBOT, num_envs=4), EncoderOffset()).reset()["encoder_offset"]
+    assert all(len(set(row)) == 7 for row in offset.tolist())
+
+
 def test_outside_decimation_it_may_not_hide_the_position():
     env = TransformedEnv(TorqueEnv(ROBOT), Compose(Decimation(4), EncoderOffset()))
     with pytest.raises(ValueError, match="before Decimation, or give it an out_key"):

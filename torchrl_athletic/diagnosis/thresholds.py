@@ -141,6 +141,9 @@ class Decision:
     refuted by few windows leaves [1; tuned]."""
     follows: float = 2.5
     """Error of a window over the floor, or over another trial's, from which on a motion is not followed [1; tuned]."""
+    closed: float = 0.01
+    """Share of the error energy below which the fit of the standard joints, which takes minutes, is not asked for: the
+    error has fallen to a tenth without it [1; budget]."""
     alone: int = 2
     """Effects that are asked about alone at a time [1; budget]."""
     behind: float = 9.0
