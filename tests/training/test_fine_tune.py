@@ -153,6 +153,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     for name in ("train", "save_wbc", "draw_episode", "write_video", "frame_strip"):
         monkeypatch.setattr(module, name, told.of(name))
     monkeypatch.setattr(module, "task_learner", told.of("learner", learner))
+    monkeypatch.setattr(module, "_task_of", lambda env: {"reward": f"of {env}"})
     monkeypatch.setattr(module, "make_logger", told.of("logger", "log"))
     monkeypatch.setattr(module, "whole_rollout", told.of("rollout", TensorDict()))
     monkeypatch.setattr(module, "Checkpoints", told.of("checkpoints", "states"))
@@ -185,12 +186,19 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     (((folder,), options),) = told["checkpoints"]
     assert folder == tmp_path / "checkpoints"
     same = {"seed": "6", "start": "other", "actuation": "ideal", "task": "throw", "ppo": str(config)}
-    assert options["made_of"] == same
+    assert options["made_of"] == same | {"reward": "of world"}
     for (world, _, look_at, steps), _ in told["rollout"]:
         assert (world, look_at, steps) == ("world", ["hand"], 500)
     assert told["save_wbc"][0][1]["name"] == "throw"
     assert told["draw_episode"] == [(("world", policy, 400), {"annotate": "ball", "follow": "base"})]
     assert told["write_video"][0][0][1:] == (tmp_path / "throw.mp4", 50.0)
+
+
+def test_a_run_goes_on_with_its_reward_or_not_at_all(env):
+    """What a folder holds of an older reward would be learnt with the values of another one."""
+    task = module._task_of(env)
+    assert "'lost_ball': -30.0" in task["reward"]
+    assert "'ball_launch_velocity'" in task["shown"]
 
 
 def ball_throw_maker(num_envs, exam=False, **told):

@@ -48,8 +48,8 @@ def _tried_all(done: Simulated, run: Run) -> Simulated:
 def _with_joints(done: Simulated, run: Run) -> Simulated:
     """Add the fit of the standard joints, which folds of the recordings made.
 
-    It is asked for unless a combination follows the recordings already, or has closed nearly all of the error: little
-    is left then that it could explain, and it takes longer than all else.
+    It is asked for unless a combination follows the recordings already, or has closed nearly all of the error, of those
+    kept aside too: it may take longer than all else.
     The simulation has to be decisively better with it, since it holds most simple laws as special cases. It gives no
     names where another combination explains the error, or where one of its numbers stops at a bound. Where a measured
     torque cuts the chain in two it is not asked for: it knows of no cut.
@@ -57,8 +57,8 @@ def _with_joints(done: Simulated, run: Run) -> Simulated:
     if not done.trials or done.stopped or run.late() or done.proposed.drive is not None:
         return done
     ready, best = done.proposed.located.ready, done.trials[decided_by(done.trials)[0]]
-    left = open_share(best.scores["train"])
-    if follows(best.scores["train"], DECISION.follows) or left < DECISION.closed:
+    left = {split: open_share(score) for split, score in best.scores.items()}
+    if follows(best.scores["train"], DECISION.follows) or max(left.values()) < DECISION.closed:
         return done
     judge = done.trials[0].proposal.judge
     try:
@@ -66,7 +66,7 @@ def _with_joints(done: Simulated, run: Run) -> Simulated:
         if fitted is None:
             return done
         torques = in_torques(judge, fitted)
-        names = left > STATEMENT.explained and np.isfinite(torques.evidence)
+        names = left["train"] > STATEMENT.explained and np.isfinite(torques.evidence)
         proposal = Proposal(judge, torques, DECISION.behind if names else np.inf, on_trial=True, joints=True)
         trial = scored(proposal, _without_small(fitted, ready.given), ready)
     except KeyboardInterrupt:

@@ -23,7 +23,7 @@ from torchrl_athletic.envs.throw import (
     throw_task,
 )
 from torchrl_athletic.envs.torque_env import TorqueEnv, make_physics
-from torchrl_athletic.envs.whole_body import NO_DISTURBANCES, Disturbances, whole_body_env
+from torchrl_athletic.envs.whole_body import NO_DISTURBANCES, Disturbances, phase_inputs, whole_body_env
 from torchrl_athletic.envs.whole_body_rewards import whole_body_rewards
 
 __all__ = [
@@ -46,6 +46,7 @@ __all__ = [
     "dumbbell_snatch_env",
     "dumbbell_snatch_rewards",
     "make_physics",
+    "phase_inputs",
     "reach_errors",
     "reachable_poses",
     "references",

@@ -33,12 +33,12 @@ from torchrl_athletic.transforms import (
     Term,
 )
 
-KNOWN = {"ball_linear_velocity": 5.0, "ball_away": 1.0, "bucket_linear_velocity": 5.0, "bucket_axis": 1.0}
+KNOWN = {"ball_launch_velocity": 5.0, "ball_away": 1.0, "bucket_linear_velocity": 5.0, "bucket_axis": 1.0}
 """What the critic sees besides, and the usual sizes [m/s, 1]."""
 
 LOST_BALL = -1500.0
-"""Scale of a ball lost in the set-up, which lasts one step of 0.02 s: 30 besides the 10 of a failure, more than
-it costs to hold the ball as far off the motion as the untuned controller does."""
+"""Scale of a ball lost in the set-up, which ends the episode after one step of 0.02 s: 30 besides the 10 of a failure,
+more than it costs to hold the ball as far off the motion as the untuned controller does."""
 
 
 def ball_throw_env(

@@ -22,7 +22,8 @@ SCALE = (0.5, 0.25, 0.5, *(0.3,) * 3, *(0.5,) * 6)
 class FrozenController(Transform):
     """The action moves the commands of the newest frame, and a frozen controller does what they say.
 
-    Stands last in Compose. Zeros let the controller follow the reference; older frames keep what they showed.
+    Stands last in Compose. Zeros let the controller follow the reference; older frames keep what they showed. One of
+    the pre-training has not learnt what phases are: make it deaf to them, as below.
 
     Args:
         controller: Reads ``observation`` and acts by its mean; learns nothing here.
@@ -35,9 +36,11 @@ class FrozenController(Transform):
         Fey et al. 2025, section V-B, No-E2E: "a high-level policy that outputs commands for a frozen pre-trained WBC".
 
     Example:
-        >>> from torchrl_athletic.envs import ball_throw_env
-        >>> from torchrl_athletic.networks import pretrained
-        >>> env = ball_throw_env(num_envs=2).append_transform(FrozenController(pretrained("wbc")))
+        >>> from torchrl_athletic.envs import ball_throw_env, phase_inputs
+        >>> from torchrl_athletic.networks import open_inputs, pretrained
+        >>> env, controller = ball_throw_env(num_envs=2), pretrained("wbc")
+        >>> open_inputs(controller, phase_inputs(env))
+        >>> env = env.append_transform(FrozenController(controller))
         >>> env.rollout(2)["action"].shape
         torch.Size([2, 2, 12])
     """

@@ -11,7 +11,16 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 from torchrl.data import Composite, Unbounded
-from torchrl.envs import ActionScaling, CatTensors, Compose, StepCounter, Transform, TransformedEnv, UnaryTransform
+from torchrl.envs import (
+    ActionScaling,
+    CatTensors,
+    Compose,
+    EnvBase,
+    StepCounter,
+    Transform,
+    TransformedEnv,
+    UnaryTransform,
+)
 
 from torchrl_athletic.envs.actuation_chain import actuation_chain
 from torchrl_athletic.envs.torque_env import TorqueEnv
@@ -56,6 +65,29 @@ FRAME = (
 Source:
     Fey et al. 2025, section II-B, observation space.
 """
+
+
+def phase_inputs(env: EnvBase, *, frames: int | None = None) -> list[int]:
+    """Where an observation tells the phase, in each of its frames: zeros alone in the pre-training.
+
+    A controller that is told a phase without having learnt what to make of it acts by weights as they were drawn;
+    :func:`~torchrl_athletic.networks.open_inputs` at these columns makes it deaf to them.
+
+    Args:
+        env: Of a task.
+        frames: How many to look at; None takes all of ``observation``, 1 is what ``privileged`` begins with.
+
+    Example:
+        >>> from torchrl_athletic.envs import sled_pull_env
+        >>> phase_inputs(sled_pull_env(num_envs=1))[:4]
+        [73, 74, 75, 76]
+    """
+    shown = env.observation_spec
+    widths = {key: shown[key].shape[-1] for key in FRAME}
+    first, width = sum(widths[key] for key in FRAME[: FRAME.index("task_phase")]), sum(widths.values())
+    frames = shown["observation"].shape[-1] // width if frames is None else frames
+    return [frame * width + first + column for frame in range(frames) for column in range(widths["task_phase"])]
+
 
 PRIVILEGED = (
     "base_linear_velocity",

@@ -5,7 +5,7 @@ from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.curves import draw_curves
 from torchrl_athletic.training.distributed import Processes, join_processes, standardized
 from torchrl_athletic.training.evaluation import Episodes, last_of, play, whole_episodes, whole_rollout
-from torchrl_athletic.training.fine_tune import FineTune, fine_tune, phase_inputs, task_learner
+from torchrl_athletic.training.fine_tune import FineTune, fine_tune, task_learner
 from torchrl_athletic.training.finite import NonFiniteError, check_finite
 from torchrl_athletic.training.logging import CSVTable, LoggerName, MetricLogger, make_logger
 from torchrl_athletic.training.ppo import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
@@ -74,7 +74,6 @@ __all__ = [
     "last_of",
     "learn_remainder",
     "make_logger",
-    "phase_inputs",
     "play",
     "read_wbc",
     "record_video",

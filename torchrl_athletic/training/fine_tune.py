@@ -14,7 +14,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs import EnvBase, TransformedEnv
 
-from torchrl_athletic.envs.whole_body import FRAME
+from torchrl_athletic.envs.whole_body import phase_inputs
 from torchrl_athletic.networks import open_inputs, trunk_of
 from torchrl_athletic.recordings.whole_file import whole_file
 from torchrl_athletic.training.checkpoint import Checkpoints
@@ -24,6 +24,7 @@ from torchrl_athletic.training.logging import LoggerName, make_logger
 from torchrl_athletic.training.ppo import FINE_TUNE, PPO, Learner, train
 from torchrl_athletic.training.video import draw_episode, frame_strip, write_video
 from torchrl_athletic.training.wbc import WATCHED, check_sizes, read_wbc, save_wbc, wbc_learner
+from torchrl_athletic.transforms import RewardTerms
 
 
 @dataclass(frozen=True)
@@ -122,28 +123,6 @@ def task_learner(
     )
 
 
-def phase_inputs(env: EnvBase, *, frames: int | None = None) -> list[int]:
-    """Where an observation tells the phase, in each of its frames: zeros alone in the pre-training.
-
-    A controller that is told a phase without having learnt what to make of it acts by weights as they were drawn;
-    :func:`~torchrl_athletic.networks.open_inputs` at these columns makes it deaf to them.
-
-    Args:
-        env: Of a task.
-        frames: How many to look at; None takes all of ``observation``, 1 is what ``privileged`` begins with.
-
-    Example:
-        >>> from torchrl_athletic.envs import sled_pull_env
-        >>> phase_inputs(sled_pull_env(num_envs=1))[:4]
-        [73, 74, 75, 76]
-    """
-    shown = env.observation_spec
-    widths = {key: shown[key].shape[-1] for key in FRAME}
-    first, width = sum(widths[key] for key in FRAME[: FRAME.index("task_phase")]), sum(widths.values())
-    frames = shown["observation"].shape[-1] // width if frames is None else frames
-    return [frame * width + first + column for frame in range(frames) for column in range(widths["task_phase"])]
-
-
 DRAWN = 400
 """Most policy steps in a video: 8 s."""
 MakeEnv = Callable[..., TransformedEnv]
@@ -187,9 +166,11 @@ def fine_tune(
     torch.manual_seed(cfg.seed)
     torch.set_float32_matmul_precision("high")
     ppo = replace(cfg.ppo, num_envs=cfg.num_envs or (cfg.ppo.num_envs if on_gpu else 256))
-    same = {key: str(getattr(cfg, key)) for key in ("seed", "start", "actuation")} | {"task": name, "ppo": str(ppo)}
+    env = make_env(ppo.num_envs, device=cfg.device, seed=cfg.seed, staggered=True)
+    same = {key: str(getattr(cfg, key)) for key in ("seed", "start", "actuation")}
+    same |= {"task": name, "ppo": str(ppo), **_task_of(env)}
     learner = task_learner(
-        make_env(ppo.num_envs, device=cfg.device, seed=cfg.seed, staggered=True),
+        env,
         ppo,
         start=cfg.start,
         known=known,
@@ -221,6 +202,13 @@ def fine_tune(
         print("video:", write_video(frames, cfg.output / f"{name}.mp4", 50.0))
         frame_strip(frames, 6, cfg.output / f"{name}.png")
     return figures
+
+
+def _task_of(env: TransformedEnv) -> dict[str, str]:
+    """What a run that goes on must find as it was: another reward would be learnt with this one's values."""
+    parts = [part for part in env.transform if isinstance(part, RewardTerms)]
+    scales = {name: scale for part in parts for name, scale in part.scales.items()}
+    return {"reward": str(scales), "shown": str(sorted(map(str, env.observation_spec)))}
 
 
 def _examine(

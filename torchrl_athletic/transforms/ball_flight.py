@@ -22,7 +22,7 @@ class BallFlight(StatefulTransform):
 
     Writes ``ball_position``, ``ball_linear_velocity`` (N, 3) in world axes; ``ball_away`` (N, 1), whether it has left
     the bucket; ``ball_age`` (N, 1), steps since the phase or the episode began in which it is put in; and
-    ``ball_launch_velocity`` (N, 3), with which it left, or would leave now.
+    ``ball_launch_velocity`` (N, 3), with which it left, or would leave now; 0 until the ball is there.
 
     Args:
         dt: Of a step at this place in the chain [s].
