@@ -17,7 +17,7 @@ from typing import Any, Literal
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads of torch that spin would take cores from the physics
 import numpy as np
 import tyro
-from finetune_throw import CURVES, KNOWN, STEPS, judge, make_env  # type: ignore[import-not-found]
+from finetune_throw import CURVES, KNOWN, LOOK_AT, STEPS, judge, make_env  # type: ignore[import-not-found]
 from torchrl.envs import TransformedEnv
 
 from torchrl_athletic import training
@@ -73,25 +73,17 @@ def main(cfg: Config) -> None:
 
 def thrown(way: str, seed: int, cfg: Config) -> dict[str, float]:
     """Train one way, and throw."""
-    tune = training.FineTune(
-        device=cfg.device,
-        minutes=cfg.minutes,
-        iterations=cfg.iterations,
-        num_envs=cfg.num_envs,
-        seed=seed,
-        start=START,
-        episodes=cfg.episodes,
-        video=False,
-        output=cfg.output / f"{way}_{seed}",
-    )
+    same: dict[str, Any] = {
+        key: getattr(cfg, key) for key in ("device", "minutes", "iterations", "num_envs", "episodes")
+    }
+    tune = training.FineTune(seed=seed, start=START, video=False, output=cfg.output / f"{way}_{seed}", **same)
 
     def make(num_envs: int, **told: Any) -> TransformedEnv:
         env = make_env(tune.actuation, num_envs, **told)
         return led(env) if way == "No-E2E" else env
 
-    told = {"known": KNOWN, "curves": CURVES, "judge": judge, "steps": STEPS}
-    look_at = ["ball_position", "ball_linear_velocity", "ball_away", "start_line", "peak_power"]
-    return training.fine_tune(replace(tune, **WAYS[way]), make, name="throw", look_at=look_at, **told)
+    told = {"known": KNOWN, "curves": CURVES, "judge": judge, "look_at": LOOK_AT, "steps": STEPS}
+    return training.fine_tune(replace(tune, **WAYS[way]), make, name="throw", **told)
 
 
 def led(env: TransformedEnv) -> TransformedEnv:
