@@ -84,3 +84,22 @@ def candidate(effect: Effect, recording: Recording, xml: str, joint: int = 0) ->
     model = mujoco.MjModel.from_xml_string(xml)
     address = JointAddress.of(model, recording.joint_names)
     return Candidate(effect, joint, recording.joint_names[joint], effect.parameters(model, address, joint))
+
+
+def behind_a_spring(
+    stiffness: float, link: float, rotor: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Six seconds of a motor whose link swings behind the encoder: time, torque and what is read. Shape (T,) each."""
+    rate, fine = 200.0, 50
+    time = np.arange(int(6 * rate)) / rate
+    tones = ((0.7, 1.3, 2.1, 3.4, 5.1, 6.3, 7.2), rng.uniform(0, 6, 7))
+    command = sum(0.6 * (0.3 + f / 7) * np.sin(2 * np.pi * f * time + p) for f, p in zip(*tones, strict=True))
+    motor = speed = body = its_speed = 0.0
+    read, step = [], 1 / rate / fine
+    for k, u in enumerate(np.repeat(command, fine)):
+        if k % fine == 0:
+            read.append(motor)
+        spring = stiffness * (motor - body)
+        speed, its_speed = speed + step * (u - spring) / rotor, its_speed + step * spring / link
+        motor, body = motor + step * speed, body + step * its_speed
+    return time, np.asarray(command), np.array(read)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
+from diagnosis.plants import behind_a_spring, double_pendulum, pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import extension
 from torchrl_athletic.diagnosis.deadline import Deadline
@@ -196,24 +196,13 @@ def test_two_laws_that_get_into_each_others_way_leave_the_better_one_and_one_tha
 
 def test_a_gear_is_hinted_at_where_it_leaves_much_less_of_what_the_torques_leave_open(swings, near):
     """By the stiffness that the torques like best; a spring to the world is no gear."""
-    rate, rng = 200.0, np.random.default_rng(1)
-    time = np.arange(int(6 * rate)) / rate
-    tones = ((0.7, 1.3, 2.1, 3.4, 5.1, 6.3, 7.2), rng.uniform(0, 6, 7))
-    command = sum(0.6 * (0.3 + f / 7) * np.sin(2 * np.pi * f * time + p) for f, p in zip(*tones, strict=True))
-    stiffness, link, rotor, fine = 40.0, 0.05, 0.04, 50
-    motor = speed = body = its_speed = 0.0
-    read, step = [], 1 / rate / fine
-    for k, u in enumerate(np.repeat(command, fine)):
-        if k % fine == 0:
-            read.append(motor)
-        spring = stiffness * (motor - body)
-        speed, its_speed = speed + step * (u - spring) / rotor, its_speed + step * spring / link
-        motor, body = motor + step * speed, body + step * its_speed
+    stiffness, rng = 40.0, np.random.default_rng(1)
+    time, command, read = behind_a_spring(stiffness, link=0.05, rotor=0.04, rng=rng)
     xml = """<mujoco><option timestep="0.005" gravity="0 0 0"/><worldbody><body>
       <joint name="table" axis="0 0 1" armature="0.04"/>
       <inertial pos="0 0 0" mass="0.1" diaginertia="0.05 0.05 0.05"/></body></worldbody>
       <actuator><motor joint="table" ctrlrange="-20 20"/></actuator></mujoco>"""
-    position = np.array(read)[:, None] + 1e-6 * rng.standard_normal((len(read), 1))
+    position = read[:, None] + 1e-6 * rng.standard_normal((len(read), 1))
     take = Recording(time, ("table",), position, torque_command=command[:, None])
     bent = prepare([take], mujoco.MjModel.from_xml_string(xml))
     hints = extension._hints(standard_joints(bent, seen_in(bent)), bent)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from diagnosis.plants import pendulum, smooth_torque
+from diagnosis.plants import behind_a_spring, pendulum, smooth_torque
 from diagnosis.test_fitting import NOISE, RATE, STEP, integrated, parameter, recording
 
 from torchrl_athletic.diagnosis import fit
@@ -101,21 +101,10 @@ def test_what_only_ratios_show_gets_no_numbers():
 @pytest.mark.slow
 def test_a_resonance_comes_back_as_a_gear_and_not_as_damping():
     """A drive whose link swings behind the encoder at 6.8 Hz, and which has next to no friction."""
-    rate, rng = 200.0, np.random.default_rng(1)
-    time = np.arange(int(6 * rate)) / rate
-    tones = ((0.7, 1.3, 2.1, 3.4, 5.1, 6.3, 7.2), rng.uniform(0, 6, 7))
-    command = sum(0.6 * (0.3 + f / 7) * np.sin(2 * np.pi * f * time + p) for f, p in zip(*tones, strict=True))
-    stiffness, link, rotor, fine = 40.0, 0.05, 0.04, 50
-    motor = speed = body = its_speed = 0.0
-    read, step = [], 1 / rate / fine
-    for k, u in enumerate(np.repeat(command, fine)):
-        if k % fine == 0:
-            read.append(motor)
-        spring = stiffness * (motor - body)
-        speed, its_speed = speed + step * (u - spring) / rotor, its_speed + step * spring / link
-        motor, body = motor + step * speed, body + step * its_speed
+    stiffness, link, rotor, rng = 40.0, 0.05, 0.04, np.random.default_rng(1)
+    time, command, read = behind_a_spring(stiffness, link, rotor, rng)
     xml = TABLE.format(link).replace('axis="0 0 1"', f'axis="0 0 1" armature="{rotor}"')
-    position = np.array(read)[:, None] + 1e-5 * rng.standard_normal((len(read), 1))
+    position = read[:, None] + 1e-5 * rng.standard_normal((len(read), 1))
     fitted = fit(xml, [Recording(time, ("pendulum",), position, torque_command=command[:, None])])
     assert parameter(fitted, "viscous_friction").value < 0.05
     assert parameter(fitted, "compliance", name="stiffness").value == pytest.approx(stiffness, rel=0.15)
