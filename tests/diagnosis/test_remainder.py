@@ -1,13 +1,16 @@
 """A second mass behind a spring rings when it is pushed with pulses; a rigid one does not."""
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 
-from torchrl_athletic.diagnosis.remainder import flexibilities, remarks_on
+from torchrl_athletic.diagnosis import remainder
+from torchrl_athletic.diagnosis.remainder import Flexibility, flexibilities, remarks_on
 from torchrl_athletic.diagnosis.screen import Bank, candidates_for
 from torchrl_athletic.diagnosis.search import Judge
-from torchrl_athletic.effects import ReflectedInertia, Signals, ViscousFriction, project_recording
+from torchrl_athletic.effects import JointAddress, ReflectedInertia, Signals, ViscousFriction, project_recording
 from torchrl_athletic.recordings import Recording
 
 MOTOR, LOAD = 2.0, 0.6
@@ -144,3 +147,123 @@ def test_viscous_friction_is_no_flexibility(rigid):
     (viscous,) = candidates_for([wrong], [ViscousFriction()])
     weigh = Judge(Bank([wrong], [viscous]))
     assert flexibilities([wrong], weigh.score(weigh.bank.atoms), BAND) == []
+
+
+# --- on missing torque that is given, so that shares, ends and sizes are known ---
+
+SECONDS, FAST = 40.0, 400.0
+HALL = """
+<mujoco><worldbody><body><joint name="hip"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+  <body><joint name="rail" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>
+</body></worldbody></mujoco>"""
+
+
+def hum(low: float, high: float, seed: int = 0, seconds: float = SECONDS) -> np.ndarray:
+    """A unit torque of all frequencies from ``low`` to ``high`` [Hz], and none beside them."""
+    size = int(seconds * FAST)
+    f, rng = np.fft.rfftfreq(size, 1 / FAST), np.random.default_rng(seed)
+    x = np.fft.irfft(np.exp(2j * np.pi * rng.random(len(f))) * ((f > low) & (f < high)), size)
+    return np.asarray(x / x.std())
+
+
+@pytest.fixture
+def found_in(monkeypatch):
+    """Flexibilities of a hip and a rail in takes of which the missing torque and the command are given, (N, J) each."""
+    monkeypatch.setattr(remainder, "sensor_noise", lambda recording: ())
+    monkeypatch.setattr(remainder, "project_recording", lambda recording, *_, kernel: recording.fine)
+    monkeypatch.setattr(remainder, "_left", lambda fine, best: fine.left)
+    model = mujoco.MjModel.from_xml_string(HALL)
+
+    def found(*takes, noise=1e-3, rate=250.0, band=BAND) -> list[Flexibility]:
+        signals = []
+        for left, command in takes:
+            time = np.arange(len(left)) / FAST
+            fine = SimpleNamespace(left=left, command=command, time=time, num_joints=2, noise=np.full(2, noise))
+            told = {"rate": rate, "duration": time[-1], "joint_names": ("hip", "rail"), "fine": fine}
+            address = JointAddress.of(model, ("hip", "rail"))
+            signals.append(SimpleNamespace(recording=SimpleNamespace(**told), nominal=model, address=address))
+        return flexibilities(signals, None, band)
+
+    return found
+
+
+def test_what_the_test_function_of_the_log_cannot_show_is_no_part_of_the_band(found_in):
+    """A kernel of 1.2 samples at 150 Hz sees up to 16 Hz; above, the missing torque is what smoothing has left."""
+    answer = hum(8.5, 60.0)[:, None] * [0.0, 1.0]
+    (found,) = found_in((answer, answer), rate=150.0)
+    assert found.band == (pytest.approx(8.5, abs=0.5), pytest.approx(15.6, abs=0.7))
+    assert found_in((answer, answer), rate=150.0, band=6.0) == []  # from 12 to 16 Hz is too little to tell
+
+
+def test_a_flexible_link_is_seen_up_to_where_the_log_shows_it(flexible):
+    (found,) = flexibilities([flexible], nothing([flexible]), BAND)
+    assert found.band[1] <= 0.13 * RATE / 1.2
+
+
+@pytest.mark.parametrize("segment", [1.0, 2.0])
+def test_the_coherent_part_is_as_strong_as_what_the_command_makes(segment, found_in, monkeypatch):
+    """Of a torque of 2 N between 10 and 20 Hz, all of which follows the command, 2 N are told, of the right joint."""
+    monkeypatch.setattr(remainder, "SEGMENT", segment)  # however wide a line of the spectrum is
+    answer, idle = hum(10.0, 20.0), hum(1.0, 30.0, seed=1)
+    rough = answer + 0.1 * hum(1.0, 60.0, seed=3)
+    left = np.stack([0.01 * idle, 2 * answer + 0.1 * idle], -1)
+    (found,) = found_in((left, np.stack([hum(1, 30, 2), rough], -1)))
+    assert (found.joint, found.unit, found.noise) == ("rail", "N", 1e-3)
+    assert found.rms == pytest.approx(2.0, rel=0.05)
+    assert found.band == (pytest.approx(9.5, abs=1.0), pytest.approx(20.5, abs=1.0))
+    (turned,) = found_in((np.stack([2 * answer, 0.01 * idle], -1), np.stack([answer, hum(1, 30, 2)], -1)))
+    assert (turned.joint, turned.unit) == ("hip", "N·m")
+
+
+def test_noise_beside_the_answer_counts_for_neither_its_strength_nor_its_coherence(found_in):
+    """Half of the power of each frequency follows the command, so that the coherent part is the root of half."""
+    answer, noise = hum(10.0, 20.0), hum(10.0, 20.0, seed=1)
+    left = np.stack([0 * answer, answer + noise], -1)
+    (found,) = found_in((left, np.stack([0 * answer, hum(1.0, 30.0, seed=2) + 9 * answer], -1)))
+    assert found.coherence == pytest.approx(0.5, abs=0.06)
+    assert found.rms == pytest.approx(1.0, rel=0.1)
+
+
+def test_what_answers_in_one_take_of_two_is_half_as_coherent(found_in):
+    answer = hum(10.0, 20.0)
+    both, one = (
+        found_in(*[(left[:, None] * [0.0, 1.0], answer[:, None] * [0.0, 1.0]) for left in (answer, second)])
+        for second in (answer, hum(10.0, 20.0, seed=1))
+    )
+    assert both[0].coherence == pytest.approx(1.0, abs=0.02)
+    assert one[0].coherence == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_band_of_three_lines_is_no_band(found_in):
+    """A window spreads a tone over three frequencies: that is a hum of the mains, not a link that rings."""
+    time = np.arange(int(SECONDS * FAST)) / FAST
+    tone = np.sin(2 * np.pi * 15.0 * time)
+    rest = 1e-3 * hum(1.0, 30.0, seed=3)
+    left, command = (x[:, None] * [0.0, 1.0] for x in (tone + rest, tone + 1e-3 * hum(1.0, 30.0, seed=4)))
+    assert found_in((left, command)) == []
+
+
+@pytest.mark.parametrize(("count", "share", "seen"), [(1, 0.18, False), (1, 0.6, True), (4, 0.3, True)])
+def test_short_takes_have_to_answer_clearly_and_several_may_answer_less(count, share, seen, found_in):
+    """Of ten seconds chance makes up to 0.15 coherent: three times that, or by the root of four takes less, is none."""
+    takes = []
+    for k in range(count):
+        command, noise = (hum(8.0, 27.0, seed=seed, seconds=10.0) for seed in (k, k + 50))
+        left = np.sqrt(share) * command + np.sqrt(1 - share) * noise
+        takes.append((left[:, None] * [0.0, 1.0], command[:, None] * [0.0, 1.0]))
+    found = found_in(*takes)
+    assert bool(found) is seen
+    assert not found or found[0].band[1] - found[0].band[0] > 8.0  # most of it answers, not the luckiest lines
+
+
+@pytest.mark.parametrize(("answer", "noise", "seen"), [(2.0, 0.6, True), (2.0, 0.75, False)])
+def test_what_the_sensors_may_make_is_no_flexibility(answer, noise, seen, found_in):
+    x = hum(10.0, 20.0)[:, None] * [0.0, 1.0]
+    assert bool(found_in((answer * x, x), noise=noise)) is seen
+
+
+@pytest.mark.parametrize(("answer", "seen"), [(0.2, False), (0.5, True)])
+def test_an_answer_that_is_next_to_nothing_of_what_is_missing_up_there_is_not_told(answer, seen, found_in):
+    small, loud = hum(10.0, 15.0), hum(17.0, 27.0, seed=1)
+    left, command = answer * small + loud, small + hum(17.0, 27.0, seed=2)
+    assert bool(found_in((left[:, None] * [0.0, 1.0], command[:, None] * [0.0, 1.0]))) is seen
