@@ -1,5 +1,7 @@
 """What makes a joint worse where it was not fitted is taken back."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -7,11 +9,11 @@ import numpy as np
 import pytest
 from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque, take
 
-from torchrl_athletic.diagnosis import diagnose
+from torchrl_athletic.diagnosis import diagnose, veto
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
-from torchrl_athletic.effects import JointAddress, ViscousFriction
+from torchrl_athletic.effects import CoulombFriction, JointAddress, ViscousFriction
 
 
 def damped(xml: str, *joints: str) -> Hypothesis:
@@ -80,3 +82,77 @@ def test_what_is_taken_back_is_said_of_joints_where_something_was_corrected_and_
     gone = [term("elbow"), term("wrist"), term(None), term("elbow")]
     assert "corrected at elbow, the robot is taken back" in veto_sentence(gone, ["elbow", "hip"])
     assert veto_sentence(gone[1:2], ["elbow"]) == ""
+
+
+# --- on errors that are given, so that who is worst and what helps is known ---
+
+UPPER, LOWER = damped(double_pendulum(), "upper", "lower").terms
+LOW_DRY = replace(LOWER, effect=CoulombFriction())
+ROBOT = replace(UPPER, joint_name=None)
+
+
+@pytest.fixture
+def taken_back(monkeypatch):
+    """What is taken back where the error of each joint is a function of the numbers, all of them 1 at first."""
+    monkeypatch.setattr(veto, "draw_windows", lambda *_: [None])
+    monkeypatch.setattr(veto, "well_started", lambda w: w)
+    monkeypatch.setattr(veto, "simulate", lambda w, build, rows: rows)
+
+    def asked(h: Hypothesis, error: Callable[[np.ndarray], list[float]], floor=1e-9) -> tuple[Candidate, ...]:
+        monkeypatch.setattr(veto, "window_rmse", lambda windows, moved: np.array([error(moved[0])]))
+        values = np.ones(len(h.parameters))
+        gone = vetoed(h, values, [], np.random.default_rng(0), np.full(2, floor))
+        assert values.tolist() == [1.0] * len(values)  # the correction itself is somebody else's to change
+        return gone
+
+    return asked
+
+
+@pytest.mark.parametrize(("worst", "terms"), [(0, (UPPER,)), (1, (LOWER,))])
+def test_the_joint_that_got_worst_beside_its_own_error_goes_first_and_may_cure_the_other(worst, terms, taken_back):
+    """Both got worse; without the one whose error has tripled nobody is, without the other that one still is."""
+    given = np.array([100.0, 100.0])
+    given[worst] = 1.0  # three times a small error is less than twice a large one
+
+    def error(x):
+        times = np.ones(2)
+        if x[worst]:
+            times[worst], times[1 - worst] = 3.0, 2.0 if x[1 - worst] else 1.0
+        return given * times
+
+    assert taken_back(Hypothesis((UPPER, LOWER)), error) == terms
+
+
+def test_all_of_a_joint_goes_together_trims_too_and_nothing_of_another(taken_back):
+    """Halves of a correction may be worse than none, so that no half stays although it does no harm alone."""
+    h = Hypothesis((UPPER, LOWER), (LOW_DRY,))
+    gone = taken_back(h, lambda x: [1.0, 2.0 if x[1] and x[2] else 1.0])
+    assert gone == (LOWER, LOW_DRY)
+
+
+def test_what_belongs_to_the_whole_robot_goes_once_nothing_of_the_joint_is_left(taken_back):
+    h = Hypothesis((LOWER, ROBOT))
+    assert taken_back(h, lambda x: [1.0, 2.0 if x[1] else 1.0]) == (LOWER, ROBOT)
+    assert taken_back(h, lambda x: [2.0 if x[1] else 1.0, 1.0]) == (ROBOT,)  # which the lower joint has no part in
+
+
+def test_a_joint_that_another_makes_worse_costs_that_ones_correction(taken_back):
+    assert taken_back(Hypothesis((LOWER,)), lambda x: [2.0 if x[0] else 1.0, 1.0]) == (LOWER,)
+
+
+@pytest.mark.parametrize(("after", "floor", "goes"), [(1.009, 0.1, False), (1.02, 0.1, True), (1.02, 0.9, False)])
+def test_a_hundredth_more_and_a_fifth_over_the_noise_are_how_windows_fall(after, floor, goes, taken_back):
+    gone = taken_back(Hypothesis((LOWER,)), lambda x: [1.0, after if x[0] else 1.0], floor)
+    assert bool(gone) is goes
+
+
+def test_a_number_that_is_taken_back_is_the_models_own(taken_back):
+    """Which need not be zero: a joint has some damping already."""
+    own = replace(LOWER, parameters=tuple(replace(p, nominal=0.25) for p in LOWER.parameters))
+    seen = []
+    taken_back(Hypothesis((own,)), lambda x: seen.append(x.tolist()) or [1.0, 1.0 + abs(x[0] - 0.25)])
+    assert seen == [[0.25], [1.0]]  # the given model, the correction; none of it is left to ask about
+
+
+def test_a_place_is_named_once_however_much_of_it_goes():
+    assert "corrected at lower is taken back" in veto_sentence([LOWER, LOW_DRY], ["lower"])
