@@ -147,6 +147,9 @@ def test_a_robot_that_stands_is_refused():
     low = replace(take, base_position=take.base_position - [0.0, 0.0, 0.3])
     with pytest.raises(RecordingError, match=r"touches the world of the model in \d+% of the take, .* in the air"):
         refuse_stance(low, ROBOT)
+    steps = replace(take, base_position=take.base_position - 0.3 * (take.time[:, None] > 1.5) * [0.0, 0.0, 1.0])
+    with pytest.raises(RecordingError, match=r"in 2[3-7]% of the take, first at 1\.50\d s"):
+        refuse_stance(steps, ROBOT)
     refuse_stance(take, ROBOT)
     refuse_stance(without_base(take).with_base_held((0.0, 0.0, 0.0)), ROBOT)  # a gantry over another floor
 

@@ -20,6 +20,7 @@ from torchrl_athletic.diagnosis.prepare import (
     prepare,
 )
 from torchrl_athletic.effects import ActuationDelay, TorqueScale
+from torchrl_athletic.effects.signals import KERNEL
 from torchrl_athletic.recordings import Recording, RecordingError
 
 NOISE = 2e-5
@@ -55,6 +56,8 @@ def test_a_take_of_an_experiment_is_seen_in_its_own_band_and_the_others_as_ever(
     alone, together = prepare([slow], arm()), prepare([slow, quick], arm(), joined=1)
     assert together.signals[0].kernel == alone.signals[0].kernel
     assert together.signals[1].kernel < 0.6 * alone.signals[0].kernel
+    quicker = replace(slow, position=slow.position + 5e-3 * np.sin(2 * np.pi * 25 * slow.time)[:, None])
+    assert prepare([slow, quicker], arm(), joined=1).signals[1].kernel < KERNEL[0]  # the plan has counted its noise
     np.testing.assert_array_equal(together.signals[0].missing, alone.signals[0].missing)
 
 
@@ -82,6 +85,21 @@ def test_a_take_with_a_known_weight_is_compared_with_the_model_that_carries_it()
         prepare([replace(take, metadata={PAYLOAD: -1.0})], model, xml=xml)
 
 
+@pytest.mark.parametrize(("unit", "used"), [(1.0, True), (180 / np.pi, False), (0.5, False)])
+def test_a_velocity_in_another_unit_neither_drives_the_torques_nor_starts_a_window(unit, used, takes):
+    """What is no slope of the position is left aside, as if nobody had logged it."""
+    (first, _) = takes
+    rng = np.random.default_rng(1)
+    coarse = first.position + rng.normal(0, 1e-3, first.position.shape)  # a drive's velocity says more than this
+    slope = np.gradient(takes[0].position, first.time, axis=0)
+    silent = replace(first, position=coarse)
+    seeing = replace(silent, velocity=unit * lfilter([0.2], [1, -0.8], slope, axis=0))
+    (without, told) = (prepare([r], arm()) for r in (silent, seeing))
+    assert told.quality[0].velocity_noise is not None
+    assert np.array_equal(told.signals[0].missing, without.signals[0].missing) is not used
+    assert np.array_equal(told.takes[0].velocity, without.takes[0].velocity) is not used
+
+
 def test_a_gap_splits_a_take_and_nothing_is_made_up_across_it(takes):
     (first, _) = takes
     cut = np.r_[0:500, 650:1250]
@@ -97,6 +115,31 @@ def test_a_gap_splits_a_take_and_nothing_is_made_up_across_it(takes):
     assert np.abs(left.missing).max() < 0.05
     assert np.abs(right.missing).max() < 0.05
     assert len(left.time) + len(right.time) < len(whole.signals[0].time)
+
+
+def test_what_is_frozen_after_a_gap_is_masked_where_it_was_logged(takes):
+    """Rows of the mask are those of the take, of which the second piece starts later."""
+    (first, _) = takes
+    position = first.position.copy()
+    position[900:940, 1] = position[900, 1]
+    cut = np.r_[0:500, 650:1250]
+    gapped = replace(first, time=first.time[cut], position=position[cut], torque_command=first.command[cut])
+    before, after = prepare([gapped], arm()).signals
+    assert not after.valid[np.abs(after.time - first.time[920]) < 0.05].any()
+    assert np.abs(after.missing[after.valid]).max() < 0.1
+    assert after.valid[after.time > first.time[1020]].mean() > 0.9
+    assert before.valid.mean() > 0.9
+
+
+def test_pieces_remember_when_their_take_began_and_what_it_read(takes):
+    """A clock that drifts and a reading that rests count from the beginning of the take."""
+    (first, _) = takes
+    cut = np.r_[0:500, 650:1250]
+    gapped = replace(first, time=first.time[cut], position=first.position[cut], torque_command=first.command[cut])
+    pieces = [s.recording for s in prepare([gapped], arm()).signals]
+    assert [p.began for p in pieces] == [gapped.time[0]] * 2
+    for piece in pieces:
+        np.testing.assert_array_equal(piece.mean_reading, gapped.mean_reading)
 
 
 def test_a_piece_too_short_to_see_a_motion_in_is_left_out(takes):
@@ -155,6 +198,18 @@ def test_a_robot_that_rests_is_refused(takes):
     still = replace(takes[0], position=0 * takes[0].position, source="still.npz")
     with pytest.raises(RecordingError, match=r"still\.npz: no joint moves.*Excite the joints"):
         prepare([still], arm())
+
+
+def test_a_take_in_which_the_robot_rests_takes_no_other_with_it(takes):
+    still = replace(takes[0], position=0 * takes[0].position, source="still.npz")
+    prepared = prepare([still, takes[1]], arm())
+    assert [s.valid.any() for s in prepared.signals] == [False, True]
+
+
+def test_the_share_that_is_used_is_told_of_each_joint_by_its_name(takes):
+    (first, _) = takes
+    resting = replace(first, position=first.position * [1.0, 0.0])
+    assert prepare([resting], arm()).used_share() == {"shoulder": pytest.approx(1.0, abs=0.2), "elbow": 0.0}
 
 
 def test_the_measured_torque_drives_when_asked(takes):
