@@ -10,7 +10,7 @@ from torchrl_athletic.diagnosis.decide import decided_by, others_than
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.stages import Trial
-from torchrl_athletic.diagnosis.thresholds import DECISION
+from torchrl_athletic.diagnosis.thresholds import DECISION, SEARCH
 
 
 def leaving(share, joints=1):
@@ -102,6 +102,55 @@ def test_what_acts_seldom_refutes_nothing_that_it_does_not_clearly_beat(case):
     assert seldom(**case) != 2
 
 
+def scored(floors, before, after):
+    """A score with these numbers of each joint."""
+    joints = zip(floors, before, after, strict=True)
+    told = {f"joint{k}": dict(zip(("floor", "before", "after"), joint, strict=True)) for k, joint in enumerate(joints)}
+    return Score(1.0, 1.0, 1.0, 0.0, told)
+
+
+def test_errors_of_all_joints_count_each_above_the_floor_of_its_own_trial():
+    """The second trial halves the error of one joint and not that of the other, which is larger and on its floor."""
+    rng, began = np.random.default_rng(0), 0.5 * np.arange(100)
+    noise = np.exp(0.01 * rng.normal(size=(2, 100, 2)))
+    first, second = noise * [[[1.0, 50.0]], [[0.5, 50.0]]]
+    options, score = [Proposal(None, None), Proposal(None, None, 2.0)], leaving(0.3, 2)
+    low = scored([0.1, 0.1], [10.0, 99.0], [4.0, 60.0])
+    assert decided(options, [first, second], [low, low], began)[0] == 1
+    blind = scored([1.0, 0.1], [10.0, 99.0], [4.0, 60.0])  # half of a floor that the sensors do not see
+    assert decided(options, [first, second], [low, blind], began)[0] == 0
+    assert decided(options, [first, second], [score, score], began)[0] == 0
+
+
+def test_errors_of_a_millionth_count_where_the_sensors_are_perfect():
+    errors = 1e-6 * np.exp(0.01 * np.random.default_rng(0).normal(size=(2, 100, 1))) * [[[1.0]], [[0.5]]]
+    perfect = scored([0.0], [1e-5], [1e-6])
+    options = [Proposal(None, None), Proposal(None, None, 2.0)]
+    assert decided(options, list(errors), [perfect] * 2, 0.5 * np.arange(100))[0] == 1
+
+
+def test_what_is_not_taken_is_as_far_behind_as_can_be_whatever_the_torques_say_of_it():
+    """A rival that the simulation and the torques speak against, both at their most, is still preferred to it."""
+    errors = 10 * np.exp(0.01 * np.random.default_rng(0).normal(size=(3, 100, 1))) * [[[2.0]], [[1.0]], [[0.5]]]
+    options = [Proposal(None, None, 50.0), Proposal(None, None, 60.0), Proposal(None, None, 0.0, True)]
+    scores = [leaving(0.10), leaving(0.10), leaving(0.09)]
+    chosen, against, taken = decided(options, list(errors), scores, 0.5 * np.arange(100))
+    assert (chosen, taken) == (0, [True, True, False])
+    assert against.tolist() == [SEARCH.decisive, 0.0, SEARCH.decisive]
+
+
+@pytest.mark.parametrize(("floors", "level", "taken"), [((1.0, 1.0), 1.0, False), ((9.0, 1.0), 1.0, True),
+                                                        ((1.0, 1.0), 2.0, False), ((1.0, 1.0), 3.0, True)])  # fmt: skip
+def test_a_miss_is_one_above_the_floors_of_both_and_following_is_twice_the_floor(floors, level, taken):
+    """Nothing misses two windows far apart by twenty floors, of which a better one leaves ``level``."""
+    first, second = np.ones((400, 1)), np.ones((400, 1))
+    first[[20, 200]], second[[20, 200]] = 20.0, level
+    options = [Proposal(None, None), Proposal(None, None, 9.0)]
+    high, low = np.array(floors) * 10.0
+    scores = [scored([floors[0]], [high], [0.99 * high]), scored([floors[1]], [low], [1.1 * floors[1]])]
+    assert decided(options, [first, second], scores, 0.5 * np.arange(400))[2] == [taken, True]
+
+
 def test_a_richer_law_that_is_not_taken_refutes_nothing():
     plain = np.ones((400, 1))
     plain[[20, 200]] = 50.0
@@ -159,6 +208,21 @@ def test_beside_the_chosen_one_stay_the_first_of_the_torques_and_the_standard_jo
     found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=()))
     assert found.trial.fitted is fitted
     assert list(found.beside) == [trials[k] for k in kept]
+
+
+def test_what_the_simulation_says_against_each_combination_is_told_beside_it(monkeypatch):
+    fitted = hypothesis([])
+    options = [
+        Proposal(None, SimpleNamespace(fit=SimpleNamespace(terms=terms))) for terms in ([atom("mass")], [atom("play")])
+    ]
+    trials = tuple(Trial(option, fitted, {}, np.zeros((1, 1)), np.zeros(1)) for option in options)
+    monkeypatch.setattr(deciding, "decided_by", lambda trials: (0, np.array([0.0, 7.0]), [True, False]))
+    monkeypatch.setattr(deciding, "torque_is_open", lambda trial: False)
+    proposed = SimpleNamespace(located=None, drive=None)
+    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=()))
+    told = {next(iter(names))[0]: against for names, against in found.trial.proposal.simulated.items()}
+    assert told == {"mass": 0.0, "play": 7.0}
+    assert found.trial.proposal.others == ()  # what is not taken is no other explanation
 
 
 def atom(name, joint="hip"):
