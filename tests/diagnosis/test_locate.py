@@ -1,13 +1,16 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from diagnosis.columns import NAMES, STEP, signals
+from diagnosis.plants import slider
 
 from torchrl_athletic.diagnosis import locate as locating
 from torchrl_athletic.diagnosis.locate import _binned, feature, feature_unit, locate, regime_maps, regime_of
 from torchrl_athletic.diagnosis.screen import Bank
+from torchrl_athletic.effects import JointAddress
 
 N = 3000
 TIME = STEP * np.arange(N)
@@ -223,3 +226,107 @@ def test_regimes_of_time_are_thirds_of_a_take_and_a_tenth_of_a_second_after_a_re
     several = dict(locating._regimes([take, take], 1))
     assert not [name for name in several if "take" in name]
     assert np.flatnonzero(several["moving backwards"]).tolist() == [*range(300, 600), *range(900, 1200)]
+
+
+# --- masked rows, slides, and what is too little to name ---
+
+
+def test_features_are_those_of_their_joint_and_units_of_a_slide_are_of_a_slide():
+    rows = rng().normal(size=(5, N, 2))
+    names = ("position", "velocity", "acceleration", "command", "required")
+    (s,) = takes = [signals(np.ones((N, 2)), **dict(zip(names, rows, strict=True)))]
+    for joint in (0, 1):
+        for name, told in (("speed", s.velocity), ("acceleration", s.acceleration), ("command", s.command)):
+            np.testing.assert_array_equal(feature(takes, name, joint), told[:, joint])
+        np.testing.assert_array_equal(feature(takes, "load", joint), s.load[:, joint])
+        np.testing.assert_array_equal(feature(takes, "position", joint), s.position[:, joint])
+    model = mujoco.MjModel.from_xml_string(slider())
+    rail = SimpleNamespace(nominal=model, address=JointAddress.of(model, ("carriage",)))
+    units = [feature_unit(rail, name, 0) for name in locating.FEATURES]
+    assert units == ["m/s", "m", "N", "m/s²", "N", "s"]
+
+
+def test_regimes_are_thirds_on_the_side_that_they_name(monkeypatch):
+    """Of the magnitude of speed and acceleration, and of the signed position, load and command."""
+    monkeypatch.setattr(locating, "feature_unit", lambda s, name, joint: "u")
+    names = ("velocity", "position", "load", "acceleration", "command")
+    columns = dict(zip(names, rng().normal(size=(5, 900, 2)), strict=True))
+    take = SimpleNamespace(time=0.01 * np.arange(900), **columns)
+    of = {"position": columns["position"], "load": columns["load"], "command": columns["command"]}
+    of |= {"slower": np.abs(columns["velocity"]), "faster": np.abs(columns["velocity"])}
+    of |= {"accelerating": np.abs(columns["acceleration"])}
+    seen = []
+    for label, inside in locating._regimes([take], 1):
+        word = label.split()[0]
+        if word not in of:
+            continue
+        seen.append(label.rpartition(" than ")[0] or label[: label.index(" ", label.index(" ") + 1)])
+        x, number = of[word][:, 1], float(label.split()[-2])
+        low = "below" in label or "slower" in label
+        assert inside.mean() == pytest.approx(1 / 3, abs=0.01)
+        assert (x[inside] < number + 0.01).all() if low else (x[inside] > number - 0.01).all()
+    assert seen == ["slower", "faster", *(f"{n} {s}" for n in ("position", "load", "command")
+                                          for s in ("below", "above")), "accelerating harder"]  # fmt: skip
+
+
+def test_what_lasts_a_fiftieth_of_the_time_and_what_is_hardly_stronger_there_is_no_regime():
+    turned = np.where(TIME < 20, 1.0, -1.0)
+    velocity = {"velocity": np.stack([np.ones(N), turned], -1), "position": np.zeros((N, 2))}
+    just_after = np.where((TIME >= 20) & (TIME < 20.1), 90.0, 0.0)  # 10 rows of 3000
+    bank = bank_of(np.stack([0 * TIME, just_after], -1), **velocity)
+    assert "just after a reversal" not in {x.regime for x in locate(bank, rng(), most=99)}
+    uneven = {}
+    for stronger in (1.08, 1.5):
+        torque = np.where(V[:, 1] > 0, 6.0 * stronger, 6.0)
+        found = locate(bank_of(np.stack([0 * TIME, torque], -1)), rng(), most=99)
+        uneven[stronger] = any(x.regime == "moving forwards" and x.joint == "elbow" for x in found)
+    assert uneven == {1.08: False, 1.5: True}
+
+
+def test_where_nothing_counts_is_no_part_of_the_time_of_a_regime_nor_of_a_map():
+    """The elbow is masked where it moves backwards or fast, so that it moved forwards all the time."""
+    valid = np.stack([np.ones(N), (V[:, 1] > 0) & (V[:, 1] < 0.9)], -1).astype(bool)
+    bank = Bank([signals(np.full((N, 2), 6.0), valid, **MOTION)], [], noise=np.ones(2))
+    found = {x.regime for x in locate(bank, rng(), most=99) if x.joint == "elbow"}
+    assert not found & {"moving forwards", "moving backwards"}
+    maps = {m.feature: m for m in regime_maps(bank, np.zeros((N, 2)), rng()) if m.joint == "elbow"}
+    assert 0.0 < maps["speed"].centre[0] < 0.1
+    assert 0.8 < maps["speed"].centre[-1] < 0.9
+    used = V[valid[:, 1], 1]
+    fast = np.where(V[:, 1] > np.quantile(used, 2 / 3), 6.0, 0.0)
+    torque = np.stack([0 * TIME, fast], -1)
+    masked = Bank([signals(torque, valid, **MOTION)], [], noise=np.ones(2))
+    words = f"most at speeds above {np.quantile(used, 2 / 3):.2g} rad/s: 100 %"
+    assert regime_of(masked, torque, 1, "speed").startswith(words)
+
+
+@pytest.mark.parametrize(("top", "words"), [(0.40, "at all speeds"), (0.52, "most at speeds above 0.87 rad/s: 5")])
+def test_little_less_than_half_in_a_third_of_the_time_is_everywhere(top, words):
+    cuts = np.quantile(SPEEDS[:, 1], [1 / 3, 2 / 3])
+    share = np.where(SPEEDS[:, 1] > cuts[1], top, (1 - top) / 2)
+    torque = np.stack([0 * TIME, 10 * np.sqrt(share)], -1)
+    assert regime_of(bank_of(torque), torque, 1, "speed").startswith(words)
+
+
+def test_a_map_after_the_correction_is_of_its_own_joint():
+    left = np.stack([np.zeros(N), 3.0 * np.ones(N)], -1)
+    for m in regime_maps(bank_of(np.full((N, 2), 6.0)), left, rng()):
+        np.testing.assert_allclose(m.after, {"shoulder": 0.0, "elbow": 3.0}[m.joint])
+
+
+def test_a_bin_with_two_rows_has_no_mean():
+    index = np.repeat([0, 1, 2], [20, 2, 3]).astype(np.intp)
+    used = np.ones(25, dtype=bool)
+    mean, _ = _binned(np.ones(25), index, used, np.arange(25) // 5, rng())
+    assert np.isfinite(mean[:4]).tolist() == [True, False, True, False]
+
+
+def test_the_noise_below_which_nothing_counts_is_the_mean_over_the_takes():
+    take = signals(np.full((N, 2), 6.0), **MOTION)
+    takes = [replace(take, noise=np.array(noise)) for noise in ([1.0, 1.0], [3.0, 1.0])]
+    bank = Bank(takes, [], noise=np.ones(2))
+    own = np.diagonal(take.inertia, axis1=1, axis2=2)
+    energy = ((36.0 - np.array([2.0, 1.0]) ** 2) / own**2).sum(0)
+    joints, _ = joints_and_regimes(locate(bank, rng()))
+    got = {x.joint: x.share_of_error for x in joints}
+    assert [got[name] for name in NAMES] == pytest.approx(list(energy / energy.sum()))
