@@ -72,6 +72,17 @@ def test_an_interval_is_printed_finer_than_a_tenth_of_its_half_width(value, rela
         (0.025, "s", "25.0 ms"),
         (-3.1648, "N", "−3.16 N"),
         (0.9, "1", "0.900"),
+        (2.5e-4, "rad", "0.250 mrad"),
+        (2.5e-4, "m", "0.250 mm"),
+        (2.5e-4, "s", "0.250 ms"),
+        (9.9e-5, "s", "99.0 µs"),
+        (0.4, "kg", "0.400 kg"),
+        (0.04, "kg", "40.0 g"),
+        (4e-5, "kg", "0.0400 g"),
+        (2e5, "N", "200 ×10³ N"),
+        (2e4, "N", "20000 N"),
+        (5e-4, "N", "500 ×10⁻⁶ N"),
+        (5e-3, "N", "0.00500 N"),
         (0.0, "rad", "0.00 rad"),
         (-0.0, "N", "0.00 N"),
         (math.nan, "rad", "– rad"),
@@ -88,7 +99,9 @@ def test_angles_lengths_and_times_are_printed_at_a_readable_scale(value, unit, t
         (1.0, "100 %"),
         (0.0, "0 %"),
         (0.999, "> 99 %"),
+        (0.994, "99 %"),
         (0.001, "< 1 %"),
+        (0.006, "1 %"),
         (-0.2, "−20 %"),
         (math.nan, "–"),
     ],
@@ -114,3 +127,25 @@ def test_slides_are_told_from_hinges_by_the_answer_or_by_their_forces():
 
 def test_digits_are_significant_and_never_an_exponent():
     assert [number(v) for v in (240.424, 20.144, 0.0783, 123456.0)] == ["240", "20.1", "0.0783", "123456"]
+
+
+def test_values_side_by_side_are_at_the_scale_of_their_geometric_mean():
+    assert quantities([0.5, 0.002], "rad") == (["500", "2"], "mrad")
+    assert quantities([0.5, 0.2, 0.0], "rad") == (["0.500", "0.200", "0.000"], "rad")
+    assert quantities([math.nan, 0.005], "m") == (["–", "5.00"], "mm")
+    assert quantities([0.0], "m") == (["0.00"], "m")
+
+
+@pytest.mark.parametrize(
+    ("value", "interval", "unit", "texts"),
+    [
+        (166.706, (163.24, 170.11), "N·s/m", ("166.7", "163.2", "170.1", "N·s/m")),
+        (1234.0, (834.0, 1634.0), "N", ("1230", "830", "1630", "N")),
+        (0.0021, (0.0020, 0.0022), "s", ("2.10", "2.00", "2.20", "ms")),
+        (2.0, (math.nan, math.nan), "N", ("2.00", "–", "–", "N")),
+        (2.0, (2.0, 2.0), "N", ("2.00", "2.00", "2.00", "N")),
+        (2.0, (2.0, 2.0000001), "N", ("2.00000", "2.00000", "2.00000", "N")),
+    ],
+)
+def test_a_value_has_two_digits_of_its_half_width_and_one_without_it_three(value, interval, unit, texts):
+    assert estimate(Estimate(value, interval, unit)) == texts
