@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis.columns import Given, candidate, signals
+from diagnosis.columns import Given, Shifted, candidate, shifted, signals
+from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis.screen import Bank
 from torchrl_athletic.diagnosis.search import Judge
-from torchrl_athletic.diagnosis.separation import PairProducts, Rivals, every_nth
-from torchrl_athletic.diagnosis.thresholds import PLAN
+from torchrl_athletic.diagnosis.separation import Coefficients, PairProducts, Rivals, every_nth
+from torchrl_athletic.diagnosis.thresholds import PLAN, SEARCH
 from torchrl_athletic.effects import Fingerprint
 
 N = 2000
@@ -178,3 +179,142 @@ def test_pairs_weigh_by_how_probable_both_are_and_alike_where_nobody_says():
     judge = Judge(Bank(told.takes, [candidate(Along(name, (1.0, 0.0))) for name in "abc"], noise=np.ones(2)))
     weighed = Rivals(judge, [judge.score([atom]) for atom in judge.bank.atoms], [0.6, 0.3, 0.1])
     np.testing.assert_allclose(weighed.weight, np.array([0.18, 0.06, 0.03]) / 0.27)  # (a, b), (a, c), (b, c)
+
+
+# --- the sums, and what is not linear, by hand ---
+
+
+def test_products_are_sums_over_what_counts_in_units_of_the_noise():
+    """Half of the rows count, each for a quarter of a sample, beside noise of 2 and 3 N·m."""
+    pair, *_ = rivals(Along("one", (1, 0)), Along("other", (0, 1)), second=COSINE)
+    pair.memory, pair.unnamed = np.ones(2), np.array([0.2, 0.3])
+    half = np.arange(N) < N // 2
+    seen = motion(SINE, COSINE)
+    seen = replace(seen, valid=np.stack([half, half], -1), bias=np.full((N, 2), 0.6), noise=np.full(2, 0.5),
+                   kernel=4 * seen.kernel)  # fmt: skip
+    found = pair.products([seen], np.array([[2.0, 3.0]]))
+    assert found.count == pytest.approx([N / 8, N / 8])
+    assert found.bent == pytest.approx([0.36 / 4, 0.36 / 9])
+    assert found.left == pytest.approx([(0.25 + 0.2) / 4, (0.25 + 0.3) / 9])
+    assert found.noise == pytest.approx([2.0, 3.0])
+    for (a, b), expected in {(0, 0): SINE @ (half * SINE), (1, 1): COSINE @ (half * COSINE), (0, 1): 0.0}.items():
+        assert found.of[a, b][:, 0, 0] == pytest.approx([expected / 4 / 4, 0.0], abs=1e-6)
+    twice = pair.products([seen, seen], np.array([[2.0, 3.0]] * 2))
+    assert twice.count == pytest.approx(2 * found.count)
+    assert (twice.bent, twice.left) == (pytest.approx(found.bent), pytest.approx(found.left))
+    pair.memory = np.array([0.5, 1.0])
+    assert pair.products([seen]).count == pytest.approx([N / 16, N / 8])
+
+
+@pytest.mark.parametrize("sigma", [1.0, 2.0])
+def test_what_the_likeliest_leaves_beyond_the_sensors_is_carried_over_to_what_is_planned(sigma):
+    noise = np.random.default_rng(0).standard_normal((2, N))
+    take = replace(motion(SINE, COSINE, 0.5 * SINE + noise[0]), noise=np.full(2, 0.3))
+    judge = Judge(Bank([take], [candidate(Along("one", (1, 0)))], noise=np.full(2, sigma)))
+    best = judge.score(judge.bank.atoms)
+    pair = Rivals(judge, [best], None)
+    left = (judge.bank.rows(best.fit) ** 2).mean(0)
+    assert pair.unnamed == pytest.approx(np.maximum(left - 0.3**2, 0.0))
+    assert pair.products([take]).left[0] == pytest.approx(left[0] / sigma**2)
+
+
+def test_a_residual_with_a_memory_counts_for_less_and_one_that_alternates_for_no_more():
+    noise = np.random.default_rng(0).standard_normal(N)
+    slow = lfilter([np.sqrt(1 - 0.8**2)], [1, -0.8], noise)
+    found = {}
+    for name, left in (("slow", slow), ("alternating", np.diff(noise, append=0.0))):
+        judge = Judge(Bank([motion(SINE, COSINE, left)], [candidate(Along("one", (1, 0)))], noise=np.ones(2)))
+        found[name] = Rivals(judge, [judge.score(judge.bank.atoms)], None).memory[0]
+    assert found["slow"] == pytest.approx(0.2 / 1.8, rel=0.3)
+    assert found["alternating"] == 1.0
+
+
+def test_farther_apart_than_enough_is_enough():
+    pair, known, _ = rivals(Along("one", (1, 0)), Along("other", (0, 1)), second=COSINE)
+    pair.draws = [np.array([[5.0], [9.0]])] * 2  # a mean of draws is not more than enough because one of them is far
+    assert pair.separations(known) == pytest.approx([PLAN.enough])
+
+
+@pytest.mark.parametrize("louder", [1.0, 2.0, 3.0])
+def test_noise_of_a_search_is_compared_by_its_variance(louder):
+    pair, known, _ = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.5, second=COSINE)
+    pair.floor = np.ones(2)
+    c, quiet = 0.5, louder**-2
+    left = known.left[0] * quiet
+    level = max(left, 1.0 + (max(1.0, 1.0 + SEARCH.accuracy**2 * c**2) - 1.0) * quiet)
+    expected = known.count[0] * np.log(max(left + c**2 * quiet, level) / level)
+    found = pair._evidence(known, np.array([c]), 0, 1, np.full(2, quiet))
+    assert found == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(("own", "other"), [(0.0, 0.0), (0.0, 300.0), (300.0, 300.0), (40.0, 300.0)])
+def test_what_strains_the_answer_speaks_against_it_and_what_strains_the_truth_against_that(own, other):
+    """Two that say the same, but the second pulls its number towards zero as a trim is pulled: a ridge, by hand."""
+    pair, known, _ = rivals(Along("one", (1, 0)), Along("other", (1, 0)))
+    pair.known[0].doubt, pair.known[1].doubt = np.array([own]), np.array([other])
+    c, samples = 0.5, known.of[0, 0][0, 0, 0]
+    level = max(known.left[0], pair.floor[0], 1.0 + SEARCH.accuracy**2 * c**2 * samples / known.count[0])
+    answer = c * (samples / level) / (samples / level + other)
+    worse = max(known.left[0] + (c - answer) ** 2 * samples / known.count[0], level)
+    expected = max(known.count[0] * np.log(worse / level) + other * answer**2 - own * c**2, 0.0)
+    assert pair._evidence(known, np.array([c]), 0, 1, np.ones(2)) == pytest.approx(expected, rel=1e-3, abs=1e-9)
+
+
+def late(delay: float, beside: Along | None = None):
+    """Coefficients of a delay at a point of its grid, and of a linear effect of the elbow."""
+    take = motion(SINE, COSINE)
+    given = [candidate(Shifted("late", np.empty((0, 1))))] + ([] if beside is None else [candidate(beside, 1)])
+    judge = Judge(Bank([take], given, noise=np.ones(2)))
+    judge.bank.add_all(given[0], [{"delay": delay}])
+    atoms = [next(a for a in judge.bank.atoms if a.fixed == {"delay": delay})]
+    atoms += [a for a in judge.bank.atoms if a.candidate is given[-1]][: len(given) - 1]
+    scored = judge.score(atoms)
+    return Coefficients(scored, take), scored, take
+
+
+def test_a_nonlinear_number_counts_by_the_slope_of_what_it_predicts():
+    """Of 40 (sin 3(t - d) - sin 3t) by d: -120 cos 3(t - d); a hundredth of a second about 0.2 s is nearly linear."""
+    found, _, take = late(0.2)
+    columns = found.columns(take, {})
+    np.testing.assert_allclose(columns[:, 0, 0], shifted(take.time, 0.2))
+    np.testing.assert_allclose(columns[:, 0, 1], -120 * np.cos(3 * (take.time - 0.2)), atol=2.0)
+    np.testing.assert_allclose(found.prediction(take)[:, 0], shifted(take.time, 0.2))
+    assert found.parameters(np.array([1.0, 0.05])) == pytest.approx([0.25])
+    assert (found.low[1], found.high[1]) == pytest.approx((-0.1, 0.1))  # half of its value, either way
+
+
+def test_a_number_at_its_upper_end_is_changed_the_other_way(monkeypatch):
+    """What lies beyond a bound may have no meaning, and the slope is the same."""
+    asked = []
+    whole = Shifted.fingerprint
+    monkeypatch.setattr(
+        Shifted,
+        "fingerprint",
+        lambda self, s, joint, fixed: asked.append(fixed["delay"]) or whole(self, s, joint, fixed),
+    )
+    found, _, take = late(1.0)
+    columns = found.columns(take, {})
+    assert max(asked) <= 1.0
+    np.testing.assert_allclose(columns[:, 0, 1], -120 * np.cos(3 * (take.time - 1.0)), atol=12.0)
+
+
+def test_a_number_beside_a_nonlinear_one_keeps_its_own_coefficient():
+    found, scored, take = late(0.2, Along("beside", (1, 0), nominal=0.25))
+    np.testing.assert_allclose(found.parameters(found.values), np.concatenate(scored.fit.values()))
+    assert found.parameters(np.array([1.0, 0.05, 2.0])) == pytest.approx([0.25, 2.25])
+    columns = found.columns(take, {})
+    assert columns.shape == (N, 2, 3)
+    np.testing.assert_allclose(columns[:, 0, 2], SINE)
+
+
+def test_drawn_numbers_scatter_as_the_recordings_allow_about_those_fitted(monkeypatch):
+    """By the inverse of the normal matrix; a change of a nonlinear number is for the answer, not for the truth."""
+    monkeypatch.setattr("torchrl_athletic.diagnosis.separation.PLAN", replace(PLAN, draws=4001))
+    found, _, _ = late(0.2, Along("beside", (1, 0), lower=-1e3, upper=1e3))
+    gram = np.diag([1e9, 1e9, 25.0])
+    drawn = found.draw(gram, np.random.default_rng(0))
+    assert drawn.shape == (4001, 3)
+    assert (drawn[:, 1] == 0).all()
+    np.testing.assert_array_equal(drawn[0], found.values)
+    assert drawn[1:, 2].std() == pytest.approx(1 / np.sqrt(25.0 + found.prior[2]), rel=0.05)
+    assert drawn[1:, 2].mean() == pytest.approx(found.values[2], abs=0.02)
