@@ -1,5 +1,6 @@
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,10 +18,12 @@ from torchrl_athletic.diagnosis.search import (
     _simplest,
     _simplify,
     alternatives,
+    noise_level,
     noisy_joints,
     predictable_share,
     richer,
     rivals,
+    scatter,
     search,
     singles,
 )
@@ -728,3 +731,233 @@ def test_a_correlated_residual_makes_rivals_nearer():
         first, second = alternatives(weigh, best, best.fit.terms[0])
         gaps.append(second.evidence - first.evidence)
     assert gaps[1] < 0.3 * gaps[0]
+
+
+# --- the sums behind a weighing, by hand ---
+
+
+def levels(*squares: float) -> np.ndarray:
+    """A torque with these mean squares in the five stretches of the take."""
+    return np.repeat(np.sqrt(squares), N // 5) * np.where(np.arange(N) % 2, 1.0, -1.0)
+
+
+def test_what_is_usual_is_the_median_of_a_joints_stretches_and_what_is_beyond_the_floor_weighs_by_its_rows():
+    valid = np.ones((N, 2), dtype=bool)
+    valid[20 : N // 5] = False
+    weigh = judge(signals(np.stack([levels(9.0, 0.5, 0.6, 0.7, 0.8), np.zeros(N)], -1), valid))
+    assert weigh.usual(weigh.bare) == pytest.approx([0.7, 0.0])
+    assert weigh.excess(weigh.bare) == pytest.approx([20 * (9.0 - weigh.floor[0, 0]) / (4 * N / 5 + 20), 0.0])
+    assert weigh.floor[0] == pytest.approx(1.0 + SEARCH.accuracy**2 * np.array([9.0, 0.5, 0.6, 0.7, 0.8]))
+
+
+@pytest.mark.parametrize(("one", "others", "is_open"), [(1.68, 0.5, False), (1.85, 0.5, True), (1.3, 1.3, True)])
+def test_one_stretch_is_open_beyond_what_chance_makes_of_its_samples(one, others, is_open):
+    """200 samples scatter by a tenth, of which four are allowed beyond a quarter; all together by no more than that."""
+    weigh = judge(on_shoulder(levels(one, others, others, others, others)))
+    assert weigh.is_open(weigh.bare).tolist() == [is_open, False]
+
+
+def test_evidence_is_likelihood_price_strain_and_doubt():
+    """A trim that has to take up a torque of twice its tolerance speaks against the combination, as a ridge would."""
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    take = on_shoulder(5 * a + 0.8 * b, rng.normal(size=(N, 2)))
+    doubtful = Given("a", a)
+    doubtful.odds = 0.2  # type: ignore[misc]
+    trim = candidate(Given("trim", b, lower=-1.0, upper=1.0))
+    weigh = Judge(Bank([take], [candidate(doubtful)], [trim], noise=np.ones(2)))
+    for atoms, doubt in (((), 0.0), (weigh.bank.atoms, -2 * np.log(0.2))):
+        scored = weigh.score(atoms)
+        likelihood = float((weigh.independent * np.log(np.maximum(weigh.mean_square(scored.fit), weigh.floor))).sum())
+        price = (np.log(2 * N) + SEARCH.term) * len(atoms)
+        assert scored.fit.strain > 1.0
+        assert scored.evidence == pytest.approx(likelihood + price + scored.fit.strain + doubt)
+        promised = weigh.promise(atoms, scored.fit)  # with the weights that it has itself: the same but for the name
+        assert promised == pytest.approx(scored.evidence - doubt, abs=0.01)
+
+
+def step(excess_before, excess_after, energy=((0.0, 0.0),), misfits=(0.02,), joints=(0,), bare=(100.0, 100.0)):
+    """Whether a step stays within what terms of some misfit may leave, of two joints with 4 samples each."""
+    terms = [
+        SimpleNamespace(candidate=SimpleNamespace(joint=joint, effect=SimpleNamespace(misfit=misfit)))
+        for joint, misfit in zip(joints, misfits, strict=True)
+    ]
+    judge = SimpleNamespace(
+        bare=SimpleNamespace(excess=np.array(bare)),
+        total=np.ones((2, 4)),
+        excess=lambda fit: np.asarray(fit.excess),
+        _closed=lambda before, after: (0, 0.5),
+    )
+    before = SimpleNamespace(excess=excess_before, terms=terms, energy=np.array(energy))
+    return Judge.within_misfit(judge, before, SimpleNamespace(excess=excess_after))
+
+
+@pytest.mark.parametrize(
+    ("given", "within"),
+    [
+        ({"energy": [[400.0, 0.0]]}, True),  # of a mean square of 100 a fiftieth: 2
+        ({"energy": [[400.0, 0.0]], "misfits": (0.01,)}, False),
+        ({"energy": [[200.0, 0.0]]}, False),
+        ({"energy": [[200.0, 0.0]] * 2, "misfits": (0.02, 0.04), "joints": (0, 0)}, True),  # the larger of two
+        ({"energy": [[4000.0, 0.0]], "bare": (50.0, 100.0)}, False),  # terms that cancel miss no more than all that is
+        ({"energy": [[0.0, 400.0]], "joints": (1,)}, False),  # another joint's misfit is no excuse
+        ({"energy": [[400.0, 400.0]], "joints": (1,)}, False),
+        ({"energy": np.zeros((0, 2)), "misfits": (), "joints": ()}, False),
+    ],
+)
+def test_a_term_may_leave_its_misfit_of_what_it_explains_and_of_all_that_was_missing(given, within):
+    assert step((3.0, 9.0), (1.5, 0.0), **given) is within
+
+
+@pytest.mark.parametrize(
+    ("share", "within", "scatters", "strain", "helps"),
+    [
+        (0.2, False, [9.0], 0.0, True),  # a material share beyond any misfit
+        (0.05, False, [0.0], 0.0, False),
+        (0.05, False, [9.0], 6.0, True),  # the trims are relieved
+        (0.05, False, [9.0], -6.0, False),
+        (0.2, True, [0.05], 0.0, False),  # within a misfit it must close much
+        (0.4, True, [0.05], 0.0, True),
+        (0.4, True, [0.2], 0.0, False),  # and be the same everywhere
+        (0.4, True, [0.05, 0.2], 0.0, False),  # all that is new
+    ],
+)
+def test_a_step_helps_that_closes_much_or_is_no_stand_in(share, within, scatters, strain, helps, monkeypatch):
+    monkeypatch.setattr("torchrl_athletic.diagnosis.search.scatter", lambda bank, fit, term: term.scatter)
+    asked = SimpleNamespace(_closed=lambda *_: (0, share), within_misfit=lambda *_: within, bank=None)
+    old = SimpleNamespace(candidate=SimpleNamespace(key=("old", "hip")), scatter=9.0)  # which is not asked about
+    new = [
+        SimpleNamespace(candidate=SimpleNamespace(key=(f"new{k}", "hip")), scatter=x) for k, x in enumerate(scatters)
+    ]
+    before, after = SimpleNamespace(terms=[old], strain=strain), SimpleNamespace(terms=[old, *new], strain=0.0)
+    assert Judge.helps(asked, before, after) is helps
+
+
+def test_where_nothing_was_open_nothing_is_closed():
+    weigh = judge(on_shoulder(levels(*[0.5] * 5)))
+    assert weigh.closes(weigh.bare, weigh.bare) == 0.0
+
+
+def test_a_search_may_go_as_deep_as_all_joints_together_have_effects():
+    told = []
+    rng = np.random.default_rng(0)
+    a = smooth(rng, N)
+    search(judge(on_shoulder(5 * a, rng.normal(size=(N, 2))), candidate(Given("a", a))), told.append)
+    assert told[0] == pytest.approx(1 / (2 * SEARCH.most_per_joint))
+
+
+@pytest.mark.parametrize("takes", [1, 2, 3, 4])
+def test_scatter_is_that_of_the_strengths_between_takes_or_between_parts_of_a_few(takes):
+    """One of 2, then one of 4, weighed by their rows: a mean of 3 and a deviation of 1 where each half is one."""
+    column = np.where(np.arange(N) % 2, 1.0, -1.0)
+    if takes < 3:  # six parts of all rows, of which three are one half
+        strengths = [
+            np.where(np.arange(takes * N) < takes * N / 2, 2.0, 4.0)[k * N : (k + 1) * N] for k in range(takes)
+        ]
+    else:
+        strengths = [np.full(N, x) for x in (2.0, 4.0, 3.0, 3.0)[:takes]]
+    bank = Bank([on_shoulder(x * column) for x in strengths], [candidate(Given("a", column))], noise=np.ones(2))
+    fit = bank.fit(bank.atoms)
+    expected = np.std([2.0, 4.0] if takes < 3 else [2.0, 4.0, 3.0, 3.0][:takes]) / 3
+    assert scatter(bank, fit, fit.terms[0]) == pytest.approx(expected, rel=0.01)
+
+
+# --- which richer law, which rival, which noise ---
+
+FAST, SLOW, SLOWER = (np.tile(np.repeat([1.0, -1.0], n), N // (2 * n)) for n in (1, 2, 4))
+"""Unit columns that have nothing in common."""
+
+
+@pytest.mark.parametrize(("second", "expected"), [(0.118, None), (0.16, {"asymmetric"})])
+def test_a_richer_law_that_is_not_decisively_better_is_not_asked_about(second, expected):
+    """Of two that close more than a twentieth of what is open, by 12.6 and 22.9 less the price of a number, 7.6."""
+    take = on_shoulder(9 * FAST + second * SLOW + 1.05 * SLOWER)
+    larger = Given("asymmetric", np.stack([FAST, SLOW], -1), excludes=("symmetric",))
+    weigh = judge(take, candidate(larger), candidate(Given("symmetric", FAST)))
+    rich = richer(weigh, weigh.score(weigh.bank.atoms[1:]))
+    assert (None if rich is None else {name for name, _ in names(rich)}) == expected
+
+
+def test_a_richer_law_that_closes_much_is_asked_about_however_little_its_evidence_is_beside_what_was_found():
+    take = on_shoulder(9 * FAST + 0.6 * SLOW + 2 * SLOWER)
+    larger = Given("asymmetric", np.stack([FAST, SLOW], -1), excludes=("symmetric",))
+    weigh = judge(take, candidate(larger), candidate(Given("symmetric", FAST)))
+    plain, rich = (weigh.score([atom]) for atom in weigh.bank.atoms[::-1])
+    found, gained = weigh.score(()).evidence - plain.evidence, plain.evidence - rich.evidence
+    assert SEARCH.decisive < gained < SEARCH.seen * found
+    assert richer(weigh, plain) is rich
+
+
+def test_of_two_richer_laws_the_likelier_is_asked_about_and_another_law_is_no_richer_one():
+    take = on_shoulder(9 * FAST + 3 * SLOW + 2 * SLOWER)
+    idle = np.tile(np.repeat([1.0, -1.0], 20), N // 40)
+    laws = (("right", [FAST, SLOW]), ("wrong", [FAST, idle]), ("plain", [FAST]), ("other", [FAST + SLOW / 3]))
+    weigh = judge(take, *(candidate(Given(n, np.stack(x, -1), excludes=("plain",))) for n, x in laws[:3]))
+    plain = weigh.score([weigh.bank.atoms[2]])
+    assert names(richer(weigh, plain)) == {("right", "shoulder")}
+    few = judge(take, *(candidate(Given(n, np.stack(x, -1), excludes=("plain",))) for n, x in laws[2:]))
+    plain, other = (few.score([atom]) for atom in few.bank.atoms)
+    assert plain.evidence - other.evidence > SEARCH.decisive
+    assert richer(few, plain) is None
+
+
+def test_rivals_come_nearest_first_and_a_better_one_is_not_less_than_nothing_behind():
+    rng = np.random.default_rng(0)
+    a, other = smooth(rng, (2, N))
+    effects = (("far", a + 0.006 * other), ("near", a + 0.003 * other), ("best", a), ("twin", a + 0.001 * other))
+    weigh = judge(on_shoulder(6 * (a + 0.003 * other)), *(candidate(Given(*e)) for e in effects))
+    found = rivals(weigh, weigh.score([weigh.bank.atoms[2]]), within=60.0)
+    behind = [x for _, x in found]
+    assert behind == sorted(behind)
+    assert behind[0] == 0.0
+    assert len(found) == 3
+
+
+def test_an_effect_alone_that_stops_at_a_bound_is_told_in_neither_list():
+    rng = np.random.default_rng(0)
+    a, b = smooth(rng, (2, N))
+    bounded, free = candidate(Given("bounded", a, upper=2.0)), candidate(Given("free", b))
+    material, others = singles(judge(on_shoulder(6 * a + 3 * b, rng.normal(size=(N, 2))), bounded, free))
+    assert {name for s in (*material, *others) for name, _ in names(s)} == {"free"}
+
+
+def test_what_smoothing_bends_is_expected_of_the_joint_that_it_bends():
+    bias = np.stack([np.full(N, 2.0), np.full(N, 3.0)], -1)
+    weigh = judge(signals(np.zeros((N, 2)), bias=bias))
+    np.testing.assert_allclose(noise_level(weigh.bank), np.repeat([[5.0], [10.0]], 5, 1))
+
+
+@pytest.mark.parametrize(
+    ("is_open", "usual", "share", "noisy"),
+    [
+        (True, 1.4, 0.05, True),
+        (True, 1.2, 0.05, False),  # open now and then: 1.25 is what noise may do
+        (False, 1.4, 0.05, False),
+        (True, 1.4, 0.2, False),  # a part of it is predictable
+    ],
+)
+def test_noise_is_what_is_open_all_the_time_and_cannot_be_predicted(is_open, usual, share, noisy, monkeypatch):
+    monkeypatch.setattr("torchrl_athletic.diagnosis.search.predictable_share", lambda bank, joint: share)
+    asked = SimpleNamespace(
+        score=lambda atoms: SimpleNamespace(fit=None),
+        is_open=lambda fit: np.array([False, is_open]),
+        usual=lambda fit: np.array([9.0, usual]),
+        floor=np.array([[1.0, 1.0, 1.0], [0.5, 1.0, 9.0]]),
+        bank=None,
+    )
+    assert noisy_joints(asked) == [1] * noisy
+
+
+def test_a_record_too_short_to_predict_a_part_from_the_rest_is_not_called_noise():
+    noise = np.random.default_rng(0).normal(size=(N // 2, 2))
+    weigh = judge(signals(3 * noise), candidate(Given("a", np.ones(N // 2))))
+    assert predictable_share(weigh.bank, 0) == 1.0
+
+
+def test_a_term_is_no_rival_of_itself_at_another_value():
+    time = STEP * np.arange(N)
+    take = on_shoulder(shifted(time, 0.2), np.random.default_rng(0).normal(size=(N, 2)))
+    weigh = judge(take, candidate(Shifted("late", np.empty((0, 1)))))
+    best = weigh.score([next(a for a in weigh.bank.atoms if a.fixed["delay"] == 0.1)])
+    (own,) = alternatives(weigh, best, best.fit.terms[0])
+    assert [a.fixed["delay"] for a in own.fit.terms] == [0.1]
