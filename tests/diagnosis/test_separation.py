@@ -218,15 +218,18 @@ def test_what_the_likeliest_leaves_beyond_the_sensors_is_carried_over_to_what_is
     assert pair.products([take]).left[0] == pytest.approx(left[0] / sigma**2)
 
 
-def test_a_residual_with_a_memory_counts_for_less_and_one_that_alternates_for_no_more():
+def test_a_residual_with_a_memory_counts_for_less_and_one_without_for_no_more_than_its_samples():
+    """Rows that the test function makes depend on each other are fewer samples already, however white they look."""
     noise = np.random.default_rng(0).standard_normal(N)
     slow = lfilter([np.sqrt(1 - 0.8**2)], [1, -0.8], noise)
     found = {}
-    for name, left in (("slow", slow), ("alternating", np.diff(noise, append=0.0))):
-        judge = Judge(Bank([motion(SINE, COSINE, left)], [candidate(Along("one", (1, 0)))], noise=np.ones(2)))
+    for name, left, wider in (("slow", slow, 1), ("white", noise, 4)):
+        take = motion(SINE, COSINE, left)
+        take = replace(take, kernel=wider * take.kernel)
+        judge = Judge(Bank([take], [candidate(Along("one", (1, 0)))], noise=np.ones(2)))
         found[name] = Rivals(judge, [judge.score(judge.bank.atoms)], None).memory[0]
     assert found["slow"] == pytest.approx(0.2 / 1.8, rel=0.3)
-    assert found["alternating"] == 1.0
+    assert found["white"] == 1.0
 
 
 def test_farther_apart_than_enough_is_enough():
@@ -245,6 +248,9 @@ def test_noise_of_a_search_is_compared_by_its_variance(louder):
     expected = known.count[0] * np.log(max(left + c**2 * quiet, level) / level)
     found = pair._evidence(known, np.array([c]), 0, 1, np.full(2, quiet))
     assert found == pytest.approx(expected, rel=1e-3)
+    pair.draws = [np.array([[c]]), np.array([[0.0]])]  # of the other nothing is to be told from the first
+    apart = pair.separations(known, noise=np.full(2, louder))
+    assert apart == pytest.approx([np.sqrt(expected) / 2], rel=1e-3)
 
 
 @pytest.mark.parametrize(("own", "other"), [(0.0, 0.0), (0.0, 300.0), (300.0, 300.0), (40.0, 300.0)])

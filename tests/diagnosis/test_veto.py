@@ -150,8 +150,9 @@ def test_a_number_that_is_taken_back_is_the_models_own(taken_back):
     """Which need not be zero: a joint has some damping already."""
     own = replace(LOWER, parameters=tuple(replace(p, nominal=0.25) for p in LOWER.parameters))
     seen = []
-    taken_back(Hypothesis((own,)), lambda x: seen.append(x.tolist()) or [1.0, 1.0 + abs(x[0] - 0.25)])
-    assert seen == [[0.25], [1.0]]  # the given model, the correction; none of it is left to ask about
+    gone = taken_back(Hypothesis((UPPER, own)), lambda x: seen.append(x.tolist()) or [1.0, 1.0 + abs(x[1] - 0.25)])
+    assert gone == (own,)
+    assert seen == [[0.0, 0.25], [1.0, 1.0], [1.0, 0.25]]  # the given model, the correction, what is left of it
 
 
 def test_a_place_is_named_once_however_much_of_it_goes():
