@@ -9,7 +9,7 @@ from torchrl.modules import NormalParamExtractor, OneHotCategorical, Probabilist
 from torchrl.objectives import ClipPPOLoss
 
 from torchrl_athletic.losses import SplitClipPPOLoss, clipped_surrogate, gaussian_kl, sampled_kl
-from torchrl_athletic.losses.split_ppo import explained_variance
+from torchrl_athletic.losses.split_ppo import explained_variance, masked_mean, standardized
 
 OPTIONS = [
     {},
@@ -340,3 +340,12 @@ def test_an_unknown_reduction_is_refused(case):
     policy, value, _ = case
     with pytest.raises(ValueError, match="'mean', 'sum' or 'none'"):
         SplitClipPPOLoss(policy, value, reduction="max")
+
+
+def test_a_mean_of_no_sample_is_zero_and_alike_advantages_say_nothing():
+    nothing = torch.zeros(3, 1, dtype=torch.bool)
+    assert masked_mean(torch.full((3, 1), torch.nan), nothing) == 0
+    assert standardized(torch.full((4, 1), 5.0), None).tolist() == [[0.0]] * 4
+    kept = torch.tensor([[True], [True], [False]])
+    found = standardized(torch.tensor([[1.0], [3.0], [torch.nan]]), kept)
+    torch.testing.assert_close(found, torch.tensor([[-1.0], [1.0], [0.0]]) / 2**0.5)

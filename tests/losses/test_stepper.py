@@ -415,3 +415,26 @@ def test_a_graph_reads_entries_in_place_and_notices_when_they_move():
         found.append(parameters(policy, value))
         move(policy, 0.0)
     agree(*found, rtol=1e-4, atol=1e-5)
+
+
+def test_pieces_of_a_batch_do_not_add_up_to_an_explained_variance():
+    """It is no sum over samples: told only of values that the batch remembers, and of the whole batch."""
+    stepper = make(micro_batch=8)
+    batch = collected(stepper.loss.actor_network, 32)
+    assert "explained_variance" not in stepper.update(batch.exclude("state_value"))
+
+
+def test_each_epoch_has_an_order_of_its_own_for_the_critic_too(monkeypatch):
+    stepper = make(epochs=2, critic_minibatches=2, micro_batch=None)
+    seen, whole = [], stepper.loss.loss_critic
+    batch = collected(stepper.loss.actor_network, 8)
+    batch["value_target"] = torch.arange(8.0).unsqueeze(-1)
+    monkeypatch.setattr(
+        stepper.loss,
+        "loss_critic",
+        lambda piece: seen.append(set(piece["value_target"].flatten().tolist())) or whole(piece),
+    )
+    stepper.update(batch)
+    first, second, third, fourth = seen
+    assert first | second == third | fourth == set(range(8))
+    assert first not in (third, fourth)
