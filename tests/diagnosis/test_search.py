@@ -11,10 +11,13 @@ from scipy.signal import lfilter
 from torchrl_athletic.diagnosis.screen import Bank, Candidate
 from torchrl_athletic.diagnosis.search import (
     Judge,
+    _between,
+    _down,
     _invariant,
     _is_bent,
     _is_sided,
     _merge,
+    _prune,
     _simplest,
     _simplify,
     alternatives,
@@ -848,18 +851,16 @@ def test_a_search_may_go_as_deep_as_all_joints_together_have_effects():
 
 @pytest.mark.parametrize("takes", [1, 2, 3, 4])
 def test_scatter_is_that_of_the_strengths_between_takes_or_between_parts_of_a_few(takes):
-    """One of 2, then one of 4, weighed by their rows: a mean of 3 and a deviation of 1 where each half is one."""
+    """Of two takes at most, sixth by sixth: two are a third of all rows, wherever one take ends."""
     column = np.where(np.arange(N) % 2, 1.0, -1.0)
-    if takes < 3:  # six parts of all rows, of which three are one half
-        strengths = [
-            np.where(np.arange(takes * N) < takes * N / 2, 2.0, 4.0)[k * N : (k + 1) * N] for k in range(takes)
-        ]
-    else:
-        strengths = [np.full(N, x) for x in (2.0, 4.0, 3.0, 3.0)[:takes]]
-    bank = Bank([on_shoulder(x * column) for x in strengths], [candidate(Given("a", column))], noise=np.ones(2))
-    fit = bank.fit(bank.atoms)
-    expected = np.std([2.0, 4.0] if takes < 3 else [2.0, 4.0, 3.0, 3.0][:takes]) / 3
-    assert scatter(bank, fit, fit.terms[0]) == pytest.approx(expected, rel=0.01)
+    rows = np.arange(takes * N)
+    strengths = [2.0, 4.0, 3.0, 3.0][:takes] if takes > 2 else [2.0, 2.0, 4.0, 4.0, 4.0, 4.0]
+    along = np.array(strengths)[rows * len(strengths) // len(rows)]
+    given = [on_shoulder(along[k * N : (k + 1) * N] * column) for k in range(takes)]
+    bank = Bank(given, [candidate(Given("a", column, upper=1.0))], noise=np.ones(2))
+    fit = bank.fit(bank.atoms)  # a third of what it would be: its scatter is relative to what it should be
+    expected = np.std(strengths) / np.mean(strengths)
+    assert scatter(bank, fit, fit.terms[0]) == pytest.approx(expected, rel=0.02)
 
 
 # --- which richer law, which rival, which noise ---
@@ -902,15 +903,36 @@ def test_of_two_richer_laws_the_likelier_is_asked_about_and_another_law_is_no_ri
 
 
 def test_rivals_come_nearest_first_and_a_better_one_is_not_less_than_nothing_behind():
+    """Of four that differ by a hundredth each, what was found is neither the truth nor the worst."""
     rng = np.random.default_rng(0)
     a, other = smooth(rng, (2, N))
-    effects = (("far", a + 0.006 * other), ("near", a + 0.003 * other), ("best", a), ("twin", a + 0.001 * other))
-    weigh = judge(on_shoulder(6 * (a + 0.003 * other)), *(candidate(Given(*e)) for e in effects))
-    found = rivals(weigh, weigh.score([weigh.bank.atoms[2]]), within=60.0)
+    effects = [(f"{k}", a + 0.01 * k * other) for k in (6, 2, 0, 1)]
+    take = on_shoulder(6 * (a + 0.02 * other), rng.normal(size=(N, 2)))
+    weigh = judge(take, *(candidate(Given(*e)) for e in effects))
+    found = rivals(weigh, weigh.score([weigh.bank.atoms[2]]), within=100.0)
     behind = [x for _, x in found]
     assert behind == sorted(behind)
     assert behind[0] == 0.0
-    assert len(found) == 3
+    assert names(found[2][0]) == {("6", "shoulder")}
+    assert behind[2] > 10
+
+
+def test_each_joint_has_effects_of_its_own_to_find():
+    """Five in all, where a joint has four at most."""
+    rng = np.random.default_rng(0)
+    columns = dict(zip("abcde", smooth(rng, (5, N)), strict=True))
+    shoulder, elbow = (5 * sum(columns[name] for name in joint) for joint in ("abc", "de"))
+    take = signals(np.stack([shoulder, elbow], -1) + rng.normal(size=(N, 2)))
+    given = [candidate(Given(name, column), int(name in "de")) for name, column in columns.items()]
+    assert {name for name, _ in names(search(judge(take, *given))[0])} == set("abcde")
+
+
+def test_a_term_that_is_decisive_and_closes_next_to_nothing_is_dropped():
+    take = on_shoulder(9 * FAST + 0.8 * SLOW + 4 * SLOWER)
+    weigh = judge(take, candidate(Given("a", FAST)), candidate(Given("b", SLOW)))
+    one, both = weigh.score(weigh.bank.atoms[:1]), weigh.score(weigh.bank.atoms)
+    assert one.evidence - both.evidence > SEARCH.decisive
+    assert names(_prune(weigh, both)) == {("a", "shoulder")}
 
 
 def test_an_effect_alone_that_stops_at_a_bound_is_told_in_neither_list():
@@ -961,3 +983,28 @@ def test_a_term_is_no_rival_of_itself_at_another_value():
     best = weigh.score([next(a for a in weigh.bank.atoms if a.fixed["delay"] == 0.1)])
     (own,) = alternatives(weigh, best, best.fit.terms[0])
     assert [a.fixed["delay"] for a in own.fit.terms] == [0.1]
+
+
+@pytest.mark.parametrize(
+    ("grid", "value", "bounds", "near"),
+    [
+        ((0.5, 1.0, 2.0, 4.0, 8.0), 2.0, (0.0, 10.0), [1.5, 3.0]),  # the nearest on either side
+        ((1.0, 2.0), 2.0, (0.0, 10.0), [1.5, 2.5]),  # beyond an end as far as before it
+        ((2.0, 4.0), 2.0, (0.0, 10.0), [1.0, 3.0]),
+        ((1.0, 2.0), 2.0, (0.0, 2.2), [1.5, 2.2]),
+        ((2.0, 4.0), 2.0, (1.7, 10.0), [1.7, 3.0]),
+        ((2.0, 4.0), 2.0, (1.99, 2.5), [2.5]),  # a hundredth is no step
+        ((2.0,), 2.0, (0.0, 10.0), []),
+    ],
+)
+def test_a_grid_is_halved_to_both_sides_within_the_bounds(grid, value, bounds, near):
+    assert _between(grid, value, *bounds) == near
+
+
+@pytest.mark.parametrize(("found", "true"), [(0.1, 0.4), (0.4, 0.1), (0.1, 0.2), (0.2, 0.2)])
+def test_a_grid_is_gone_down_either_way(found, true):
+    time = STEP * np.arange(N)
+    late = candidate(Shifted("late", np.empty((0, 1))))
+    weigh = judge(on_shoulder(shifted(time, true)), late)
+    start = weigh.score([next(a for a in weigh.bank.atoms if a.fixed["delay"] == found)])
+    assert [a.fixed["delay"] for a in _down(weigh, start, late, "delay").fit.terms] == [true]
