@@ -131,6 +131,13 @@ def test_the_goal_is_drawn_as_three_arrows():
     assert scene.ngeom == 3
     np.testing.assert_allclose(scene.geoms[0].pos, POSES[0, :3], atol=1e-6)
     assert scene.geoms[0].size[2] == pytest.approx(KEYPOINT_LENGTH / 2, rel=1e-3)  # half as long as what is tracked
+    for axis in range(3):  # of a pose that is not turned
+        np.testing.assert_allclose(scene.geoms[axis].mat[:, 2], np.eye(3)[axis], atol=1e-6)
+
+
+def test_every_pose_of_the_table_is_a_goal_as_often_as_any_other():
+    commands = goal_env(num_envs=300).reset()["command"]
+    assert torch.isclose(commands, POSES[1]).all(-1).float().mean().item() == pytest.approx(0.5, abs=0.1)
 
 
 def test_poses_are_those_of_joints_drawn_evenly_that_touch_nothing_and_are_over_the_clearance():

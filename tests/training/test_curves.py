@@ -72,3 +72,25 @@ def test_panels_stand_three_in_a_row_and_the_first_says_which_line_is_which_run(
     assert told == ([] if count == 1 else ["one", "two"])
     draw_curves(runs, {"a": "alone"}, tmp_path / "d.png")
     assert tuple(drawn[1].get_size_inches()) == pytest.approx((4.0, 2.6))
+
+
+def test_a_column_that_one_run_lacks_is_drawn_of_the_others(tmp_path, monkeypatch):
+    for name, column in (("one", "error"), ("two", "reward")):
+        table = CSVTable(tmp_path / f"{name}.csv")
+        for k in range(2):
+            table.log_metrics({"samples": 1.0 * k, column: 2.0}, step=k)
+    drawn = {}
+    monkeypatch.setattr(Axes, "plot", lambda axis, x, y, label, **_: drawn.setdefault(axis.get_position().x0, label))
+    draw_curves({n: tmp_path / f"{n}.csv" for n in ("one", "two")}, {"reward": "a", "error": "b"}, tmp_path / "c.png")
+    assert [drawn[place] for place in sorted(drawn)] == ["two", "one"]
+
+
+def test_smoothing_takes_the_share_that_it_says_half_before_and_half_after():
+    """A fifth of a hundred values: ten before, the value, ten after, and at the ends what there is."""
+    spike = np.zeros(100)
+    spike[50] = 21.0
+    found = smoothed(spike, 0.2)
+    np.testing.assert_array_equal(np.flatnonzero(found), np.arange(40, 61))
+    np.testing.assert_allclose(found[40:61], 1.0)
+    assert smoothed(np.arange(100.0), 0.2)[0] == pytest.approx(5.0)
+    assert smoothed(np.arange(100.0), 0.2)[-1] == pytest.approx(94.0)

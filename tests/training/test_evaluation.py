@@ -3,7 +3,7 @@ import pytest
 import torch
 from scipy import stats
 from torchrl.data import Unbounded
-from torchrl.envs import TransformedEnv
+from torchrl.envs import RenameTransform, TransformedEnv
 from training.tasks import SEEN, arm_env
 
 from torchrl_athletic.networks import actor
@@ -109,3 +109,11 @@ def test_a_row_that_came_to_its_time_did_not_fall_though_its_next_episode_does_m
     episodes = whole_episodes(TransformedEnv(ToyEnv(num_envs=5, shortest=1), Counting()), Falling(), ["age"], steps=9)
     assert episodes.steps.tolist() == [3, 1, 4, 2, 5]
     assert episodes.fell.tolist() == [False, True, False, True, False]
+
+
+def test_a_mean_of_an_entry_in_a_group_is_named_by_its_whole_path():
+    """Two groups may have an entry of one name."""
+    env = TransformedEnv(ToyEnv(num_envs=5), Counting())
+    env.append_transform(RenameTransform(["age"], [("told", "age")], create_copy=True))
+    episodes = whole_episodes(env, Falling(), [("told", "age")], steps=10)
+    assert list(episodes.means) == ["told/age"]

@@ -52,6 +52,14 @@ def test_rows_without_a_step_are_numbered(tmp_path):
     assert [row["step"] for row in CSVTable(table.path).rows] == ["0", "1", "2"]
 
 
+def test_a_first_row_without_numbers_has_a_head_all_the_same(tmp_path):
+    table = CSVTable(tmp_path / "progress.csv")
+    table.log_metrics({}, step=4)
+    assert table.path.read_text().split() == ["step", "4"]
+    table.log_metrics({"reward": 1.0}, step=5)
+    assert [row["step"] for row in CSVTable(table.path).rows] == ["4", "5"]
+
+
 def test_a_table_that_cannot_be_written_anew_stays_as_it_was(tmp_path, monkeypatch):
     table = CSVTable(tmp_path / "progress.csv")
     table.log_metrics({"reward": 1.0}, step=1)

@@ -55,6 +55,17 @@ def test_one_snatch_in_ten_stays_in_its_set_up():
     assert last[:, 0].mean().item() == pytest.approx(0.1, abs=0.02)
 
 
+def test_whether_a_phase_is_left_has_nothing_to_do_with_whether_the_one_before_was():
+    schedule = PhaseSchedule((Phase("a", 0.02, 0.5), Phase("b", 0.02, 0.5), Phase("c")))
+    env = TransformedEnv(ToyEnv(2000, shortest=10_000), TaskPhase(schedule, 0.02))
+    last = env.reset()["task_phase_last"].flatten().bincount(minlength=3) / 2000
+    assert last.tolist() == pytest.approx([0.5, 0.25, 0.25], abs=0.04)
+
+
+def test_an_input_just_wide_enough_is_wide_enough():
+    assert rollout(SHORT, 2, dt=0.01, width=4)["task_phase"].shape == (1, 2, 4)  # three phases and a timer
+
+
 def test_episodes_of_one_row_start_in_phases_drawn_anew():
     env = TransformedEnv(ToyEnv(16, shortest=1), TaskPhase(throw_phases(settle_probability=0.4), 0.02))
     steps = env.rollout(100, break_when_any_done=False)
