@@ -138,7 +138,7 @@ def measure(
                 write_recording(take, folder / part / f"{k}.npz")
         command = [sys.executable, "-c", DIAGNOSE, name, json.dumps(asked)]
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-        run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        run = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     row: dict[str, float | str] = json.loads(run.stdout.splitlines()[-1])
     return row
 

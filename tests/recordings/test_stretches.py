@@ -30,3 +30,13 @@ def test_stretches_lie_in_all_takes_in_proportion_and_in_order():
     assert np.argmax(starts) == 29  # thirty of the first, then ten of the second
     assert starts[29] > 2800
     assert np.diff(starts[:30]).min() > 6.0
+
+
+def test_pauses_are_no_part_of_a_take():
+    whole = log(600)
+    spoke = whole.where((whole.time % 100 < 20) | (whole.time > 590))  # twenty seconds, then a pause of eighty
+    parts = cut_stretches([spoke], 60.0)
+    assert len(parts) == 10
+    assert all(55 <= r.num_samples <= 61 for r in parts)
+    assert sum(r.num_samples for r in parts) == pytest.approx(600, rel=0.05)
+    assert {int(r.time[0] // 100) for r in parts} == set(range(6))
