@@ -36,7 +36,16 @@ from torchrl_athletic.transforms import RandomizationRanges
 
 TASKS = ("throw", "snatch", "sled")
 SHOWN = {
-    "throw": ("distance_m", "spread_m", "release_speed_m_s", "peak_leg_power_kw", "thrown", "failed"),
+    "throw": (
+        "distance_m",
+        "spread_m",
+        "release_speed_m_s",
+        "elevation_deg",
+        "azimuth_deg",
+        "peak_leg_power_kw",
+        "thrown",
+        "failed",
+    ),
     "snatch": ("held_s", "held_for_5_s", "lowest_hand_m", "highest_hand_m", "failed"),
     "sled": ("sled_moved_m", "sled_10_m", "lateral_drift_m", "heading_drift_rad", "mean_tension_n", "failed"),
 }

@@ -18,12 +18,14 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads of torch that spi
 import torch
 import tyro
 from tensordict import TensorDict
+from torch import Tensor
 from torchrl.envs import TransformedEnv
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import ball_throw_distance, ball_throw_env, draw_ball
 from torchrl_athletic.envs.ball_throw import KNOWN
 from torchrl_athletic.envs.throw import BUCKET
+from torchrl_athletic.functional import rotations
 from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.identification import with_actuation
 from torchrl_athletic.robots import Robot, Terrain, b2z1, with_bucket
@@ -36,7 +38,7 @@ CURVES = {
     "terminated": "falls and lost balls per step",
 }
 STEPS = 300
-LOOK_AT = ["ball_position", "ball_linear_velocity", "ball_away", "start_line", "peak_power"]
+LOOK_AT = ["ball_position", "ball_linear_velocity", "ball_launch_velocity", "ball_away", "start_line", "peak_power"]
 
 
 @dataclass(frozen=True)
@@ -83,17 +85,26 @@ def make_env(
 
 
 def judge(episodes: TensorDict) -> dict[str, float]:
-    """Distance, speed of release and peak power of the legs. A ball that fell out in the set-up, or never left: 0 m."""
+    """Distance, launch and peak power of the legs. A ball that fell out in the set-up, or never left: 0 m."""
     shown = TensorDict({key: training.last_of(episodes, key) for key in episodes.keys()}, [len(episodes)])
     away = episodes["ball_away"] & episodes["counts"]
     leaves = away & (away.cumsum(1) == 1) & ~episodes["terminated"]  # a ball that is lost ends its episode
     thrown = leaves.any(1)
     distance = torch.where(thrown, ball_throw_distance(shown), 0.0)
-    speed = (torch.linalg.vector_norm(episodes["ball_linear_velocity"], dim=-1, keepdim=True) * leaves).sum(1)
+    forward, aside, upward = rotations.rotate_inverse(
+        rotations.yaw_quaternion(shown["start_line"][..., 2:]), shown["ball_launch_velocity"]
+    ).unbind(-1)
+    level = torch.hypot(forward, aside)
+
+    def mean(values: Tensor) -> float:
+        return float(values[thrown.squeeze(-1)].mean()) if thrown.any() else 0.0
+
     return {
         "distance_m": float(distance.mean()),
         "spread_m": float(distance.std(correction=0)),
-        "release_speed_m_s": float(speed[thrown].mean()) if thrown.any() else 0.0,
+        "release_speed_m_s": mean(torch.hypot(level, upward)),
+        "elevation_deg": mean(torch.atan2(upward, level).rad2deg()),
+        "azimuth_deg": mean(torch.atan2(aside, forward).rad2deg()),
         "peak_leg_power_kw": float(shown["peak_power"].mean()) / 1000,
         "thrown": float(thrown.float().mean()),
         "failed": float(shown["terminated"].float().mean()),

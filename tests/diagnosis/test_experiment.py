@@ -415,11 +415,10 @@ def test_narrow_limits_are_kept_or_nothing_is_proposed():
 
 def test_nothing_quicker_is_considered_than_the_limits_and_the_rivals_laws_allow(monkeypatch):
     *_, judge, best, free = solved("mass")
-    considered, planned, rivals = [], planning._planned, rivals_of(judge, best)
+    considered, rivals = [], rivals_of(judge, best)
 
     def watched(motion: Motion, *rest):
-        considered.append(motion.highest)
-        return planned(motion, *rest)
+        considered.append(motion.highest)  # and none of them can be done
 
     def quickest(limits: Limits | None = None) -> float:
         considered.clear()

@@ -11,7 +11,7 @@ from diagnosis.plants import pendulum
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.fitting import JointParameter
-from torchrl_athletic.diagnosis.joints import _decode, _encode, _with_draws
+from torchrl_athletic.diagnosis.joints import _decode, _encode, _with_draws, standard_joints_of
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.stages import Given
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, JointAddress
@@ -64,3 +64,8 @@ def test_a_fit_comes_back_from_a_checkpoint_as_it_was():
     np.testing.assert_array_equal(again.values, drawn.values)
     np.testing.assert_array_equal(again.samples, drawn.samples)
     assert again.values == pytest.approx(drawn.values)
+
+
+def test_with_an_empty_catalogue_nothing_is_fitted_since_nothing_could_be_kept():
+    unasked = SimpleNamespace(result=lambda *told: pytest.fail("a fit was asked for"))
+    assert standard_joints_of(SimpleNamespace(catalogue=()), SimpleNamespace(checkpoint=unasked)) is None

@@ -88,13 +88,12 @@ def pendulum_with(law: Callable[[Array, Array], Array], kind: str, seed: int, du
     return Recording(time, robot.joint_names, q, velocity=v, torque_command=command, metadata=notes, source=kind)
 
 
+@pytest.mark.slow  # the default run asks this of a drag in effects/test_own_effect.py
 @pytest.mark.parametrize(
     "law",
     [
         pytest.param(
-            lambda q, v: 0.4 * np.sign(q) * q**2 * np.abs(v),
-            id="a push that grows with speed and deflection",
-            marks=pytest.mark.slow,
+            lambda q, v: 0.4 * np.sign(q) * q**2 * np.abs(v), id="a push that grows with speed and deflection"
         ),
         pytest.param(lambda q, v: -0.06 * v * np.abs(v), id="a drag that grows with the square of the speed"),
     ],

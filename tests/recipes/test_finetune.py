@@ -21,7 +21,8 @@ throw, snatch, sled = (importlib.import_module(f"finetune_{name}") for name in (
 
 
 @pytest.mark.parametrize(
-    "name", ["sled", *(pytest.param(name, marks=pytest.mark.slow) for name in ("throw", "snatch"))]
+    "name",
+    ["throw", *(pytest.param(name, marks=pytest.mark.slow) for name in ("snatch", "sled"))],  # by length
 )
 def test_it_learns_says_how_good_it_is_and_goes_on(name, tmp_path):
     command = [
@@ -82,12 +83,14 @@ def test_a_throw_counts_from_where_the_robot_started_and_one_that_was_kept_is_no
     flies, kept = [False, True, True], [False, False, False]
     shown = episodes(ball_away=[flies, kept, flies], peak_power=[[1.0, 2e3, 4e3]] * 3)
     shown["ball_position"] = torch.tensor([2.0, 3.0, 0.035]).expand(3, 3, 3)
-    shown["ball_linear_velocity"] = torch.tensor([[5.0, 0, 0], [3.0, 0, 4.0], [0, 0, 0]]).expand(3, 3, 3)
+    shown["ball_linear_velocity"] = torch.zeros(3, 3, 3)
+    shown["ball_launch_velocity"] = torch.tensor([-3.0, 3.0, 3 * 2**0.5]).expand(3, 3, 3)  # ahead is along y
     shown["start_line"] = torch.tensor([2.0, 0.0, math.pi / 2]).expand(3, 3, 3)
     shown["terminated"][2, 1], shown["counts"][2, 2] = True, False  # it was lost: its episode ended there
     found = throw.judge(shown)
     assert found["distance_m"] == pytest.approx(1.0)
-    assert found["release_speed_m_s"] == pytest.approx(5.0)
+    assert found["release_speed_m_s"] == pytest.approx(6.0)
+    assert (found["elevation_deg"], found["azimuth_deg"]) == (pytest.approx(45.0), pytest.approx(45.0))  # to the left
     assert (found["peak_leg_power_kw"], found["thrown"]) == (pytest.approx(10 / 3), pytest.approx(1 / 3))
 
 

@@ -27,7 +27,7 @@ from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.standard import Seen, agreement, seen_in, standard_joints, starts
 from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
 from torchrl_athletic.effects import Parameter
-from torchrl_athletic.recordings import Recording, cut_stretches
+from torchrl_athletic.recordings import Recording, cut_stretches, recorded_time
 
 Array = NDArray[np.float64]
 State = Literal["identified", "not needed", "not identified", "taken back"]
@@ -168,10 +168,10 @@ def fit(
     progress.stage("quality")
     order = recordings[0].joint_names if recordings else ()
     values = ((free_memory() / 2 if memory is None else memory * GIGABYTE) - FIXED) / VALUE
-    whole = sum(r.duration for r in recordings)
+    whole = sum(recorded_time(r)[-1] for r in recordings)
     recordings = cut_stretches(recordings, LONGEST, 0.6 * values)
     heldout = cut_stretches(heldout, LONGEST, 0.4 * values)
-    kept = sum(r.duration for r in recordings)
+    kept = sum(recorded_time(r)[-1] for r in recordings)
     train = prepare([r.ordered(order) for r in recordings], compiled, drive, xml=xml)
     kernel = train.signals[0].kernel
     held = prepare([r.ordered(order) for r in heldout], compiled, drive, kernel, xml=xml) if heldout else None

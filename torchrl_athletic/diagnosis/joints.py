@@ -28,6 +28,8 @@ def standard_joints_of(given: Given, run: Run) -> Fitted | None:
     What is no effect of the catalogue but what every model is a little wrong in is a trim.
     """
     named = {e.name for e in given.catalogue}
+    if not named:  # whatever it keeps would lack a name
+        return None
     known = {e.name: e for e in (*FIT_TRIMS, *CATALOGUE, *given.catalogue)}
 
     def compute() -> Fitted:

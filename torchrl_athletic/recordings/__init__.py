@@ -30,7 +30,7 @@ from torchrl_athletic.recordings.noise import noise_correlation, repeat_noise, s
 from torchrl_athletic.recordings.quality import Quality, check_quality
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 from torchrl_athletic.recordings.resampling import resample, split_at_gaps
-from torchrl_athletic.recordings.stretches import cut_stretches
+from torchrl_athletic.recordings.stretches import cut_stretches, recorded_time
 
 __all__ = [
     "Arm",
@@ -58,6 +58,7 @@ __all__ = [
     "read_recordings",
     "record",
     "recorded",
+    "recorded_time",
     "repeat_noise",
     "resample",
     "sensor_noise",

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.recordings.recording import BEGAN, MEAN_READING, Recording
+from torchrl_athletic.recordings.resampling import GAP_FACTOR, gap_rows
 
 STRETCH = 6.0
 """Time of one stretch [s]."""
 LEAST = 10.0
 """Time that is kept of all recordings together, whatever it takes [s]."""
-PAUSE = 3.0
-"""Periods between two samples that count at most: a longer pause was not recorded."""
+PAUSE = 1.0
+"""Time without a sample from which on nothing was recorded, where it is also a gap [s]."""
 
 
 def cut_stretches(recordings: Sequence[Recording], seconds: float, values: float = np.inf) -> list[Recording]:
@@ -33,7 +34,7 @@ def cut_stretches(recordings: Sequence[Recording], seconds: float, values: float
         >>> len(kept), round(sum(r.duration for r in kept))
         (10, 59)
     """
-    clocks = [_recorded(r.time) for r in recordings]
+    clocks = [recorded_time(r) for r in recordings]
     total = sum(clock[-1] for clock in clocks)
     size = sum(r.num_samples * r.num_joints for r in recordings)
     most = max(min(seconds, total * values / max(size, 1)), LEAST)
@@ -50,11 +51,22 @@ def cut_stretches(recordings: Sequence[Recording], seconds: float, values: float
         for middle in own:
             first = min(max(middle - length / 2, 0.0), clock[-1] - length)
             low, high = np.searchsorted(clock, [first, first + length])
-            out.append(replace(r.slice(int(low), int(high)), metadata=notes))
+            low = min(int(low), r.num_samples - 2)  # two samples make a recording, however rare they are
+            out.append(replace(r.slice(low, max(int(high), low + 2)), metadata=notes))
     return out
 
 
-def _recorded(time: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Time of each sample since the first, less the pauses [s]. Shape (T,)."""
-    steps = np.diff(time)
-    return np.concatenate([[0.0], np.cumsum(np.minimum(steps, PAUSE * np.median(steps)))])
+def recorded_time(recording: Recording) -> NDArray[np.float64]:
+    """Time of each sample since the first, in which no pause counts for more than a usual step [s]. Shape (T,).
+
+    Example:
+        >>> still = np.zeros((4, 1))
+        >>> recorded_time(Recording(np.array([0.0, 0.1, 9.0, 9.1]), ("hinge",), still, torque_command=still)).round(3)
+        array([0. , 0.1, 0.2, 0.3])
+    """
+    steps = np.diff(recording.time)
+    usual = float(np.median(steps))
+    rows = gap_rows(recording.time, max(PAUSE, GAP_FACTOR * usual))
+    paused = np.zeros(recording.num_samples)
+    paused[rows + 1] = steps[rows] - usual
+    return recording.time - recording.time[0] - np.cumsum(paused)
