@@ -156,6 +156,17 @@ def test_a_bound_that_binds_is_said():
     assert any("torque scale" in r and "bound of 20" in r for r in fitted.remarks)
 
 
+def test_a_long_log_is_fitted_in_part_which_is_said_and_only_what_was_kept_aside_takes_back(monkeypatch):
+    monkeypatch.setattr(fitting, "LONGEST", 12.0)
+    asked = []
+    monkeypatch.setattr(fitting, "vetoed", lambda h, y, takes, rng, floor: asked.extend(takes) or [])
+    long, short = smooth_torque(30.0, 2.5, 1), smooth_torque(2.0, 2.5, 2)
+    takes = [recording(u, integrated(u, friction=0.1)) for u in (long, short)]
+    fitted = fit(pendulum(STEP), takes[:1], takes[1:], extended=False)
+    assert any(r.startswith("Of 30 s of recordings, 12 s were fitted") for r in fitted.remarks)
+    assert sum(part.recording.duration for take in asked for part in take.parts) == pytest.approx(2.0, abs=0.05)
+
+
 @pytest.mark.parametrize("seed", [0])
 def test_a_fit_never_ends_worse_than_it_began(seed):
     """Not even of a motion that has nothing to do with the command."""

@@ -218,6 +218,20 @@ def test_errors_stay_those_of_the_late_command_where_a_diagnosis_found_a_delay()
     assert (seen - (command - position)).abs().max() > 0.1
 
 
+def test_the_past_of_an_episode_ends_where_its_take_begins():
+    """As if no take had been recorded before it."""
+    first, second = (recorded(Simulator("itself", ROBOT), commands(60, seed=n, scale=2.0, hold=15)) for n in (1, 2))
+
+    def shown(takes, start):
+        chain = corrected(net=moved_net(memory=(0.05, 0.5)), kind="correction").chain(decimation=1)
+        data, starts = takes_of(takes, ROBOT), torch.tensor([start])
+        return replay_env(ROBOT, data, chain=chain, by_row=True, starts=starts).reset()
+
+    alone, among = shown([second], 21), shown([first, second], 81)
+    for key in alone.exclude("sample").keys():
+        torch.testing.assert_close(among[key], alone[key])
+
+
 def test_before_an_episode_the_net_sees_the_targets_that_the_motors_could_follow():
     far = replace(TAKES, command=TAKES.command + 3.0)
     env = replay_env(ROBOT, far, chain=corrected().chain(decimation=1), num_envs=1, by_row=True)

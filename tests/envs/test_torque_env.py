@@ -130,8 +130,9 @@ def test_an_episode_ends_where_it_is_told_to():
     assert shown["terminated"].tolist() == shown["done"].tolist() == [[False], [True]]
 
 
-def test_a_simulation_that_diverges_ends_its_episode_and_no_other():
-    env = TorqueEnv(ARM, num_envs=2)
+@pytest.mark.parametrize("terminate", [None, lambda shown: torch.zeros(2, 1, dtype=torch.bool)])
+def test_a_simulation_that_diverges_ends_its_episode_and_no_other(terminate):
+    env = TorqueEnv(ARM, num_envs=2, terminate=terminate)
     env.reset()
     env.physics.qvel[1] = 1e12
     shown = env.step(TensorDict(torque=torch.zeros(2, 7), batch_size=[2]))["next"]

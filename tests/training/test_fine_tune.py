@@ -88,12 +88,13 @@ def test_a_critic_may_learn_before_its_policy_does(env):
     moved = []
     for _ in range(3):
         before = [[p.clone() for p in net.parameters()] for net in (learner.actor, learner.critic)]
-        iterate(learner)
+        rate = iterate(learner)["actor_lr"]
         after = [list(net.parameters()) for net in (learner.actor, learner.critic)]
         moved.append(
             [any((a != b).any() for a, b in zip(*pair, strict=True)) for pair in zip(before, after, strict=True)]
         )
     assert moved == [[False, True], [False, True], [True, True]]
+    assert 0 < rate < 1e-4  # its own, as if nothing had been before
 
 
 def test_without_a_start_it_begins_anew(env):
