@@ -1,6 +1,8 @@
 """The search of the standard joints: what it must find, and what it must not fall for."""
 
-from dataclasses import replace
+import sys
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -10,11 +12,12 @@ from diagnosis.test_fitting import NOISE, RATE, STEP, integrated, parameter, rec
 
 from torchrl_athletic.diagnosis import fit
 from torchrl_athletic.diagnosis.deadline import Deadline
-from torchrl_athletic.diagnosis.joint_fit import descend, problem_of, weighed, window_cost
+from torchrl_athletic.diagnosis.joint_fit import DOUBT, WORTH, descend, problem_of, prune, weighed, window_cost
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.standard import agreement, seen_in, standard_joints
 from torchrl_athletic.recordings import Recording
 
+module = sys.modules["torchrl_athletic.diagnosis.joint_fit"]
 TABLE = """<mujoco><option timestep="0.005" gravity="0 0 0"/><worldbody><body><joint name="pendulum" axis="0 0 1"/>
   <inertial pos="0 0 0" mass="0.1" diaginertia="{0} {0} {0}"/></body></worldbody>
   <actuator><motor joint="pendulum" ctrlrange="-20 20"/></actuator></mujoco>"""
@@ -117,3 +120,38 @@ def test_without_any_time_there_is_a_result_all_the_same():
     fitted = fit(pendulum(STEP), [recording(command, integrated(command, friction=0.1))], time_budget=0.0)
     assert fitted.scores["train"].after <= fitted.scores["train"].before
     assert fitted.parameters
+
+
+@dataclass(frozen=True)
+class Costs:
+    """A problem whose one parameter is worth ``stated`` and ``weighed`` errors a window, in place of simulations."""
+
+    stated: np.ndarray
+    weighed: np.ndarray
+    tuning: float = 1.0
+
+    @property
+    def hypothesis(self) -> SimpleNamespace:
+        return SimpleNamespace(terms=(SimpleNamespace(joint=0, parameters=(None,)),))
+
+    def of(self, without: bool) -> np.ndarray:
+        return 1.0 + without * (self.stated if np.isinf(self.tuning) else self.weighed)
+
+
+@pytest.mark.parametrize(
+    ("stated", "weighed", "needed"),
+    [
+        (0.5 * WORTH, 0.5 * WORTH, False),  # not worth having
+        (2.0 * WORTH, 0.0, True),  # the stated error must not rise
+        (0.0, 0.9 * DOUBT * 0.1, False),  # within what folds leave open: 0.1
+        (0.0, 1.1 * DOUBT * 0.1, True),
+    ],
+)
+def test_a_parameter_goes_where_folds_do_not_ask_for_it(monkeypatch, stated, weighed, needed):
+    windows = np.tile([-1.0, 1.0], 50)  # a mean of zero, a deviation of one
+    problem = Costs(np.full(100, stated), weighed + windows * (weighed > WORTH))
+    near = SimpleNamespace(problem=problem, free=np.ones(1, dtype=bool))
+    monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
+    monkeypatch.setattr(module, "folded", lambda near, trials, fold, first_order=False: [t.any() for t in trials])
+    monkeypatch.setattr(module, "window_cost", lambda problem, trials: np.array([problem.of(t) for t in trials]))
+    assert prune(near, Deadline(np.inf)).tolist() == [needed]

@@ -13,6 +13,8 @@ ARM = """<mujoco><worldbody><body><joint name="hip" axis="0 1 0"/><geom size="0.
   <sensor><jointpos joint="hip"/><jointpos joint="knee"/></sensor>
   <keyframe><key name="home" qpos="0.1 0.2"/></keyframe></mujoco>"""
 
+TURNED = '<body pos="0.5 0 0" quat="0.8 0.2 -0.4 0.4">'
+
 
 def held(angle, travel=0.0, count=100, names=("hip", "knee")):
     time = np.arange(count) / 100
@@ -38,6 +40,24 @@ def test_it_is_held_at_the_median_of_all_recordings_that_have_it_and_else_at_zer
     np.testing.assert_allclose(attitude(("knee",), elsewhere), attitude(("knee=0",)), atol=1e-6)
     np.testing.assert_allclose(attitude(("knee=0.3",), *several), attitude(("knee=0.3",)), atol=1e-6)  # as it is told
     assert np.abs(attitude(("knee=0.7",)) - attitude(("knee=0",))).max() > 0.1
+
+
+@pytest.mark.parametrize("angle", ["radian", "degree"])
+@pytest.mark.parametrize("kind", ["hinge", "slide"])
+def test_a_locked_joint_leaves_everything_where_the_joint_would_have_it(kind, angle):
+    """The joint's anchor and axis are anything, and so are its body's attitude and its zero."""
+    joint = f'<joint name="knee" type="{kind}" axis="1 2 -1" pos="0.1 -0.2 0.3" ref="0.2"/>'
+    xml = ARM.replace('<joint name="knee" axis="0 1 0"/>', joint).replace('<body pos="0.5 0 0">', TURNED)
+    xml = xml.replace("<mujoco>", f'<mujoco><compiler angle="{angle}"/>')
+    free = mujoco.MjModel.from_xml_string(xml)
+    moved = mujoco.MjData(free)
+    moved.qpos[:] = (0.0, 0.7)
+    mujoco.mj_kinematics(free, moved)
+    locked = mujoco.MjModel.from_xml_string(locked_joints(xml, ("knee=0.7",), [])[0])
+    still = mujoco.MjData(locked)
+    mujoco.mj_kinematics(locked, still)
+    np.testing.assert_allclose(still.geom_xpos, moved.geom_xpos, atol=1e-6)
+    np.testing.assert_allclose(still.geom_xmat, moved.geom_xmat, atol=1e-6)
 
 
 def test_what_moves_no_further_than_backlash_and_noise_stood_still():

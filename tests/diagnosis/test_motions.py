@@ -164,6 +164,13 @@ def test_rounded_steps_are_no_faster_than_allowed_and_sweeps_say_their_speed(tak
     assert max(first) == pytest.approx(8 * min(first))  # the quickest and the slowest of three speeds
 
 
+def test_a_motor_that_is_weaker_one_way_is_planned_for_as_weak_both_ways():
+    for least, greatest in ((-2, 5), (-5, 2)):
+        motor = f'<motor joint="pendulum" ctrllimited="true" ctrlrange="{least} {greatest}"/>'
+        xml = pendulum().replace('<motor joint="pendulum"/>', motor)
+        assert limits_of(xml, 0.5 * smooth_torque(3.0))[0].torque == pytest.approx(2.0)
+
+
 def test_the_motors_range_is_the_limit_where_there_is_one(takes):
     assert Limits.of(takes).torque == pytest.approx(two_link_arm().torque_limit)
 

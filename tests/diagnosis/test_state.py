@@ -48,6 +48,25 @@ def test_nothing_that_was_kept_aside_lets_the_fitted_recordings_say_so():
     assert "with 75 % of the error" in said
 
 
+def test_what_is_taken_back_is_gone_from_the_stated_errors_too(monkeypatch):
+    own, gone = trial(4.0), [SimpleNamespace(where="hip")]
+    own.scores["heldout"] = Score(9.0, 4.0, 1.0, 0.0, {"hip": {"floor": 1.0}})
+    given = SimpleNamespace(rng=lambda name: name, joint_names=("hip",))
+    fitted = SimpleNamespace(hypothesis="laws", values="numbers")
+    ready = SimpleNamespace(given=given, held=SimpleNamespace(takes="kept aside"))
+    asked = []
+    monkeypatch.setattr(stating, "vetoed", lambda *told: asked.append(told) or gone)
+    monkeypatch.setattr(stating, "without", lambda fitted, dropped: ("the rest", dropped))
+    monkeypatch.setattr(stating, "scores_of", lambda fitted, ready: {"heldout": fitted})
+    monkeypatch.setattr(stating, "veto_sentence", lambda dropped, names: "taken back")
+    found = stating._kept(stating.Correction(fitted, own.scores, ("before",)), ready)
+    [(laws, numbers, takes, rng, floor)] = asked
+    assert (laws, numbers, takes, rng, floor.tolist()) == ("laws", "numbers", "kept aside", "heldout", [1.0])
+    assert found.fitted == ("the rest", gone)
+    assert found.scores == {"heldout": ("the rest", gone)}
+    assert found.sentences == ("before", "taken back")
+
+
 def logged(kd, **metadata):
     return SimpleNamespace(
         kd=None if kd is None else np.array(kd),
