@@ -12,8 +12,26 @@ from diagnosis.test_fitting import NOISE, RATE, STEP, integrated, parameter, rec
 
 from torchrl_athletic.diagnosis import fit
 from torchrl_athletic.diagnosis.deadline import Deadline
-from torchrl_athletic.diagnosis.joint_fit import DOUBT, WORTH, descend, problem_of, prune, weighed, window_cost
+from torchrl_athletic.diagnosis.joint_fit import (
+    DOUBT,
+    WORTH,
+    Problem,
+    affordable,
+    descend,
+    folded,
+    folds_of,
+    in_units,
+    linearise,
+    more_telling,
+    part_of,
+    problem_of,
+    prune,
+    search,
+    weighed,
+    window_cost,
+)
 from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.replay import Windows
 from torchrl_athletic.diagnosis.standard import agreement, seen_in, standard_joints
 from torchrl_athletic.recordings import Recording
 
@@ -155,3 +173,269 @@ def test_a_parameter_goes_where_folds_do_not_ask_for_it(monkeypatch, stated, wei
     monkeypatch.setattr(module, "folded", lambda near, trials, fold, first_order=False: [t.any() for t in trials])
     monkeypatch.setattr(module, "window_cost", lambda problem, trials: np.array([problem.of(t) for t in trials]))
     assert prune(near, Deadline(np.inf)).tolist() == [needed]
+
+
+def take_like(samples, begins=(0,), period=0.005, truth=1.0):
+    """Of one joint or more, each of which follows its own number times a wave."""
+    wave = np.ones(samples)
+    return SimpleNamespace(
+        time=period * np.arange(samples), begins=np.array(begins), period=period, wave=wave, address=None,
+        measured=wave[:, None] * np.atleast_2d(truth),
+    )  # fmt: skip
+
+
+def following(monkeypatch, *windows, nominal=(0.0,), low=-99.0, high=99.0, scale=1.0, torques=None):
+    """A problem whose simulation is a number of each joint times the take's wave, with the values that it was asked."""
+    asked = []
+
+    def simulate(w, build, values):
+        asked.append(values.copy())
+        return values[:, None, None, :] * w.take.wave[w.index][None, :, :, None]
+
+    monkeypatch.setattr(module, "simulate", simulate)
+    ones = np.ones(len(nominal))
+    h = SimpleNamespace(
+        terms=tuple(SimpleNamespace(joint=j, parameters=(None,)) for j in range(len(ones))), build=None,
+        nominal=np.array(nominal, dtype=float), scale=scale * ones, bounds=(low * ones, high * ones),
+    )  # fmt: skip
+    count = sum(len(w.start) for w in windows)
+    return Problem(h, windows, ones, np.ones(count), torques=torques), asked
+
+
+def each_its_own(*truths, length=4):
+    """Windows back to back, each of which was made by another number."""
+    t = take_like(len(truths) * length + 1)
+    t.measured[1:, 0] = np.repeat(truths, length)
+    return Windows(t, length * np.arange(len(truths)), length)
+
+
+@pytest.mark.parametrize("at_once", [1, 200])
+def test_errors_are_those_of_the_thinned_samples_window_by_window(monkeypatch, at_once):
+    """By hand, on a wave of 0, 1, 2...: every sample of 5 ms, and each fifth of 1 ms."""
+    monkeypatch.setattr(module, "AT_ONCE", at_once)
+    slow, fast = take_like(7, truth=[0.0, 0.0]), take_like(11, period=0.001, truth=[0.0, 0.0])
+    slow.wave, fast.wave = np.arange(7.0), np.arange(11.0)
+    problem, _ = following(monkeypatch, Windows(slow, np.array([0, 3]), 3), Windows(fast, np.array([0]), 10),
+                           nominal=(0.0, 0.0))  # fmt: skip
+    x = np.array([[1.0, 2.0], [3.0, 0.0]])
+    square = np.array([14 / 3, 77 / 3, (25 + 100) / 2])  # of 1, 2, 3; of 4, 5, 6; of 5 and 10
+    np.testing.assert_allclose(problem.mean_square(x), square[None, :, None] * np.array([[[1, 4]], [[9, 0]]]))
+    errors = problem.errors(x)
+    assert problem.window.tolist() == [0] * 6 + [1] * 6 + [2] * 4
+    assert errors.shape == (16, 2)
+    assert errors[:4, 0] * np.sqrt(3) == pytest.approx([1, 2, 2, 4])  # joints side by side
+    np.testing.assert_allclose(problem.squares(errors[:, 1]), np.outer(square, [9, 0]))
+    told = replace(problem, weight=np.array([1.0, 4.0, 9.0]), unit=np.array([2.0, 10.0])).row_weight
+    assert told == pytest.approx([0.5, 0.1] * 3 + [1.0, 0.2] * 3 + [1.5, 0.3] * 2)
+
+
+def test_a_window_weighs_less_the_more_typical_errors_it_is_off_and_in_plain_least_squares_as_any_other():
+    square = np.array([[1.0, 4.0], [9.0, 4.0], [4.0, 160.0]])
+    problem = Problem(None, (), np.ones(2), np.ones(3))
+    robust = in_units(problem, square)
+    assert robust.unit == pytest.approx([2, 2])  # medians of 4
+    ratio = np.array([0.625, 1.625, 20.5])
+    assert robust.weight == pytest.approx(1 / (1 + ratio / 9))
+    assert window_cost(robust, square[None])[0] == pytest.approx(9 * np.log(1 + ratio / 9))
+    plain = in_units(replace(problem, tuning=np.inf), square)
+    assert plain.unit**2 == pytest.approx([14 / 3, 56])
+    assert plain.weight.tolist() == [1, 1, 1]
+    assert window_cost(plain, square[None])[0, 0] == pytest.approx((3 / 14 + 1 / 14) / 2)
+    assert in_units(replace(problem, pooled=True), square).unit ** 2 == pytest.approx([4, 4])
+    pooled = in_units(replace(problem, tuning=np.inf, pooled=True), square)
+    assert pooled.unit**2 == pytest.approx([91 / 3, 91 / 3])
+
+
+def test_few_windows_are_made_up_by_some_that_overlap_within_their_own_recordings(monkeypatch):
+    windows = Windows(take_like(40, (0, 20)), np.array([0, 11, 20, 31]), 8)
+    denser = module._overlapping(windows, 8)
+    assert denser.start.tolist() == [*range(8), 11, *range(20, 28), 31]  # 12 + 8 is the next recording's first
+    asked = []
+    monkeypatch.setattr(module, "_overlapping", lambda w, times: asked.append(times) or w)
+    monkeypatch.setattr(module, "well_started", lambda w: w)
+    many = Windows(take_like(90), np.arange(10), 2)
+    monkeypatch.setattr(module, "draw_windows", lambda takes, seconds, most, rng: [many, many])
+    problem, _ = following(monkeypatch, many, many)
+    take = SimpleNamespace(address=SimpleNamespace(dof=[0]))
+    for seconds, most in ((0.5, 400), (0.5, 30), (0.5, 20), (0.2, 400)):
+        found = problem_of(problem.hypothesis, [take], seconds, most, None, np.zeros(1))
+        assert len(found.weight) == 20
+    assert asked == [3, 3, 2, 2]  # up to 60 of 20, and to no more than were asked for: 30
+
+
+def test_starts_mix_the_best_numbers_of_each_joint():
+    h = SimpleNamespace(terms=[SimpleNamespace(joint=j, parameters=[None] * n) for j, n in ((0, 2), (1, 1))])
+    square = np.array([[[3, 1], [3, 1], [0, 99]], [[1, 2], [1, 2], [99, 0]], [[2, 3], [2, 3], [2, 3]]], dtype=float)
+    begin = np.arange(3.0)[:, None] * np.ones(3)
+    assert [x.tolist() for x in module._mixed(h, square, begin, 2)] == [[1, 1, 0], [2, 2, 1]]
+    assert len(module._mixed(h, square, begin, 9)) == 3
+
+
+def test_of_points_the_best_are_kept_once_each_and_the_torques_have_a_say(monkeypatch):
+    problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
+    points = [np.array([x]) for x in (4.0, 1.5, 1.5, 2.5, 0.9)]
+    assert [x[0] for x in module._best(problem, points, 3)] == [0.9, 1.5, 2.5]
+    torques = SimpleNamespace(rows=lambda values: 1e3 * (values[:, 0] - 1.5)[None])
+    assert [x[0] for x in module._best(replace(problem, torques=torques), points, 2)] == [1.5, 0.9]
+
+
+def test_a_step_solves_for_the_windows_that_are_asked_and_for_their_share_of_the_torques(monkeypatch):
+    """By hand: (x - 1)², (x - 3)² of two windows and (x - 5)² of the torques, half of it for one window."""
+    torques = SimpleNamespace(rows=lambda values: 5.0 * (values[:, 0] - 5.0)[None])  # 0.02 · 2 windows · 25 = 1
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0), nominal=(-1.0,), scale=0.5, torques=torques)
+    near = linearise(problem, np.array([2.0]), np.array([True]))
+    yes, no = np.array([True]), np.array([False])
+    both, first = np.array([True, True]), np.array([True, False])
+    assert near.step(both, no) == pytest.approx([3.0], rel=1e-4)
+    assert near.step(first, no) == pytest.approx([(1 + 2.5) / 1.5], rel=1e-4)
+    assert near.move(both, no) == pytest.approx([2.0], rel=1e-4)  # units of 0.5
+    assert near.step(both, yes).tolist() == [-1.0]
+    alone = linearise(replace(problem, torques=None), np.array([2.0]), yes)
+    for high, ends in ((2.5, 2.5), (99.0, 3.0)):
+        problem.hypothesis.bounds = (np.array([0.0]), np.array([high]))
+        assert alone.step(~first, no) == pytest.approx([ends], rel=1e-4)
+
+
+@pytest.mark.parametrize("x", [0.0, 1.0])
+def test_differences_are_taken_into_the_bounds(monkeypatch, x):
+    problem, asked = following(monkeypatch, each_its_own(3.0, 3.0, length=1), nominal=(0.0, 0.0), low=0.0, high=1.0)
+    near = linearise(problem, np.array([x, 0.5]), np.array([True, False]))
+    assert 0.0 <= min(a.min() for a in asked) <= max(a.max() for a in asked) <= 1.0
+    assert all((a[:, 1] == 0.5).all() for a in asked)
+    np.testing.assert_allclose(near.columns, [[1.0], [0.0], [1.0], [0.0]], atol=1e-9)
+    assert near.errors.tolist() == [x - 3.0, -2.5] * 2
+
+
+@pytest.mark.parametrize("first_order", [False, True])
+def test_a_fold_is_told_by_the_others_and_never_by_itself(monkeypatch, first_order):
+    """Of windows 1, 3 and 8: the last says 8 of the first two, they say 2 of it; held, the given model's 0 says all."""
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0, 8.0))
+    near = linearise(problem, np.array([4.0]), np.array([True]))
+    trials = [np.array([False]), np.array([True])]
+    square = folded(near, trials, np.array([0, 0, 1]), first_order)[:, :, 0]
+    np.testing.assert_allclose(square, [[49, 25, 36], [1, 9, 64]], rtol=1e-4)
+
+
+def test_folds_are_whole_recordings_as_even_as_can_be_and_of_few_recordings_stretches_of_time():
+    one = Windows(take_like(40, (0, 10, 20)), np.array([0, 1, 2, 3, 4, 5, 10, 11, 12, 20]), 3)
+    two = Windows(take_like(20, (0, 10)), np.array([0, 1, 10, 11, 12]), 3)
+    fold = folds_of(SimpleNamespace(windows=(one, two)))
+    recording = np.repeat(np.arange(5), [6, 3, 1, 2, 3])
+    assert all(len(set(fold[recording == k])) == 1 for k in range(5))
+    assert sorted(np.bincount(fold)) == [3, 3, 3, 6]
+    alone = Windows(take_like(90), np.array([40, 0, 10, 20, 30, 50, 60, 70]), 3)
+    assert folds_of(SimpleNamespace(windows=(alone,))).tolist() == [2, 0, 0, 1, 1, 2, 3, 3]
+
+
+def test_a_part_of_a_problem_is_its_windows_with_their_weights(monkeypatch):
+    first, gone, last = each_its_own(1.0, 2.0), each_its_own(3.0), each_its_own(4.0, 5.0, 6.0)
+    whole, _ = following(monkeypatch, first, gone, last)
+    chosen = np.array([False, True, False, True, False, True])
+    part = part_of(replace(whole, weight=np.arange(6.0)), chosen)
+    assert len(part.windows) == 2
+    assert part.weight.tolist() == [1, 3, 5]
+    np.testing.assert_array_equal(part.mean_square(np.zeros((1, 1)))[0, :, 0], [4, 16, 36])
+
+
+def test_a_descent_ends_at_the_least_squares_or_at_the_bound_before_it_and_moves_only_what_may(monkeypatch):
+    windows = Windows(take_like(9, truth=[1.0, -2.0]), np.array([0, 4]), 4)
+    problem, _ = following(monkeypatch, windows, nominal=(0.0, 0.0), low=-1.5, high=9.0, scale=0.25)
+    begin = np.array([7.0, 5.0])
+    assert descend(problem, begin, np.array([True, True]), 3, Deadline()) == pytest.approx([1.0, -1.5], abs=1e-3)
+    assert descend(problem, begin, np.array([True, False]), 3, Deadline()) == pytest.approx([1.0, 5.0], abs=1e-3)
+    assert descend(problem, begin, np.array([False, False]), 3, Deadline()) is begin
+
+
+def test_a_descent_goes_on_from_where_it_is_as_long_as_it_pays(monkeypatch):
+    """Its first slope may be given; each other one is taken where the last one ended."""
+    monkeypatch.setattr(module, "linearise", lambda problem, x, free: SimpleNamespace(seconds=0.0, values=x))
+    saved = iter([0.5, 0.002, 0.0005, 0.5])
+    monkeypatch.setattr(module, "_steps", lambda problem, near, deadline: (near.values + 1, next(saved)))
+    given = SimpleNamespace(seconds=0.0, values=np.array([10.0]))
+    free = np.array([True])
+    assert descend(None, np.zeros(1), free, 2, Deadline(), given).tolist() == [12.0]
+    assert descend(None, np.zeros(1), free, 5, Deadline()).tolist() == [1.0]  # 0.05 % is not worth a slope
+    slow = SimpleNamespace(seconds=100.0, values=np.array([10.0]))
+    assert descend(None, np.zeros(1), free, 5, Deadline(120.0), slow).tolist() == [11.0]
+
+
+@pytest.mark.parametrize(("step", "count"), [(0.005, 400), (0.0001, 100), (1e-5, 20)])
+def test_windows_are_as_many_as_five_million_steps_allow(monkeypatch, step, count):
+    """Half a second of two joints, for four numbers and the solution itself; and as many as a budget allows."""
+    take = SimpleNamespace(
+        model=SimpleNamespace(opt=SimpleNamespace(timestep=step)), address=SimpleNamespace(dof=[0, 1])
+    )
+    h = SimpleNamespace(nominal=np.zeros(5), bounds=(np.zeros(5), np.array([1.0, 1.0, 1.0, 1.0, 0.0])))
+    assert affordable(h, [take], Deadline()) == count
+    now, sizes = [0.0], []
+
+    def mean_square(values):
+        now[0] += 1.0
+        sizes.append(len(values))
+
+    tried = SimpleNamespace(weight=np.ones(10), mean_square=mean_square)
+    monkeypatch.setattr(module, "problem_of", lambda *_: tried)
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    # a fiftieth of 300 s is 6 s, of a tenth of a second each
+    assert affordable(h, [take], Deadline(300.0)) == min(count, 60)
+    assert sizes == [5]
+
+
+def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
+    name = lambda problem: "pooled" if problem.pooled else "plain" if np.isinf(problem.tuning) else "weighed"  # noqa: E731
+    errors = {}
+    monkeypatch.setattr(module, "in_units", lambda problem, square: problem)
+    monkeypatch.setattr(module, "weighed", lambda problem, x: problem)
+    monkeypatch.setattr(module, "descend", lambda problem, x, *_: x)
+    monkeypatch.setattr(module, "stated", lambda near: errors[name(near.problem)])
+    monkeypatch.setattr(module, "linearise", lambda problem, x, free: SimpleNamespace(problem=problem))
+
+    def best(*told, joints=2, left=np.inf):
+        errors.update(zip(("weighed", "plain", "pooled"), told, strict=True))
+        problem = Problem(None, (), np.ones(joints), np.ones(1))
+        monkeypatch.setattr(Problem, "squares", lambda self, errors: None)
+        near = SimpleNamespace(problem=problem, free=None, values=None, errors=None, seconds=10.0)
+        return name(more_telling(near, Deadline(left)).problem)
+
+    assert best(1.0, 2.0, 3.0) == "weighed"
+    assert best(2.0, 1.0, 3.0) == "plain"
+    assert best(3.0, 2.0, 1.0) == "pooled"
+    assert best(3.0, 1.0, 2.0) == "plain"
+    assert best(3.0, 2.0, 1.0, joints=1) == "plain"
+    assert best(3.0, 2.0, 1.0, left=25.0) == "weighed"  # each takes three times as long as a slope
+
+
+def test_a_search_whose_every_descent_goes_astray_ends_at_the_best_of_its_starts(monkeypatch):
+    problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
+    take = SimpleNamespace()
+    monkeypatch.setattr(module, "affordable", lambda *_: 400)
+    monkeypatch.setattr(module, "problem_of", lambda *_: problem)
+    monkeypatch.setattr(module, "more_telling", lambda near, deadline: near)
+    monkeypatch.setattr(module, "descend", lambda problem, x, free, slopes, deadline: x + 50.0 * (slopes < 3))
+    begin, told = np.array([[9.0], [8.0], [7.0], [6.0], [1.25], [5.0]]), []
+    found = search(problem.hypothesis, [take], begin, np.random.default_rng(0), Deadline(), progress=told.append)
+    assert found.values.tolist() == [1.25]
+    assert told == sorted(told)
+    monkeypatch.setattr(module, "descend", lambda problem, x, *_: 0.5 * (x + 1.0))
+    closer = search(problem.hypothesis, [take], begin, np.random.default_rng(0), Deadline())
+    assert closer.values == pytest.approx([1 + 0.25 / 16])  # four descents, each of which halves the way
+
+
+@pytest.mark.parametrize(
+    ("together", "needed"),
+    [(0.0, [False, True, False, True]), (5.0, [False, True, True, True])],  # of two that stand for each other, one
+)
+def test_of_each_joint_the_least_needed_goes_and_of_two_that_stand_for_each_other_one(monkeypatch, together, needed):
+    """Two numbers of two joints: the first of each is worth next to nothing, or, without the other's, a lot."""
+    worth = WORTH * np.array([0.1, 20.0, 0.2, 20.0])
+    joints = tuple(SimpleNamespace(joint=j, parameters=(None, None)) for j in (0, 1))
+    problem = replace(Problem(None, (), np.ones(1), np.ones(100)), hypothesis=SimpleNamespace(terms=joints))
+    near = SimpleNamespace(problem=problem, free=np.array([True, True, True, True]))
+
+    def cost(held):
+        return 1.0 + worth @ held + WORTH * together * bool(held[0] and held[2])
+
+    monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
+    monkeypatch.setattr(module, "folded", lambda near, trials, fold, first_order=False: [cost(t) for t in trials])
+    monkeypatch.setattr(module, "window_cost", lambda problem, told: np.array(told)[:, None] * np.ones(100))
+    assert prune(near, Deadline()).tolist() == needed
