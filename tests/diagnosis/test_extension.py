@@ -21,8 +21,9 @@ from torchrl_athletic.diagnosis.extension import (
     _joined,
     extend,
     offers,
+    with_gear,
 )
-from torchrl_athletic.diagnosis.joint_fit import descend, linearise, problem_of, weighed
+from torchrl_athletic.diagnosis.joint_fit import Linearised, Problem, descend, linearise, problem_of, weighed
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.standard import Seen, seen_in, standard_joints
 from torchrl_athletic.effects import Parameter
@@ -213,3 +214,83 @@ def test_a_gear_is_hinted_at_where_it_leaves_much_less_of_what_the_torques_leave
     best = dict(zip((p.name for p in hints[0].candidate.parameters), hints[0].start, strict=True))
     assert min(FINER) * best["stiffness"] < stiffness < max(FINER) * best["stiffness"]  # among which a search begins
     assert extension._hints(near.problem.hypothesis, swings) == []
+
+
+def test_each_round_builds_on_the_last_one_and_must_save_a_hundredth(monkeypatch):
+    costs = {"": 1.0, "a": 0.98, "ab": 0.95, "abc": 0.1}
+    seen = []
+    near = SimpleNamespace(name="", seconds=0.0)
+    monkeypatch.setattr(extension, "offers", lambda n, *_: seen.append(n.name) or [])
+    monkeypatch.setattr(extension, "_with", lambda n, chosen, *_: SimpleNamespace(name=n.name + chosen[0], seconds=0.0))
+    monkeypatch.setattr(extension, "stated", lambda n: costs[n.name])
+    for first, name in ((0.98, "ab"), (0.991, "")):
+        costs["a"], rounds = first, iter([["a"], ["b"], ["c"]])
+        monkeypatch.setattr(extension, "_chosen", lambda *_, rounds=rounds: next(rounds))
+        assert extend(near, None, None, Deadline()).name == name
+    assert seen == ["", "a", ""]
+
+
+def test_of_each_joint_the_best_law_by_its_slope_is_simulated_and_the_best_of_these_comes_first(monkeypatch):
+    """Costs of folds to first order and in simulation, of 1 without a law."""
+    laws = {  # joint, first order, simulated
+        "misled": (0, 0.5, 1.0), "second": (0, 0.7, 0.6),  # the slope promises what is not kept
+        "good": (1, 0.9, 0.8), "better": (2, 0.8, 0.3),
+        "weak": (3, 0.99, 0.1), "worse": (4, 1.2, 0.1),
+    }  # fmt: skip
+    tried = [SimpleNamespace(name=name, candidate=SimpleNamespace(joint=joint)) for name, (joint, *_) in laws.items()]
+    parts = []
+    monkeypatch.setattr(extension, "folds_of", parts.append)
+    monkeypatch.setattr(extension, "_beside", lambda few, offer: offer)
+    monkeypatch.setattr(extension, "_nothing", lambda near: None)
+    monkeypatch.setattr(extension, "_cost", lambda few, cost: [np.full(9, cost)])
+
+    def folded(near, trials, fold, first_order=False):
+        return laws[near.name][1 if first_order else 2] if hasattr(near, "name") else 1.0
+
+    monkeypatch.setattr(extension, "folded", folded)
+    problem = Problem(None, (), np.ones(1), np.arange(100.0), torques="said")
+    nothing = np.zeros((0, 2))
+    near = Linearised(problem, np.zeros(2), np.ones(2, dtype=bool), nothing[:, 0], nothing, nothing[:, 0], nothing)
+    assert [offer.name for offer in _chosen(near, tried, Deadline())] == ["better", "good"]
+    (few,) = parts
+    assert few.torques is None
+    assert len(few.weight) == 32
+    assert few.weight[[0, -1]].tolist() == [0, 99]  # over all of the recordings
+    assert _chosen(near, tried, Deadline(0.0)) == []
+
+
+@pytest.mark.parametrize(("after", "taken"), [(0.95, True), (0.97, False)])
+def test_a_gear_is_searched_for_from_the_given_and_the_fitted_joint_at_many_stiffnesses(monkeypatch, after, taken):
+    """Twice a law's share of the error must go, since all is searched for anew."""
+    searched = []
+
+    def hint(*start):
+        own = tuple(Parameter(n, "1", x, 0.0, 99.0, 1.0) for n, x in (("play", 0.5), ("stiffness", 90.0)))
+        return SimpleNamespace(candidate=SimpleNamespace(parameters=own), start=np.array(start))
+
+    def search(h, takes, begin, *_):
+        searched.append((h, begin))
+        return found
+
+    own = SimpleNamespace(parameters=(Parameter("drag", "1", 1.0, 0.0, 9.0, 1.0),))
+    near = SimpleNamespace(problem=SimpleNamespace(hypothesis=extension.Hypothesis((own,))), values=np.array([2.0]),
+                           seconds=1.0)  # fmt: skip
+    found = SimpleNamespace()
+    hints = [hint(0.1, 10.0), hint(0.2, 20.0)]
+    monkeypatch.setattr(extension, "_hints", lambda h, prepared: hints)
+    monkeypatch.setattr(extension, "search", search)
+    monkeypatch.setattr(extension, "agreement", lambda h, prepared: None)
+    monkeypatch.setattr(extension, "stated", lambda n: 1.0 if n is near else after)
+    prepared = SimpleNamespace(takes=())
+    assert with_gear(near, prepared, None, Deadline(21.0)) is (found if taken else near)
+    ((h, begin),) = searched
+    assert h.terms == (own, hints[0].candidate)
+    assert begin.shape == (1 + 25 + 25 + 1, 3)
+    assert begin[[0, -1]].tolist() == [[1.0, 0.5, 90.0], [1.0, 0.2, 20.0]]  # rigid; the next hint
+    assert begin[1:51, 0].tolist() == [1.0] * 25 + [2.0] * 25
+    assert (begin[1:51, 1] == 0.1).all()
+    assert begin[[1, 25, 26, 50], 2] == pytest.approx([4.0, 25.0, 4.0, 25.0])
+    assert with_gear(near, prepared, None, Deadline(19.0)) is near
+    hints.clear()
+    assert with_gear(near, prepared, None, Deadline()) is near
+    assert len(searched) == 1

@@ -287,3 +287,146 @@ def test_a_bound_binds_where_it_is_neither_natural_nor_given():
     assert "torque of elbow (coulomb friction) ends at its bound of 9 N·m" in _binds(friction(value=9.0), p)
     low = Parameter("scale", "1", 1.0, 0.2, 3.0, 1.0)
     assert "bound of 0.2:" in _binds(friction(value=0.2), low)
+
+
+def solved(*, free=(True,), sigma=(0.0,), values=None, **changes):
+    """What a fit ends with, its deviations told."""
+    free = np.array(free)
+    values = np.zeros(len(free)) if values is None else np.array(values, dtype=float)
+    h = SimpleNamespace(scale=np.ones(len(free)), nominal=np.zeros(len(free)))
+    told = {"problem": SimpleNamespace(hypothesis=h), "free": free, "values": values, "sigma": np.array(sigma)}
+    return SimpleNamespace(**(told | changes))
+
+
+def test_deviations_count_windows_and_not_samples_and_what_the_torques_say():
+    """By hand: curvature 4 · 2 + 2² = 12, gradients 1, -1, 2, -2 of the windows, in units of a half."""
+    near = solved(free=[False, True, True])
+    near.problem.hypothesis.scale = np.array([9.0, 0.5, 3.0])
+    near.normal = np.tile(np.diag([2.0, 5.0]), (4, 1, 1))
+    near.right = np.array([[1.0, 0.0], [-1.0, 3.0], [2.0, 0.0], [-2.0, -4.0]])
+    near.pull_columns = np.array([[2.0, 0.0]])
+    assert fitting.spread_of(near) == pytest.approx([np.sqrt(10) / 12 * 0.5, 5 / 20 * 3.0])
+
+
+def test_what_is_not_seen_and_what_is_one_and_the_same_has_no_number_of_its_own():
+    """Of four windows, 0.4 thousandths of a typical error per change worth mentioning is the least that is seen."""
+    names = ["drag", "slip", "spring", "play", "torque_saturation"]
+    terms = []
+    for n in names:
+        own = [Parameter(n, "1", 0, 0, 1, 1)]
+        terms.append(SimpleNamespace(where="elbow", joint=0, effect=SimpleNamespace(name=n), parameters=own))
+    near = solved(free=[True] * 5)
+    near.problem.hypothesis.terms = terms
+    columns = np.array([[1, 2, 0, 0, 0], [0, 0, 0.41e-3, 0, 0], [0, 0, 0, 0.39e-3, 0], [0, 0, 0, 0, 1e-9]])
+    near.normal = columns[:, :, None] * columns[:, None, :]
+    seen = SimpleNamespace(travel=np.array([1.0]), asked=np.array([3.25]))
+    assert fitting._doubts(near, seen) == [
+        "the same motion follows from slip of elbow", "the same motion follows from drag of elbow", "",
+        "no recording shows it", "never reached: it is at least 3.25 1",
+    ]  # fmt: skip
+    seen.travel[0] = 0.9e-3
+    assert fitting._doubts(near, seen)[3:] == ["elbow never moves"] * 2
+
+
+@pytest.mark.parametrize(
+    ("centre", "sigma", "wide"), [(0.0, 2.5, False), (0.0, 2.6, True), (-6.0, 3.0, False), (-6.0, 3.1, True)]
+)
+def test_an_interval_may_be_as_wide_as_five_changes_worth_mentioning_or_the_number_itself(
+    monkeypatch, centre, sigma, wide
+):
+    """Of a needed number, by the last fit's value and the narrower of both deviations; 1.96 of them to either side."""
+    monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
+    monkeypatch.setattr(fitting, "_doubts", lambda near, seen: ["", ""])
+    near = solved(free=[True, True], sigma=[9.0, sigma], values=[50.0, centre])
+    near.problem.hypothesis.parameters = [Parameter("p", "1", 0.0, -99, 99, 1.0)] * 2
+    again = solved(free=[True, False], sigma=[sigma], values=[centre, 50.0])
+    said = "its interval is wider than the number itself" if wide else ""
+    assert fitting._reasons(near, again, np.array([True, False]), None) == [said, said]
+    monkeypatch.setattr(fitting, "_doubts", lambda near, seen: ["never moves", ""])
+    assert fitting._reasons(near, again, np.array([True, False]), None) == ["never moves", said]
+
+
+@pytest.mark.parametrize(("worse", "goes"), [(1.009, True), (1.011, False)])
+def test_what_has_no_number_of_its_own_goes_unless_the_motion_is_followed_worse_by_a_hundredth(
+    monkeypatch, worse, goes
+):
+    """What another number does as well stays, and so does the unknown that was not needed."""
+    started = []
+    monkeypatch.setattr(fitting, "_reasons", lambda *_: ["no recording shows it", f"{fitting.ALSO} drag", "", "unseen"])
+    monkeypatch.setattr(fitting, "weighed", lambda problem, x: problem)
+    monkeypatch.setattr(
+        fitting, "descend", lambda problem, x, free, *_: started.append((x.tolist(), free.tolist())) or x
+    )
+    monkeypatch.setattr(fitting, "linearise", lambda problem, x, free: solved(free=free, values=x))
+    monkeypatch.setattr(fitting, "window_cost", lambda problem, square: square)
+    near = solved(free=[True, True, False, True, True])
+    again = solved(free=[True] * 5, values=[5.0, 6.0, 7.0, 8.0, 9.0])
+    again.problem.hypothesis.nominal = np.array([1.0, 2.0, 3.0, 4.0, 4.5])
+    again.problem.errors = lambda x: np.where(x[0, :1] == 5.0, 1.0, worse)[:, None]
+    again.problem.squares = lambda errors: errors
+    needed = np.array([True, True, False, True, False])
+    found, left = fitting._without_unknown(near, again, needed, None, None)
+    assert started == [([1.0, 6.0, 7.0, 8.0, 9.0], [False, True, False, True, False])]
+    assert left.tolist() == ([False, True, False, True, False] if goes else needed.tolist())
+    assert (found is again) is not goes
+    assert fitting._without_unknown(near, again, np.array([False, True, True, True, False]), None, None)[0] is again
+
+
+@pytest.mark.parametrize(("first", "second", "stated"), [(0.9, 0.5, 0), (1.0, 0.5, 0), (1.1, 0.9, 1), (1.1, 1.2, None)])
+def test_the_first_fit_that_is_not_worse_than_the_given_model_is_stated_or_none(monkeypatch, first, second, stated):
+    points = [np.array([first]), np.array([second])]
+    needed = [np.array([True]), np.array([False])]
+    score = lambda takes, h, x, *_: (SimpleNamespace(before=1.0, after=x[0]),)  # noqa: E731
+    monkeypatch.setattr(fitting, "score", score)
+    train = SimpleNamespace(takes=(), position_noise=None, repeatability=None)
+    x, left = fitting._no_worse(SimpleNamespace(nominal=np.array([7.0])), points, needed, train, 0)
+    assert (x[0], left[0]) == ((7.0, False) if stated is None else (points[stated][0], needed[stated][0]))
+
+
+def test_half_of_the_free_memory_is_shared_by_what_is_fitted_and_what_is_kept_aside(monkeypatch):
+    """0.9 GB for the libraries, 600 bytes for a reading; all are prepared alike, in the first take's order."""
+    cut, made = [], []
+
+    class Enough(Exception):
+        pass
+
+    def prepare(recordings, model, drive, kernel=None, *, xml):
+        made.append((recordings, drive, kernel))
+        if len(made) % 2 == 0:
+            raise Enough
+        return SimpleNamespace(signals=[SimpleNamespace(kernel=0.125)])
+
+    def take(name):
+        return SimpleNamespace(joint_names=("b", "a"), ordered=lambda order: (name, order))
+
+    monkeypatch.setattr(fitting, "free_memory", lambda: 2 * (0.9e9 + 600.0 * 1000))
+    monkeypatch.setattr(fitting, "cut_stretches", lambda r, longest, values: cut.append((longest, values)) or r)
+    monkeypatch.setattr(fitting, "recorded_time", lambda r: [0.0, 1.0])
+    monkeypatch.setattr(fitting, "prepare", prepare)
+    for memory in (None, (0.9e9 + 600.0 * 500) / 2**30):
+        with pytest.raises(Enough):
+            fit(pendulum(STEP), [take("one"), take("two")], [take("aside")], drive="measured", memory=memory)
+    assert [pytest.approx(values) for _, values in cut] == [600, 400, 300, 200]
+    assert {longest for longest, _ in cut} == {300.0}
+    order = ("b", "a")
+    assert made[0] == ([("one", order), ("two", order)], "measured", None)
+    assert made[1] == ([("aside", order)], "measured", 0.125)
+
+
+@pytest.mark.parametrize(
+    ("targets", "commands"), [([None, None], "torques"), ([1, 2], "targets"), ([None, 1], None), ([], None)]
+)
+def test_the_corrected_model_takes_what_the_robot_was_sent(tmp_path, monkeypatch, targets, commands):
+    """Torques or targets; of recordings of both kinds, what the given model takes."""
+    told = []
+    picture = SimpleNamespace(savefig=lambda path, dpi: None)
+    monkeypatch.setattr("torchrl_athletic.diagnosis.report.fit_picture.fit_picture", lambda fitted: picture)
+    monkeypatch.setattr(
+        fitting, "corrected_xml", lambda xml, corrected, sent: told.append((xml, corrected, sent)) or ""
+    )
+    recordings = tuple(SimpleNamespace(position_target=t) for t in targets)
+    corrected = SimpleNamespace(to_json=dict)
+    Fit((), None, corrected, {}, (), "m", "<xml/>", 1.23456, recordings).save(tmp_path)
+    assert told == [("<xml/>", corrected, commands)]
+    assert json.loads((tmp_path / "corrected.json").read_text()) == {"model_xml": "<xml/>"}
+    assert json.loads((tmp_path / "fit.json").read_text())["seconds"] == 1.2

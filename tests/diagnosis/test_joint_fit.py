@@ -323,6 +323,8 @@ def test_folds_are_whole_recordings_as_even_as_can_be_and_of_few_recordings_stre
     recording = np.repeat(np.arange(5), [6, 3, 1, 2, 3])
     assert all(len(set(fold[recording == k])) == 1 for k in range(5))
     assert sorted(np.bincount(fold)) == [3, 3, 3, 6]
+    four = Windows(take_like(40, (0, 10, 20, 30)), np.array([0, 1, 2, 3, 4, 10, 20, 30]), 3)
+    assert sorted(np.bincount(folds_of(SimpleNamespace(windows=(four,))))) == [1, 1, 1, 5]
     alone = Windows(take_like(90), np.array([40, 0, 10, 20, 30, 50, 60, 70]), 3)
     assert folds_of(SimpleNamespace(windows=(alone,))).tolist() == [2, 0, 0, 1, 1, 2, 3, 3]
 
@@ -344,6 +346,9 @@ def test_a_descent_ends_at_the_least_squares_or_at_the_bound_before_it_and_moves
     assert descend(problem, begin, np.array([True, True]), 3, Deadline()) == pytest.approx([1.0, -1.5], abs=1e-3)
     assert descend(problem, begin, np.array([True, False]), 3, Deadline()) == pytest.approx([1.0, 5.0], abs=1e-3)
     assert descend(problem, begin, np.array([False, False]), 3, Deadline()) is begin
+    monkeypatch.setattr(module, "DAMPING", (10.0, 0.0))
+    monkeypatch.setattr(module, "STEPS", 1)  # the longer of two
+    assert descend(problem, begin, np.array([True, True]), 1, Deadline()) == pytest.approx([1.0, -1.5], abs=1e-3)
 
 
 def test_a_descent_goes_on_from_where_it_is_as_long_as_it_pays(monkeypatch):

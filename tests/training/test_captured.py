@@ -1,5 +1,7 @@
 """Without a GPU a captured rollout is a rollout; compiled transforms do what plain ones do."""
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 from torchrl.envs import Compose, GymEnv, StepCounter, TransformedEnv
@@ -7,8 +9,9 @@ from torchrl.envs import Compose, GymEnv, StepCounter, TransformedEnv
 from torchrl_athletic.envs import TorqueEnv, actuation_chain, ball_throw_env, dumbbell_snatch_env, sled_pull_env
 from torchrl_athletic.robots import z1
 from torchrl_athletic.training import Rollout, control_step
+from torchrl_athletic.training import captured as module
 from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
-from torchrl_athletic.transforms import ObservationHistory, stateful
+from torchrl_athletic.transforms import Decimation, ObservationHistory, stateful
 
 ARM = z1()
 POSE = torch.tensor(ARM.default_pose)
@@ -79,3 +82,71 @@ def test_what_a_gpu_records_of_a_task_is_traced_whole_and_makes_no_specs(task, m
         _, shown = control_step(env, lambda step: step.set("action", still.clone()), shown)
     assert not torch._dynamo.utils.counters["graph_break"]
     assert torch._dynamo.utils.counters["stats"]["unique_graphs"] > 5
+
+
+def test_what_was_recorded_collects_what_a_rollout_collects_and_goes_on_where_a_state_was_taken():
+    """Recorded as on a GPU, a few steps that never were first, by physics that hands back what it was given."""
+    recordings = []
+
+    def capture(step):
+        recordings.append(step)
+        step()
+        step()
+        return step
+
+    recorded = CapturedRollout(make_env(), swing, 3, fuse=False)
+    recorded.physics = SimpleNamespace(device=SimpleNamespace(type="cuda"), capture=capture)
+    plain = Rollout(make_env(), swing, 3)
+    for _ in range(2):
+        ours, theirs = recorded().clone(), plain()
+        for key in theirs.keys(True, True):
+            assert (ours[key] == theirs[key]).all(), key
+    memory, state = recorded.current, recorded.state_dict()
+    third = recorded().clone()
+    assert (third["step_count"] != ours["step_count"]).any()
+    recorded.load_state_dict(state)
+    assert recorded.current is memory  # what was recorded reads and writes no other
+    again = recorded()
+    for key in third.keys(True, True):
+        assert (again[key] == third[key]).all(), key
+    assert len(recordings) == 1
+
+
+class Noting:
+    """A transform that notes its name in what it changes."""
+
+    def __init__(self, name):
+        self.name = name
+
+    def _step(self, before, changed):
+        return (*changed, before + self.name)
+
+    def _reset(self, changed):
+        return (*changed, self.name)
+
+
+class Writing(Noting):
+    """To the physics."""
+
+
+def test_neighbours_are_compiled_as_one_and_what_writes_to_the_physics_not_at_all(monkeypatch):
+    monkeypatch.setattr(module, "_NOT_COMPILED", (Writing,))
+    compiled = []
+    row = [Noting("a"), Noting("b"), Writing("c"), Writing("d"), Noting("e")]
+    run = module._in_groups(row, "_step", lambda group: compiled.append(group) or group)
+    assert run("-", ()) == ("-a", "-b", "-c", "-d", "-e")
+    assert [group("-", ()) for group in compiled] == [("-a", "-b"), ("-e",)]
+    monkeypatch.setattr(module, "StepCounter", Noting)
+    for method, count in (("_step", 1), ("_reset", 0)):  # its reset looks up specs
+        compiled.clear()
+        module._in_groups(row[:2], method, lambda group: compiled.append(group) or group)
+        assert len(compiled) == count
+
+
+def test_a_decimation_is_found_however_deep_it_stands():
+    inner = Compose(StepCounter(4), Compose(Decimation(2)))
+    found = module._place_of_decimation(Compose(StepCounter(3), inner))
+    assert found[0] is inner
+    assert isinstance(found[-1], Decimation)
+    assert len(found) == 3
+    assert module._place_of_decimation(Compose(StepCounter(3))) is None
