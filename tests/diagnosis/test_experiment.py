@@ -508,3 +508,118 @@ def test_a_fastened_payload_weighs_and_resists_as_a_point_at_the_end_of_the_last
     assert still == pytest.approx(0.5 * 9.81 * length, rel=0.1)  # the end of a capsule is round
     reach = still / (0.5 * 9.81)
     assert elbow(loaded, 1.0) - elbow(bare, 1.0) - still == pytest.approx(0.5 * reach**2, rel=1e-3)
+
+
+def limits(frequency=np.inf):
+    return Limits(np.array([[-1.0, 1.0], [0.0, 2.0]]), np.array([2.0, 4.0]), np.array([5.0, 7.0]), frequency)
+
+
+@pytest.mark.parametrize(
+    ("changes", "torque", "kept"),
+    [
+        ({}, [5.0, -7.0], True),
+        ({}, [5.1, 0.0], False),
+        ({}, [0.0, -7.1], False),
+        ({(0, 1, 2, 0): 1.03}, [0.0, 0.0], True),  # a fiftieth of the range beyond
+        ({(0, 1, 2, 0): 1.05}, [0.0, 0.0], False),
+        ({(1, 0, 3, 1): -0.05}, [0.0, 0.0], False),
+        ({(1, 1, 1, 1): np.nan}, [0.0, 0.0], False),
+    ],
+)
+def test_no_rival_leaves_the_range_in_any_draw_and_the_torque_suffices(changes, torque, kept):
+    """Two rivals, two draws, five samples; a fiftieth of the range is let pass."""
+    paths = np.full((2, 2, 5, 2), 0.5)
+    paths[0, 1, :, 0] = [0.6, 0.8, 0.95, 0.9, 0.8]
+    paths[1, 0, :, 1] = [0.1, 0.1, 0.2, 0.1, 0.1]
+    for place, value in changes.items():
+        paths[place] = value
+    plan = SimpleNamespace(torque=np.array([[0.0, 0.0], torque]))
+    assert planning._keeps(plan, paths, 9.0, limits()) is kept
+
+
+def test_speed_is_counted_at_the_pace_of_the_simulation():
+    plan, paths = SimpleNamespace(torque=np.zeros((1, 2))), np.zeros((2, 2, 5, 2))
+    paths[1, 0, 1:, 0] = 0.5  # of one rival's one draw
+    for duration, kept in ((1.0, True), (0.95, False)):  # 0.5 within a quarter of it, by 2 rad/s
+        assert planning._keeps(plan, paths, duration, limits()) is kept
+
+
+def test_what_may_follow_tells_the_closest_pair_that_can_be_told_and_carries_the_same_weight():
+    def plan(*separations, payload=0.0):
+        return SimpleNamespace(separations=np.array(separations), payload=payload)
+
+    hopeful = np.array([False, True, True])
+    best = plan(0.5, 9.0, 4.0)
+    others = [plan(0.0, 9.0, 5.0), plan(9.0, 9.0, 7.0), plan(0.0, 9.0, 99.0, payload=1.0)]
+    others += [plan(0.0, 9.0, 0.1 * k) for k in range(20)]
+    found = planning._followers([best, *others], best, hopeful)
+    assert found[:2] == [others[1], others[0]]
+    assert all(p is not best for p in found)
+    assert len(found) == PLAN.followers
+    assert not any(p.payload for p in found)
+    enough = plan(0.5, PLAN.enough, PLAN.enough + 1)
+    assert planning._followers([enough, *others], enough, hopeful) == []
+
+
+def test_a_plan_is_worth_what_its_closest_pair_and_its_likely_ones_are_and_less_for_its_effort():
+    """By hand: halfway between 4 and (3 · 4 + 1 · 8) / 4, without the pair that nothing separates."""
+    scene = SimpleNamespace(weight=np.array([3.0, 9.0, 1.0]))
+    plan = SimpleNamespace(separations=np.array([4.0, 0.1, 8.0]), effort=0.5)
+    hopeful = np.array([True, False, True])
+    assert planning._worth(scene, plan, hopeful) == pytest.approx(4.5 * 0.9)
+    assert planning._worth(scene, plan, ~hopeful & hopeful) == 0.0
+
+
+def test_motions_of_the_joints_that_rivals_speak_of_and_of_those_before_them():
+    def rival(*terms):
+        atoms = [SimpleNamespace(candidate=SimpleNamespace(key=(name, joint), joint=joint)) for name, joint in terms]
+        return SimpleNamespace(fit=SimpleNamespace(terms=atoms))
+
+    rivals = {("a", 3): rival(("a", 3), ("common", 6)), ("b", 0): rival(("b", 0), ("common", 6))}
+    assert planning._joints_of(rivals) == [0, 2, 3]
+
+
+def test_the_narrowest_law_of_any_rival_says_how_quick_a_motion_may_be():
+    def rival(*highest):
+        atoms = [
+            SimpleNamespace(candidate=SimpleNamespace(parameters=h, effect=SimpleNamespace(
+                highest_frequency=lambda parameters, values: parameters * values)))
+            for h in highest
+        ]  # fmt: skip
+        return SimpleNamespace(fit=SimpleNamespace(atoms=atoms, values=lambda: [2.0] * len(atoms)))
+
+    assert planning._highest_frequency([rival(9.0, 4.0), rival(3.0, 5.0)]) == 6.0
+
+
+def test_two_plans_in_a_row_use_as_much_of_the_limits_as_the_one_that_uses_more():
+    def plan(name, seconds, share):
+        path = np.full((round(seconds * PLAN.rate), 1), share[0])
+        recording = Recording(np.arange(len(path)) / PLAN.rate, ("hip",), path, position_target=2 * path,
+                              kp=np.ones(1), kd=np.ones(1))  # fmt: skip
+        return planning._Plan((name,), 0.5, "model", recording, 3 * path, share)
+
+    both = planning._joined(plan("one", 2.0, (0.2, 0.8)), plan("other", 1.0, (0.6, 0.3)))
+    assert (both.motions, both.payload, both.share) == (("one", "other"), 0.5, (0.6, 0.8))
+    n = round(2 * PLAN.rate)
+    r = both.recording
+    assert np.diff(r.time) == pytest.approx(1 / PLAN.rate)
+    for values, times in ((r.position, 1), (r.position_target, 2), (both.torque, 3)):
+        assert [values[0, 0], values[n - 1, 0], values[n, 0], values[-1, 0]] == pytest.approx(
+            [0.2 * times, 0.2 * times, 0.6 * times, 0.6 * times]
+        )
+    assert planning._most_repeats(both) == 20  # of three seconds in a minute
+    assert planning._most_repeats(plan("long", 61.0, (0.1, 0.1))) == 1
+
+
+def test_without_gains_a_loop_is_critically_damped_at_its_bandwidth(monkeypatch):
+    monkeypatch.setattr(
+        planning, "inertia_matrix", lambda model, address, position: np.array([[[2.0, 9.0], [9.0, 0.5]]])
+    )
+    r = SimpleNamespace(kp=None, kd=np.ones(2), position=np.zeros((5, 2)))
+    take = SimpleNamespace(recording=r, address=None)
+    kp, kd = planning._gains([take], None)
+    w = 2 * np.pi * 1.5
+    assert kp == pytest.approx([2 * w**2, 0.5 * w**2])
+    assert kd == pytest.approx([4 * w, w])
+    r.kp = np.full(2, 7.0)
+    assert planning._gains([take], None) == (r.kp, r.kd)

@@ -231,10 +231,10 @@ def test_each_round_builds_on_the_last_one_and_must_save_a_hundredth(monkeypatch
 
 
 def test_of_each_joint_the_best_law_by_its_slope_is_simulated_and_the_best_of_these_comes_first(monkeypatch):
-    """Costs of folds to first order and in simulation, of 1 without a law."""
+    """Costs of folds to first order and in simulation; without a law 1 and 0.9."""
     laws = {  # joint, first order, simulated
-        "misled": (0, 0.5, 1.0), "second": (0, 0.7, 0.6),  # the slope promises what is not kept
-        "good": (1, 0.9, 0.8), "better": (2, 0.8, 0.3),
+        "misled": (0, 0.5, 0.89), "second": (0, 0.7, 0.6),  # the slope promises what is not kept
+        "good": (1, 0.75, 0.8), "better": (2, 0.8, 0.3),
         "weak": (3, 0.99, 0.1), "worse": (4, 1.2, 0.1),
     }  # fmt: skip
     tried = [SimpleNamespace(name=name, candidate=SimpleNamespace(joint=joint)) for name, (joint, *_) in laws.items()]
@@ -245,7 +245,7 @@ def test_of_each_joint_the_best_law_by_its_slope_is_simulated_and_the_best_of_th
     monkeypatch.setattr(extension, "_cost", lambda few, cost: [np.full(9, cost)])
 
     def folded(near, trials, fold, first_order=False):
-        return laws[near.name][1 if first_order else 2] if hasattr(near, "name") else 1.0
+        return laws[near.name][1 if first_order else 2] if hasattr(near, "name") else 1.0 if first_order else 0.9
 
     monkeypatch.setattr(extension, "folded", folded)
     problem = Problem(None, (), np.ones(1), np.arange(100.0), torques="said")

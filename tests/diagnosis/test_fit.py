@@ -1,6 +1,7 @@
 """A fit finds what was put in, says how sure it is, and leaves alone what cannot be followed."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -12,15 +13,18 @@ from torchrl_athletic.diagnosis.fit import (
     Hypothesis,
     _bootstrap,
     _follows,
+    _is_stepped,
     _Problem,
+    _weights,
     _with_telling,
     as_trims,
     draw_windows,
     fit,
     idle_terms,
+    without,
 )
 from torchrl_athletic.diagnosis.prepare import prepare
-from torchrl_athletic.diagnosis.replay import simulate, windows_of
+from torchrl_athletic.diagnosis.replay import Windows, simulate, windows_of
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import (
     ActuationDelay,
@@ -298,3 +302,65 @@ def test_what_becomes_a_trim_keeps_its_value():
         np.testing.assert_array_equal(before, after)
         before, after = (f.hypothesis.values_of(c, f.samples) for f in (fitted, moved))
         np.testing.assert_array_equal(before, after)
+
+
+def windows_like(length, *starts):
+    """Of two joints that rest, every 10 ms."""
+    t = SimpleNamespace(period=0.01, measured=np.zeros((300, 2)))
+    return Windows(t, np.array(starts), length)
+
+
+def test_a_window_weighs_by_its_length_over_its_error_and_less_where_it_is_not_followed():
+    """Half a second off by the typical error, and by three times as much; a take of two seconds, by its own."""
+    typical = np.array([0.1, 0.2])
+    short = windows_like(50, 0, 50)
+    predicted = np.ones((2, 50, 1)) * np.array([[[0.1, 0.2]], [[0.3, 0.6]]])
+    per_row = np.sqrt(50 * 2)
+    np.testing.assert_allclose(
+        _weights(short, predicted, typical) * per_row,
+        [[1 / np.sqrt(1 + 1 / 9) / 0.1, 1 / np.sqrt(1 + 1 / 9) / 0.2], [np.sqrt(0.5) / 0.1, np.sqrt(0.5) / 0.2]],
+    )
+    whole = windows_like(200, 0)
+    drifts = np.ones((1, 200, 1)) * np.array([0.4, 0.05])
+    np.testing.assert_allclose(_weights(whole, drifts, typical) * np.sqrt(200 * 2), [[2 / 0.4, 2 / 0.2]])
+    quick = _weights(windows_like(25, 0), np.zeros((1, 25, 2)), typical) * np.sqrt(25 * 2)
+    np.testing.assert_allclose(quick, [[np.sqrt(0.5) / 0.1, np.sqrt(0.5) / 0.2]])
+
+
+def test_a_window_is_a_block_of_the_bootstrap_and_a_take_that_is_followed_is_four():
+    fitted = object.__new__(_Problem)
+    fitted.windows = [windows_like(3, 0, 3), windows_like(101, 0), windows_like(102, 0)]
+    fitted.weight = [np.zeros((2, 2))]
+    blocks = np.bincount(fitted.groups())
+    # a second and a hundredth is long: quarters of 26, of which the last is shorter
+    assert blocks.tolist() == [6, 6, 52, 52, 52, 46, 52, 52, 52, 48]
+
+
+def test_an_interval_leaves_a_fortieth_out_at_either_end():
+    samples = np.stack([np.arange(1001.0), -2 * np.arange(1001.0)], 1)
+    np.testing.assert_allclose(Fitted(Hypothesis(()), np.zeros(2), samples, 0.0).interval(), [[25, 975], [-1950, -50]])
+
+
+def test_what_is_left_out_of_a_fit_takes_its_own_numbers_with_it():
+    r = record(pendulum(), smooth_torque(1.0))
+    friction, delay, scale = (candidate(e, r, pendulum()) for e in (ViscousFriction(), ActuationDelay(), TorqueScale()))
+    fitted = Fitted(
+        Hypothesis((friction, delay), (scale,)), np.array([1.0, 2.0, 3.0]), np.arange(6.0).reshape(2, 3), 0.5
+    )
+    left = without(fitted, [friction])
+    assert (left.hypothesis.terms, left.hypothesis.trims) == ((delay,), (scale,))
+    assert (left.values.tolist(), left.samples.tolist(), left.cost) == ([2.0, 3.0], [[1.0, 2.0], [4.0, 5.0]], 0.5)
+    assert without(fitted, [scale]).values.tolist() == [1.0, 2.0]
+    nothing = without(fitted, [friction, delay, scale])
+    assert (nothing.values.shape, nothing.samples.shape) == ((0,), (2, 0))
+
+
+@pytest.mark.parametrize(
+    ("target", "open_loop", "stepped"), [(None, True, False), (None, False, True), (1, True, True)]
+)
+def test_the_state_is_looked_at_each_step_where_a_loop_closes(monkeypatch, target, open_loop, stepped):
+    plant = SimpleNamespace(open_loop=None)
+    built = lambda plant, values: setattr(plant, "open_loop", open_loop)  # noqa: E731
+    monkeypatch.setitem(_is_stepped.__globals__, "Plant", lambda model, address, rows: plant)
+    t = SimpleNamespace(model=None, address=None, recording=SimpleNamespace(position_target=target))
+    assert _is_stepped(SimpleNamespace(build=built), t, np.zeros(1)) is stepped

@@ -8,6 +8,7 @@ import pytest
 from diagnosis.plants import pendulum, record, slider, smooth_torque
 from scipy.signal import periodogram
 
+from torchrl_athletic.diagnosis import motions as module
 from torchrl_athletic.diagnosis.experiment import _path
 from torchrl_athletic.diagnosis.motions import Limits, motions, touches, way
 from torchrl_athletic.diagnosis.prepare import prepare
@@ -199,3 +200,54 @@ def test_parts_that_would_collide_are_seen_and_those_that_always_touch_are_not()
     swing = np.linspace(0, 1, 400)[:, None]
     assert not touches(model, address, 0.5 * swing)
     assert touches(model, address, 1.7 * swing)
+
+
+def test_each_kind_of_motion_has_its_turn_until_all_are_at_their_ends():
+    assert "".join(module._in_turn([iter("ad"), iter("b"), iter(""), iter("cef")])) == "abcdef"
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("sine", "move hip in a sine of ±0.5 rad at 2 Hz about"),
+        ("sweep", "move hip both ways over ±0.5 rad at a constant 4 rad/s about"),  # four amplitudes in half a second
+        ("steps", "step hip by ±0.5 rad at 2 Hz about"),
+        ("chirp", "move hip in a sine of ±0.5 rad that rises from 0.2 to 2 Hz about"),
+        ("mix", "move hip in a mix of sines by up to ±0.5 rad, up to 2 Hz about"),
+        ("multisine", "move all joints at once by up to ±0.5 rad, up to 2 Hz about"),
+    ],
+)
+def test_a_motion_is_an_instruction_about_its_pose_and_knows_the_highest_frequency_of_its_corners(kind, words):
+    motion = module.Motion("hip", kind, 0.5, 2.0, np.array([0.25, -1.0]), np.zeros((3, 2)))
+    assert motion.words("rad") == f"{words} (0.25, -1.00)"
+    assert motion.highest == 2.0
+    assert replace(motion, rounding=0.01).highest == pytest.approx(module.HALF_POWER / 0.01)
+    assert replace(motion, rounding=10.0).highest == 2.0
+
+
+@pytest.mark.parametrize(("frequency", "steps", "sweep"), [(np.inf, 0.02, 0.05), (1.0, None, None)])
+def test_corners_are_as_sharp_as_a_drive_can_follow_and_as_the_limits_allow(frequency, steps, sweep):
+    limits = module.Limits(np.zeros((1, 2)), np.ones(1), np.ones(1), frequency)
+    for kind, least in (("steps", steps), ("sweep", sweep)):
+        assert module._rounding(kind, limits) == pytest.approx(module.HALF_POWER if least is None else least)
+
+
+def test_a_wave_fades_in_and_out_within_half_a_second_and_comes_home_at_the_speed_allowed():
+    fade = module._fade(round(3 * PLAN.rate) + 1)
+    assert fade[[0, -1]] == pytest.approx([0, 0])
+    assert fade[[round(0.25 * PLAN.rate), -1 - round(0.25 * PLAN.rate)]] == pytest.approx([0.5, 0.5], abs=0.02)
+    np.testing.assert_allclose(fade[round(0.5 * PLAN.rate) : -round(0.5 * PLAN.rate)], 1, atol=1e-3)
+    wave = np.array([[0.0, 0.0], [0.2, -0.5]])
+    home = module._home(wave, 2.0)
+    np.testing.assert_array_equal(home[:2], wave)
+    assert len(home) == 2 + round(0.25 * PLAN.rate)  # from 0.5 at 2 rad/s
+    np.testing.assert_allclose(np.diff(home[1:], axis=0) * PLAN.rate, np.tile([-0.8, 2.0], (len(home) - 2, 1)))
+    np.testing.assert_allclose(home[-1], 0, atol=1e-12)
+
+
+def test_a_way_of_no_length_takes_half_a_second_and_the_joint_with_the_longest_way_sets_the_time():
+    limits = module.Limits(np.zeros((2, 2)), np.array([1.0, 4.0]), np.ones(2))
+    still = round(0.2 * PLAN.rate)
+    assert len(way(np.zeros(2), np.zeros(2), limits)) == 2 * still + round(0.5 * PLAN.rate)
+    # 15/8 of 2 rad at half of 1 rad/s take 7.5 s, of 4 rad at 2 rad/s half as long
+    assert len(way(np.zeros(2), np.array([2.0, -4.0]), limits)) == 2 * still + round(7.5 * PLAN.rate)

@@ -10,9 +10,11 @@ import pytest
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
+from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.simulate import _asked_alone, _with_joints, key_of
 from torchrl_athletic.diagnosis.stages import Simulated
 from torchrl_athletic.diagnosis.thresholds import DECISION
+from torchrl_athletic.effects import Parameter
 
 stage = importlib.import_module("torchrl_athletic.diagnosis.simulate")
 
@@ -152,3 +154,116 @@ def test_the_standard_joints_are_tried_where_nothing_follows(monkeypatch, left, 
 def test_a_fit_in_which_a_mass_is_adjusted_is_not_taken_for_one_in_which_it_is_found():
     friction, mass = (SimpleNamespace(effect=SimpleNamespace(name=n), where="hip") for n in ("friction", "link_mass"))
     assert key_of(Hypothesis((friction, mass))) != key_of(Hypothesis((friction,), (mass,)))
+
+
+def candidate(name, joint=0, low=0.0, high=10.0, nominal=0.0, excludes=()):
+    p = Parameter("p", "1", nominal, low, high, 1.0)
+    effect = SimpleNamespace(name=name, excludes=excludes)
+    return Candidate(effect, joint, f"joint{joint}", (p,))
+
+
+def found(*terms, trims=(), judge=None):
+    """What was proposed: candidates with a number each."""
+    atoms = [SimpleNamespace(candidate=c) for c, _ in (*terms, *trims)]
+    values = [np.array([float(v)]) for _, v in (*terms, *trims)]
+    fitted = SimpleNamespace(atoms=atoms, terms=atoms[: len(terms)], size=len(terms), values=lambda: values)
+    return SimpleNamespace(best=SimpleNamespace(fit=fitted), judge=judge)
+
+
+def test_the_simulation_moves_what_two_channels_say_of_the_drive_by_a_tenth_and_only_trims_that_all_may_move(
+    monkeypatch,
+):
+    drive = [(candidate("scale"), 2.0), (candidate("lag", high=9.6), 9.5), (candidate("offset", low=-4.1), -4.0)]
+    mechanics = candidate("friction"), candidate("mass", 1)
+    trims = [
+        candidate("known", nominal=1.0), candidate("unasked", 1, nominal=7.0), candidate("still"),
+        candidate("kept_out", 1, excludes=("mass",)),
+    ]  # fmt: skip
+    monkeypatch.setattr(stage, "trims_for", lambda takes, which: trims if takes == "takes" else [])
+    judge = SimpleNamespace(bank=SimpleNamespace(takes="takes"))
+    option = found((mechanics[0], 0.5), (mechanics[1], 0.6), trims=[(trims[0], 1.25), (trims[2], 3.0)], judge=judge)
+    adjusted = {t.key for t in trims if t.effect.name != "still"}
+    h, start = stage._hypothesis(option, found(*drive, trims=[(candidate("clock"), 3.0)]), adjusted)
+    assert [c.effect.name for c in h.terms] == ["scale", "lag", "offset", "friction", "mass"]
+    assert h.terms[3:] == mechanics
+    assert h.trims == (trims[0], trims[1])
+    assert start.tolist() == [2.0, 9.5, -4.0, 0.5, 0.6, 1.25, 7.0]
+    assert h.bounds[0][:3] == pytest.approx([1.8, 8.55, -4.1])
+    assert h.bounds[1][:3] == pytest.approx([2.2, 9.6, -3.6])
+    alone, start = stage._hypothesis(option, None, set())
+    assert (alone.terms, alone.trims, start.tolist()) == (mechanics, (), [0.5, 0.6])
+    assert stage._hypothesis(found(judge=judge), None, set())[1].shape == (0,)
+
+
+@pytest.mark.parametrize(("value", "moved"), [(1.19, False), (1.21, True), (0.81, False), (0.79, True)])
+def test_a_trim_may_move_where_the_torques_asked_for_a_tenth_of_its_tolerance_or_were_not_asked(
+    monkeypatch, value, moved
+):
+    """Of 1 with a tolerance of 2 to either side."""
+    trims = [candidate(name, low=-1.0, high=3.0, nominal=1.0) for name in ("asked", "unasked", "torques_only")]
+    monkeypatch.setattr(stage, "trims_for", lambda takes, which: trims)
+    monkeypatch.setattr(stage, "TRIMS", (trims[2].effect,))
+    judge = SimpleNamespace(bank=SimpleNamespace(takes=None))
+    adjusted = stage._adjusted(found((candidate("friction"), 5.0), trims=[(trims[0], value)], judge=judge))
+    assert adjusted == {trims[1].key} | ({trims[0].key} if moved else set())
+
+
+def test_one_combination_is_tried_however_late_it_is_and_others_while_there_is_time(monkeypatch):
+    told, late = [], [True]
+    monkeypatch.setattr(stage, "_trial", lambda proposal, *_: f"trial of {proposal}")
+    run = SimpleNamespace(late=lambda: late[0], progress=SimpleNamespace(update=told.append))
+    begun = Simulated(None, (), ("a", "b", "c", "d"))
+    first = stage._tried_all(begun, run)
+    assert (first.trials, first.untried) == (("trial of a",), ("b", "c", "d"))
+    assert stage._tried_all(first, run) is first
+    late[0] = False
+    every = stage._tried_all(first, run)
+    assert every.trials == tuple(f"trial of {x}" for x in "abcd")
+    assert told == [0.25, 0.5, 0.75, 1.0]
+    assert stage._tried_all(replace(first, stopped=True), run).trials == ("trial of a",)
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stage, "_trial", stopped)
+    halted = stage._tried_all(first, run)
+    assert halted.stopped
+    assert halted.untried == ("b", "c", "d")
+
+
+def test_all_combinations_are_fitted_beside_the_same_trims_and_what_the_drive_shows_is_never_idle(monkeypatch):
+    drive, friction, spring = candidate("scale"), candidate("friction"), candidate("spring")
+    options = [found((friction, 1.0)), found((spring, 2.0))]
+    told = {}
+    h = Hypothesis((drive, friction, spring))
+    monkeypatch.setattr(stage, "_adjusted", lambda option: {option.best.fit.terms[0].candidate.effect.name})
+    monkeypatch.setattr(
+        stage, "_hypothesis", lambda option, drive, adjusted: told.update(adjusted=adjusted) or (h, "x")
+    )
+    monkeypatch.setattr(stage, "fit", lambda *given: told.update(fit=given) or "fitted")
+    monkeypatch.setattr(
+        stage, "idle_terms", lambda fitted, takes, rng: told.update(idle=(fitted, takes, rng)) or h.terms
+    )
+    monkeypatch.setattr(stage, "without", lambda fitted, idle: (fitted, [c.effect.name for c in idle]))
+    monkeypatch.setattr(stage, "_without_small", lambda fitted, given: fitted)
+    monkeypatch.setattr(stage, "scored", lambda proposal, fitted, ready: (proposal, fitted))
+    given = SimpleNamespace(rng=lambda purpose: f"dice for {purpose}")
+    ready = SimpleNamespace(given=given, train=SimpleNamespace(takes="takes"))
+    located = SimpleNamespace(ready=ready)
+    checkpoint = SimpleNamespace(result=lambda key, compute, encode, decode: compute())
+    for of_drive, idle in ((found((drive, 1.0)), ["friction", "spring"]), (None, ["scale", "friction", "spring"])):
+        proposed = SimpleNamespace(located=located, drive=of_drive, options=options)
+        trial = stage._trial(options[1], proposed, SimpleNamespace(checkpoint=checkpoint))
+        assert trial == (options[1], ("fitted", idle))
+    assert told["adjusted"] == {"friction", "spring"}
+    assert told["fit"] == (h, "takes", "x", "dice for fit")
+    assert told["idle"] == ("fitted", "takes", "dice for idle")
+
+
+def test_each_set_of_recordings_is_scored_with_its_own_noise_and_windows(monkeypatch):
+    sets = {name: SimpleNamespace(takes=f"{name} takes", position_noise=f"{name} noise", repeatability=f"{name} again")
+            for name in ("train", "heldout")}  # fmt: skip
+    ready = SimpleNamespace(given=SimpleNamespace(rng=lambda name: f"{name} dice"), splits=lambda: sets)
+    monkeypatch.setattr(stage, "score", lambda *told: (" ".join(told), 0))
+    scores = stage.scores_of(SimpleNamespace(hypothesis="h", values="x"), ready)
+    assert scores == {name: f"{name} takes h x {name} noise {name} dice {name} again" for name in sets}

@@ -11,6 +11,7 @@ from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.stages import Decided, Trial
 from torchrl_athletic.diagnosis.state import _best_followed, _damped, _quality, _trimmed, model_changes
+from torchrl_athletic.diagnosis.thresholds import STATEMENT
 from torchrl_athletic.effects import Parameter
 
 
@@ -157,3 +158,58 @@ def test_a_remainder_is_looked_for_in_both_sets_where_the_mechanics_alone_were_n
         said = stating._remarks(Decided(located, drive, best), "corrected")
         assert said == (("rings",) if asked else ()) + ("adjusted",)
         assert told == ([(train.signals, signals, "best", pytest.approx(5.0))] if asked else [])  # up to 5 Hz
+
+
+@pytest.mark.parametrize(
+    ("verdict", "worse", "trials", "stopped", "corrected"),
+    [
+        ("explained", False, True, "", True),
+        ("nothing_missing", False, True, "", False),
+        ("partly_explained", True, True, "", False),  # of the fitted recordings
+        ("unexplained", False, False, "simulate", False),
+        ("explained", False, True, "report", True),
+    ],
+)
+def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
+    monkeypatch, verdict, worse, trials, stopped, corrected
+):
+    own = trial(4.0)
+    own.scores["train"] = Score(9.0, 9.5 if worse else 2.0, 1.0, 0.0, {})
+    kept = stating.Correction(SimpleNamespace(hypothesis="laws", values="numbers"), {"heldout": "kept"}, ("Why.",))
+    told = {}
+    given = SimpleNamespace(name="m", seed=7, inputs={}, model="model", joint_names=("hip",), base="fixed")
+    used = {"hip": STATEMENT.exercised, "knee": 0.9 * STATEMENT.exercised}
+    ready = SimpleNamespace(given=given, train=SimpleNamespace(used_share=lambda: used))
+    located = SimpleNamespace(ready=ready, locations=("where",))
+    decided = Decided(located, None, own if trials else None, is_open=True)
+    monkeypatch.setattr(stating, "_findings", lambda decided: ("finding",))
+    monkeypatch.setattr(stating, "verdict_of", lambda *a: told.update(judged=a) or (verdict, 0.25))
+    monkeypatch.setattr(stating, "_best_followed", lambda decided: "best")
+    monkeypatch.setattr(stating, "_kept", lambda best, ready: kept)
+    monkeypatch.setattr(stating, "summarise", lambda *a: told.update(summed=a) or ("Summary.",))
+    monkeypatch.setattr(stating, "_quality", lambda ready: {})
+    monkeypatch.setattr(stating, "_remarks", lambda decided, corrected: ("remark",))
+    monkeypatch.setattr(stating, "_maps", lambda decided: [])
+    said = stating.state(decided, stopped)
+    assert (
+        (said.corrected.hypothesis, said.corrected.values) == ("laws", "numbers")
+        if corrected
+        else (said.corrected is said.nominal)
+    )
+    assert said.nominal.hypothesis.terms == ()
+    assert said.nominal.base == "fixed"
+    scores = own.scores if trials else {}
+    assert told["judged"] == (decided.evidence, ("finding",), scores.get("train"), scores.get("heldout"), True)
+    last = "kept" if corrected else scores.get("heldout")
+    assert told["summed"] == (verdict, ("finding",), ("where",), last, trials, 0.25)
+    assert said.answer.fit == (kept.scores if corrected else scores)
+    sentences = said.answer.summary
+    assert ("Summary." in sentences) is trials
+    assert sentences[0].startswith("Stopped before anything was named") is not trials
+    assert any("makes the simulation worse" in x for x in sentences) is worse
+    assert ("Why." in sentences) is corrected
+    assert sentences[-1] == "knee hardly moves, so that nothing is known of it."
+    assert not any("hip hardly" in x for x in sentences)
+    assert (said.answer.complete, said.answer.stage) == (not stopped, stopped or "deliver")
+    assert said.answer.remarks == (() if stopped else ("remark",))
+    assert (said.answer.unexplained_share, said.answer.seed) == (0.25, 7)

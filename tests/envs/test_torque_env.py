@@ -10,6 +10,7 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
 from torchrl_athletic.envs import TorqueEnv
+from torchrl_athletic.envs import torque_env as module
 from torchrl_athletic.physics import BatchPhysics
 from torchrl_athletic.robots import Terrain, b2z1, z1
 
@@ -175,3 +176,69 @@ def test_the_ground_below_the_base_is_the_mean_of_as_large_a_square_as_one_likes
     below = place[:, 2:] - env.heights(place, None)["base_height"]
     torch.testing.assert_close(below, env.ground.averaged(1.5).height(place[:, :2]))
     assert (below - env.ground.averaged(0.5).height(place[:, :2])).abs().max() > 1e-3
+
+
+def test_a_push_takes_the_place_of_the_last_one_of_its_name_adds_to_others_and_ends_with_its_episode():
+    """A body that is named twice is pushed twice."""
+    env = TorqueEnv(ARM, num_envs=2)
+    env.reset()
+    twice, other = torch.tensor([2, 2, 3]), torch.tensor([3])
+    first = torch.arange(36.0).reshape(2, 3, 6)
+    env.set_wrench("hand", twice, first)
+    env.set_wrench("wind", other, torch.full((2, 1, 6), 100.0))
+    env.set_wrench("hand", twice, 10 * first)
+    applied = env.physics.xfrc_applied
+    torch.testing.assert_close(applied[:, 2].float(), 10 * (first[:, 0] + first[:, 1]))
+    torch.testing.assert_close(applied[:, 3].float(), 10 * first[:, 2] + 100.0)
+    env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+    assert not env.physics.xfrc_applied[0].any()
+    env.set_wrench("hand", twice, first)
+    torch.testing.assert_close(env.physics.xfrc_applied[0, 3].float(), first[0, 2])  # the wind has ended there
+    torch.testing.assert_close(env.physics.xfrc_applied[1, 3].float(), first[1, 2] + 100.0)
+    env.reset()
+    env.set_wrench("hand", twice, first)
+    torch.testing.assert_close(env.physics.xfrc_applied[:, 3].float(), first[:, 2])
+
+
+def test_a_torque_is_held_for_as_many_steps_as_told():
+    action = torques(TorqueEnv(ARM, num_envs=2), 1)
+    (once,) = roll(TorqueEnv(ARM, num_envs=2, substeps=3), action)
+    *_, last = roll(TorqueEnv(ARM, num_envs=2), action.repeat(3, 1, 1))
+    for key in ("joint_position", "joint_velocity"):
+        assert once[key].equal(last[key])
+
+
+def test_what_every_step_shows_must_be_a_sensor_and_forces_are_averaged_over_an_action_as_power_is():
+    with pytest.raises(ValueError, match=r"every_step names \['nothing'\]"):
+        TorqueEnv(DOG, every_step=["nothing", "foot_force"])
+    env = TorqueEnv(DOG, every_step=["foot_force", "foot_position"])
+    assert env.averaged_keys == ("joint_power", "foot_force")  # a place has no mean over the way there
+    assert TorqueEnv(DOG).averaged_keys == ("joint_power",)
+
+
+SENSED = """<mujoco><worldbody><body><freejoint/><geom size="1"/><site name="a"/><site name="b"/></body></worldbody>
+  <sensor><framepos name="p" objtype="site" objname="a"/><touch name="t" site="a"/>
+  <framepos name="q" objtype="site" objname="b"/><touch name="u" site="b"/></sensor></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("names", "columns", "shape"),
+    [
+        ("t", [3], (1,)),
+        ("p", [0, 1, 2], (3,)),
+        ("tu", [3, 7], (2,)),
+        ("qp", [4, 5, 6, 0, 1, 2], (2, 3)),  # in the order that they are named in
+    ],
+)
+def test_sensors_are_columns_in_the_order_of_their_names(names, columns, shape):
+    found, size = module._columns(mujoco.MjModel.from_xml_string(SENSED), list(names), torch.device("cpu"))
+    assert module._numbers(found) == columns
+    assert size == shape
+    assert isinstance(found, slice) is (columns == sorted(columns) and names != "tu")
+
+
+def test_a_base_without_a_free_joint_floats_not():
+    model = mujoco.MjModel.from_xml_string(SENSED)
+    assert module._free_joint(model, None) == (None, None)
+    with pytest.raises(ValueError, match="no free joint"):
+        module._free_joint(ARM.model(), ARM.model().body(ARM.model().joint(ARM.joint_names[0]).bodyid[0]).name)
