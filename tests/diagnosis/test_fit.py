@@ -329,11 +329,11 @@ def test_a_window_weighs_by_its_length_over_its_error_and_less_where_it_is_not_f
 
 def test_a_window_is_a_block_of_the_bootstrap_and_a_take_that_is_followed_is_four():
     fitted = object.__new__(_Problem)
-    fitted.windows = [windows_like(3, 0, 3), windows_like(101, 0), windows_like(102, 0)]
+    fitted.windows = [windows_like(3, 0, 3), windows_like(101, 0), windows_like(102, 0), windows_like(100, 0)]
     fitted.weight = [np.zeros((2, 2))]
     blocks = np.bincount(fitted.groups())
     # a second and a hundredth is long: quarters of 26, of which the last is shorter
-    assert blocks.tolist() == [6, 6, 52, 52, 52, 46, 52, 52, 52, 48]
+    assert blocks.tolist() == [6, 6, 52, 52, 52, 46, 52, 52, 52, 48, 200]
 
 
 def test_an_interval_leaves_a_fortieth_out_at_either_end():

@@ -11,8 +11,10 @@ import pytest
 from diagnosis.plants import pendulum, smooth_torque
 
 from torchrl_athletic.diagnosis import Fit, fit, fit_command
+from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.fit_command import FitConfig, fit_table, main
 from torchrl_athletic.diagnosis.fitting import JointParameter, _binds, _taken_back
+from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import Parameter
 from torchrl_athletic.recordings import Recording, write_recording
 
@@ -430,3 +432,79 @@ def test_the_corrected_model_takes_what_the_robot_was_sent(tmp_path, monkeypatch
     assert told == [("<xml/>", corrected, commands)]
     assert json.loads((tmp_path / "corrected.json").read_text()) == {"model_xml": "<xml/>"}
     assert json.loads((tmp_path / "fit.json").read_text())["seconds"] == 1.2
+
+
+@pytest.mark.parametrize("extended", [True, False])
+def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is_the_given_models(
+    monkeypatch, extended
+):
+    """Of four numbers the third is fixed, the fourth not needed; the first is taken back."""
+    names = ("drag", "spring", "fixed", "idle")
+    terms = tuple(
+        Candidate(SimpleNamespace(name=n), 0, "elbow", (Parameter("p", "1", k / 8, 0.0, 9.0 * (n != "fixed"), 1.0),))
+        for k, n in enumerate(names)
+    )
+    h, told, begun = Hypothesis(terms), {}, []
+    needed = np.array([True, True, False, False])
+
+    def step(windows, held):
+        told["step"] = (windows.tolist(), held.tolist())
+        return np.array([1.0, 2.0, 0.25, 0.375])
+
+    problem = SimpleNamespace(hypothesis=h)
+    near = SimpleNamespace(problem=problem, normal=np.zeros((3, 1, 1)), step=step, values=np.full(4, 5.0), seconds=0.0)
+    again = SimpleNamespace(seconds=0.0, values=np.array([1.5, 2.5, 0.25, 0.375]))
+    joint = {"before": 1.0, "after": 1.0, "floor": 0.0625}
+    made = iter(["train", "aside"])
+
+    def prepare(recordings, *_, xml):
+        name = next(made)
+        return SimpleNamespace(takes=name, position_noise=f"{name} noise", repeatability=name,
+                               signals=[SimpleNamespace(kernel=1.0)])  # fmt: skip
+
+    def score(takes, h, x, noise, rng, *_):
+        begun.append((takes, noise, x.tolist(), rng.random()))
+        return (SimpleNamespace(before=1.0, after=1.0, per_joint={"elbow": joint}),)
+
+    def note(name, value):
+        return lambda *given: told.update({name: given}) or value
+
+    stand_ins = {
+        "prepare": prepare, "score": score, "seen_in": lambda train: "seen", "standard_joints": lambda train, seen: h,
+        "starts": note("starts", "starts"), "search": note("search", near), "agreement": lambda h, train: "torques",
+        "with_gear": note("gear", near), "extend": note("extend", near), "prune": lambda *_: needed,
+        "weighed": lambda problem, x: (problem, x.tolist()), "descend": note("descend", again.values),
+        "linearise": note("linearise", again), "_without_unknown": lambda near, again, needed, *_: (again, needed),
+        "vetoed": note("vetoed", [terms[0]]), "veto_sentence": lambda gone, moved: " ".join(moved),
+        "cut_stretches": lambda r, *_: r, "recorded_time": lambda r: [0.0, 1.0],
+        "load_model": lambda model: (None, "<xml/>", "m"), "_binds": lambda p, bounds: "",
+        "_parameters": lambda h, near, again, y, needed, seen: tuple(
+            friction(effect=c.effect.name, given=c.parameters[0].nominal, value=float(v))
+            for c, v in zip(terms, y, strict=True) if c.effect.name != "fixed"
+        ),
+    }  # fmt: skip
+    for name, stand_in in stand_ins.items():
+        monkeypatch.setattr(fitting, name, stand_in)
+    takes = [SimpleNamespace(joint_names=("elbow",), ordered=lambda order: None) for _ in range(2)]
+    fitted = fit("model", takes[:1], takes[1:], extended=extended, seed=3)
+    assert told["step"] == ([True] * 3, [False, False, True])
+    assert told["descend"][:3] == ((problem, [1.0, 2.0, 0.25, 0.375]), pytest.approx([1.0, 2.0, 0.25, 0.375]), needed)
+    assert told["search"][1:3] == ("train", "starts")
+    assert ("extend" in told, "gear" in told) == (extended, extended)
+    assert told["vetoed"][1] is again.values
+    assert told["vetoed"][2] == "aside"
+    assert told["vetoed"][4].tolist() == [0.0625]
+    assert [(p.effect, p.value, p.state) for p in fitted.parameters] == [
+        ("drag", 0.0, "taken back"), ("spring", 2.5, "identified"), ("idle", 0.375, "identified"),
+    ]  # fmt: skip
+    assert fitted.corrected.hypothesis.terms == (terms[1],)
+    assert fitted.corrected.values.tolist() == [2.5]
+    assert fitted.nominal.hypothesis.terms == ()
+    assert fitted.remarks == ("elbow elbow",)
+    assert set(fitted.scores) == {"train", "heldout"}
+    # what was searched, what was decided and what is stated of a set of recordings are of the same windows
+    assert [(takes, noise, x) for takes, noise, x, _ in begun] == [
+        ("train", "train noise", [1.5, 2.5, 0.25, 0.375]), ("aside", "aside noise", [1.5, 2.5, 0.25, 0.375]),
+        ("train", "train noise", [2.5]), ("aside", "aside noise", [2.5]),
+    ]  # fmt: skip
+    assert begun[0][3] == begun[2][3] != begun[1][3] == begun[3][3]

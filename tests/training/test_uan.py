@@ -1,7 +1,9 @@
 """From recordings to a trained net: what may be learnt from, whose reward counts, and that it learns."""
 
+import sys
 from copy import deepcopy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,6 +32,7 @@ from torchrl_athletic.training import (
 )
 from torchrl_athletic.training.uan import joint_rows
 
+module = sys.modules["torchrl_athletic.training.uan"]
 ROBOT = robot()
 
 
@@ -288,3 +291,20 @@ def _stiffer(spec):
     for joint in spec.joints:
         joint.damping[0] *= 3.0
     return spec
+
+
+@pytest.mark.parametrize("credit", ["arm", "joint"])
+def test_a_critic_sees_errors_in_the_nets_units_and_how_far_the_simulation_is_off_in_finer_ones(monkeypatch, credit):
+    left = torch.tensor([[1], [40]])
+    monkeypatch.setattr(module, "JointRollout", lambda *_: None)
+    monkeypatch.setattr(
+        module, "Learner",
+        lambda env, policy, critic, *_, **told: SimpleNamespace(
+            critic=critic, rollout=SimpleNamespace(current={"steps_left": left})),
+    )  # fmt: skip
+    env = SimpleNamespace(observation_spec={"observation": torch.zeros(2, 6, 2 * HISTORY)}, device="cpu")
+    critic = uan_learner(env, uan(unit=(0.3, 8.0)), replace(UAN, num_envs=2), credit=credit).critic
+    unit = critic.module.units.get_buffer("unit")
+    assert unit.tolist() == pytest.approx([0.3] * HISTORY + [8.0] * HISTORY + [0.05, 2.0])
+    assert left[0] == 1
+    assert 1 <= left[1] <= 40
