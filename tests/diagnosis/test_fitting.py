@@ -441,7 +441,12 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
     """Of four numbers the third is fixed, the fourth not needed; the first is taken back."""
     names = ("drag", "spring", "fixed", "idle")
     terms = tuple(
-        Candidate(SimpleNamespace(name=n), 0, "elbow", (Parameter("p", "1", k / 8, 0.0, 9.0 * (n != "fixed"), 1.0),))
+        Candidate(
+            SimpleNamespace(name=n),
+            k // 2,
+            ("elbow", "wrist")[k // 2],
+            (Parameter("p", "1", k / 8, 0.0, 9.0 * (n != "fixed"), 1.0),),
+        )
         for k, n in enumerate(names)
     )
     h, told, begun = Hypothesis(terms), {}, []

@@ -217,24 +217,26 @@ def test_what_every_step_shows_must_be_a_sensor_and_forces_are_averaged_over_an_
 
 
 SENSED = """<mujoco><worldbody><body><freejoint/><geom size="1"/><site name="a"/><site name="b"/></body></worldbody>
-  <sensor><framepos name="p" objtype="site" objname="a"/><touch name="t" site="a"/>
-  <framepos name="q" objtype="site" objname="b"/><touch name="u" site="b"/></sensor></mujoco>"""
+  <sensor><framepos name="p" objtype="site" objname="a"/><framepos name="q" objtype="site" objname="b"/>
+  <touch name="t" site="a"/><touch name="u" site="b"/><touch name="v" site="a"/>
+  <touch name="w" site="b"/></sensor></mujoco>"""
 
 
 @pytest.mark.parametrize(
     ("names", "columns", "shape"),
     [
-        ("t", [3], (1,)),
+        ("t", [6], (1,)),
         ("p", [0, 1, 2], (3,)),
-        ("tu", [3, 7], (2,)),
-        ("qp", [4, 5, 6, 0, 1, 2], (2, 3)),  # in the order that they are named in
+        ("tu", [6, 7], (2,)),
+        ("tvuw", [6, 8, 7, 9], (4,)),  # no block, though it ends as one
+        ("qp", [3, 4, 5, 0, 1, 2], (2, 3)),  # in the order that they are named in
     ],
 )
 def test_sensors_are_columns_in_the_order_of_their_names(names, columns, shape):
     found, size = module._columns(mujoco.MjModel.from_xml_string(SENSED), list(names), torch.device("cpu"))
     assert module._numbers(found) == columns
     assert size == shape
-    assert isinstance(found, slice) is (columns == sorted(columns) and names != "tu")
+    assert isinstance(found, slice) is (names not in ("qp", "tvuw"))
 
 
 def test_a_base_without_a_free_joint_floats_not():
