@@ -623,3 +623,15 @@ def test_without_gains_a_loop_is_critically_damped_at_its_bandwidth(monkeypatch)
     assert kd == pytest.approx([4 * w, w])
     r.kp = np.full(2, 7.0)
     assert planning._gains([take], None) == (r.kp, r.kd)
+
+
+def test_the_most_doubtful_of_several_findings_is_asked_about_first(monkeypatch):
+    keys = [("drag", "hip"), ("rotor", "knee"), ("lag", "foot")]
+    terms = [SimpleNamespace(candidate=SimpleNamespace(key=key)) for key in keys]
+    part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=terms)))
+    asked = []
+    monkeypatch.setattr(planning, "answer_set", lambda part, term: asked.append(term.candidate.key) or [])
+    rival = (Rival("none", "", 0.1, ""),)
+    findings = [Finding(*key, p, "", {}, "", rival) for key, p in zip(keys, (0.6, 0.3, 0.9), strict=True)]
+    assert next_experiment([part], findings) is None
+    assert asked == [keys[1], keys[0], keys[2]]

@@ -15,6 +15,7 @@ from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.joint_fit import (
     DOUBT,
     WORTH,
+    Linearised,
     Problem,
     affordable,
     descend,
@@ -444,3 +445,18 @@ def test_of_each_joint_the_least_needed_goes_and_of_two_that_stand_for_each_othe
     monkeypatch.setattr(module, "folded", lambda near, trials, fold, first_order=False: [cost(t) for t in trials])
     monkeypatch.setattr(module, "window_cost", lambda problem, told: np.array(told)[:, None] * np.ones(100))
     assert prune(near, Deadline()).tolist() == needed
+
+
+def test_what_is_held_goes_to_the_given_models_number():
+    h = SimpleNamespace(
+        scale=np.array([0.5, 0.1]), nominal=np.array([2.0, 1.0]), bounds=(np.full(2, -9.0), np.full(2, 9.0))
+    )
+    problem = SimpleNamespace(hypothesis=h, row_weight=np.ones(3), window=np.array([0, 0, 0]))
+    columns = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    near = Linearised(
+        problem, np.array([3.0, 1.0]), np.ones(2, dtype=bool), np.zeros(3), columns, np.zeros(1), np.zeros((1, 2))
+    )
+    one = np.ones(1, dtype=bool)
+    assert near.move(one, np.array([True, True])) == pytest.approx([-2.0, 0.0])
+    assert near.move(one, np.array([True, False])) == pytest.approx([-2.0, 1.0], rel=1e-4)  # the other makes up for it
+    assert near.step(one, np.array([True, True])) == pytest.approx([2.0, 1.0])

@@ -545,3 +545,12 @@ def test_a_velocity_that_is_logged_is_listened_to():
     told = [take_of(log, model, np.array([1e-3]), noise) for noise in (None, np.array([1e-3]))]
     error = [np.sqrt(np.mean((t.velocity[20:-20, 0] - 6 * np.cos(6 * t.time[20:-20])) ** 2)) for t in told]
     assert error[1] < 0.3 * error[0]
+
+
+def test_where_noise_is_alike_from_sample_to_sample_a_start_is_known_less_well():
+    """A mean over many samples is off by the square root of (1 + r) / (1 - r) more than one of independent noise."""
+    model = mujoco.MjModel.from_xml_string(pendulum())
+    time = np.arange(200) / RATE
+    r = Recording(time, ("pendulum",), 0.1 * np.sin(time)[:, None], torque_command=np.zeros((200, 1)))
+    white, slow = (take_of(r, model, np.array([1e-3]), noise_correlation=c).start_noise for c in (0.0, 0.6))
+    np.testing.assert_allclose(slow, 2.0 * white, rtol=1e-6)

@@ -112,3 +112,9 @@ def test_wandb_stays_on_this_machine(tmp_path, monkeypatch):
     logger.experiment.finish()
     sys.modules["wandb"].teardown()
     assert list(tmp_path.rglob("*.wandb"))
+
+
+def test_small_numbers_are_written_as_they_are(tmp_path):
+    table = CSVTable(tmp_path / "progress.csv")
+    table.log_metrics({"actor_lr": 1.25e-5}, step=1)
+    assert table.path.read_text().split()[1] == "1,1.25e-05"

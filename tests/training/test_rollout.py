@@ -132,3 +132,19 @@ def test_where_values_must_not_be_looked_at_a_mask_gives_the_same_batch(monkeypa
         batches.append(Rollout(arm_env(), act, horizon=12)().clone())
     assert batches[0]["next", "done"].any()
     assert (batches[0] == batches[1]).all()
+
+
+def test_a_rollout_that_is_gone_on_with_has_its_simulation_again():
+    def collected(rollout):
+        torch.manual_seed(1)
+        return rollout().clone()
+
+    first, second = (Rollout(arm_env(), policy(), horizon=3, keys=["joint_position", "joint_velocity"]) for _ in "ab")
+    for _ in range(3):
+        first()
+    state = first.state_dict()
+    wanted = collected(first)
+    second.load_state_dict(state)
+    found = collected(second)
+    for key in ("joint_position", "joint_velocity", ("next", "joint_velocity")):
+        torch.testing.assert_close(found[key], wanted[key], rtol=0, atol=0)
