@@ -244,21 +244,3 @@ def test_a_base_without_a_free_joint_floats_not():
     assert module._free_joint(model, None) == (None, None)
     with pytest.raises(ValueError, match="no free joint"):
         module._free_joint(ARM.model(), ARM.model().body(ARM.model().joint(ARM.joint_names[0]).bodyid[0]).name)
-
-
-def test_a_wrench_that_is_set_again_does_not_add_up_and_those_of_others_do():
-    env = TorqueEnv(DOG, num_envs=1)
-    env.reset()
-    trunk = torch.tensor([env.physics.model.body("base").id])
-    push = torch.tensor([[[10.0, 0.0, 0.0, 0.0, 0.0, 1.0]]])
-    for _ in range(3):
-        env.set_wrench("push", trunk, push)
-    env.set_wrench("rope", trunk, 2 * push)
-    assert env.physics.xfrc_applied[0, trunk[0]].tolist() == pytest.approx([30.0, 0, 0, 0, 0, 3.0])
-    env.set_wrench("rope", trunk, 0 * push)
-    assert env.physics.xfrc_applied[0, trunk[0]].tolist() == pytest.approx([10.0, 0, 0, 0, 0, 1.0])
-
-
-def test_of_what_is_read_at_every_step_forces_are_averaged_and_places_are_not():
-    env = TorqueEnv(DOG, num_envs=1, every_step=["foot_force", "end_effector_position"])
-    assert env.averaged_keys == ("joint_power", "foot_force")

@@ -27,7 +27,7 @@ def told(output):
     return [*flags, "--output", str(output)]
 
 
-def look_at(output, name):
+def assert_left(output, name):
     assert [row["step"] for row in CSVTable(output / "progress.csv").rows] == ["1", "2"]
     figures = json.loads((output / "figures.json").read_text())
     assert all(math.isfinite(value) for value in figures.values())
@@ -37,7 +37,7 @@ def look_at(output, name):
 def test_it_learns_and_says_how_good_it_is(tmp_path, monkeypatch):
     monkeypatch.setattr(sled, "STEPS", 3)  # of an episode that is judged
     sled.main(tyro.cli(sled.Config, args=told(tmp_path)))
-    look_at(tmp_path, "sled")
+    assert_left(tmp_path, "sled")
 
 
 @pytest.mark.slow
@@ -46,7 +46,7 @@ def test_from_the_command_line_it_does_so_too(name, tmp_path):
     command = [sys.executable, f"recipes/finetune_{name}.py", *told(tmp_path)]
     ended = subprocess.run(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr[-2000:]
-    look_at(tmp_path, name)
+    assert_left(tmp_path, name)
 
 
 @pytest.mark.slow
