@@ -1,6 +1,7 @@
 """A correction survives its file, and what MJCF can say of it is said in MJCF."""
 
 import json
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.outcome import logged_gains
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, JointAddress, Plant
+from torchrl_athletic.recordings import Recording, RecordingError
 from torchrl_athletic.robots import from_mjcf
 from torchrl_athletic.robots.benches import two_link_arm
 
@@ -85,9 +87,48 @@ def test_what_json_holds_rolls_out_the_same(terms):
     two = Simulation.from_json(json.loads(text), one.model)
     np.testing.assert_array_equal(two.values, one.values)
     assert [c.key for c in two.hypothesis.trims] == [("link_inertia", "pendulum")]
+    (trim,) = one.to_json()["trims"]
+    assert [(p["value"], p["nominal"]) for p in trim["parameters"].values()] == [(1.1, 1.0)]
     for window in (0.5, None):
         np.testing.assert_array_equal(one.rollout(recording(), window), two.rollout(recording(), window))
     assert np.abs(one.rollout(recording()) - corrected({}).rollout(recording())).max() > 1e-3
+
+
+@pytest.mark.parametrize("beyond", [0, 1, 2])
+def test_what_does_not_fill_a_window_is_simulated_from_where_the_last_one_ends(beyond):
+    """To the last sample: an offset of 5 N·m turns the link by milliradians within one."""
+    r = recording().slice(0, 51 + beyond)
+    given, pushed = (corrected(terms).rollout(r)[:, 0] for terms in ({}, {"torque_offset": [5.0]}))
+    apart = np.abs(given - pushed) > 1e-3
+    assert apart.tolist() == [False, *[True] * 50, *[True] * beyond]
+
+
+def test_a_path_is_read_at_the_stamps_of_a_log_that_lost_samples():
+    whole = record(pendulum(), np.zeros((200, 1)), start=1.0, noise=0.0)
+    kept = np.delete(np.arange(200), np.arange(5, 195, 9))
+    r = replace(
+        whole, time=whole.time[kept], position=whole.position[kept], torque_command=whole.torque_command[kept]
+    )
+    np.testing.assert_allclose(corrected({}).rollout(r, None), r.position, atol=5e-3)
+
+
+@pytest.mark.parametrize("base", ["recorded", "fixed"])
+def test_a_floating_base_moves_as_recorded_and_is_held_only_where_the_model_says_so(base):
+    """A hanging trunk that is carried sideways swings the leg; one that is held where the model has it does not."""
+    model = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body pos="0 0 1"><freejoint/><geom size="0.1"/>
+      <body><joint name="hip" axis="0 1 0"/><geom size="0.05" pos="0 0 -0.3"/></body></body></worldbody></mujoco>""")
+    time, still = np.arange(101) / 100.0, np.zeros((101, 1))
+    bare = Recording(time, ("hip",), still, torque_command=still)
+    carried = np.stack([0.2 * np.sin(6 * time) ** 2, 0 * time, 1 + 0 * time], -1)
+    moving = replace(bare, base_position=carried, base_orientation=np.tile([1.0, 0, 0, 0], (101, 1)))
+    simulation = Simulation(model, ("hip",), Hypothesis((), ()), np.zeros(0), base)
+    assert Simulation.from_json(simulation.to_json(), model).base == base
+    assert np.abs(simulation.rollout(moving, None)).max() > 0.1
+    if base == "fixed":
+        np.testing.assert_allclose(simulation.rollout(bare, None), still, atol=1e-6)
+    else:
+        with pytest.raises(RecordingError, match="were not recorded"):
+            simulation.rollout(bare, None)
 
 
 def test_a_path_has_the_columns_of_its_recording():
@@ -103,6 +144,23 @@ def test_a_path_has_the_columns_of_its_recording():
     path = simulation.rollout(own)
     assert abs(path[:, 0] - path[:, 1]).max() > 0.1
     np.testing.assert_allclose(simulation.rollout(turned), path[:, ::-1], atol=1e-12)
+
+
+def test_an_effect_of_your_own_takes_the_place_of_the_one_of_its_name():
+    own = type("Own", (type(EFFECTS["link_inertia"]),), {})()
+    content = corrected({}, {"link_inertia": [1.1]}).to_json()
+    (trim,) = Simulation.from_json(content, corrected({}).model, (own,)).hypothesis.trims
+    assert trim.effect is own
+
+
+def test_a_file_names_the_joint_of_each_effect_and_without_a_base_means_the_recorded_one():
+    model, names = mujoco.MjModel.from_xml_string(double_pendulum()), ("upper", "lower")
+    friction, address = EFFECTS["viscous_friction"], JointAddress.of(model, names)
+    terms = tuple(Candidate(friction, j, n, friction.parameters(model, address, j)) for j, n in enumerate(names))
+    content = Simulation(model, names, Hypothesis(terms), np.array([0.1, 0.2]), "fixed").to_json()
+    assert [c.joint for c in Simulation.from_json(content, model).hypothesis.terms] == [0, 1]
+    del content["base"]
+    assert Simulation.from_json(content, model).base == "recorded"
 
 
 def test_an_effect_of_another_catalogue_is_refused_by_name():

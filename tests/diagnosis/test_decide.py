@@ -151,6 +151,15 @@ def test_a_miss_is_one_above_the_floors_of_both_and_following_is_twice_the_floor
     assert decided(options, [first, second], scores, 0.5 * np.arange(400))[2] == [taken, True]
 
 
+@pytest.mark.parametrize(("level", "taken"), [(4.0, True), (6.0, False)])
+def test_a_miss_is_more_than_twice_the_error_of_what_follows(level, taken):
+    """Beside one that follows within two floors, at 2.5 times its error."""
+    first, second = np.ones((400, 1)), np.ones((400, 1))
+    first[[20, 200]], second[[20, 200]] = level, 2.0
+    options = [Proposal(None, None), Proposal(None, None, 9.0)]
+    assert decided(options, [first, second], [leaving(0.99), leaving(0.01)], 0.5 * np.arange(400))[2] == [taken, True]
+
+
 def test_a_richer_law_that_is_not_taken_refutes_nothing():
     plain = np.ones((400, 1))
     plain[[20, 200]] = 50.0
@@ -254,6 +263,24 @@ def test_a_term_that_became_a_trim_is_needed_too_and_a_trim_that_is_no_term_is_n
     fitted = hypothesis([friction.candidate], [mass.candidate, tilt.candidate])
     trial = Trial(Proposal(None, best), fitted, {}, np.zeros((1, 1)), np.zeros(1))
     assert deciding.needed_by(trial) == {("friction", "hip"), ("mass", "hip")}
+
+
+def test_only_what_the_simulation_does_not_refute_may_need_its_terms(monkeypatch):
+    asked, friction, gear = [], atom("friction"), atom("gear")
+    trials = tuple(
+        Trial(
+            Proposal(None, SimpleNamespace(fit=SimpleNamespace(terms=[a]))), hypothesis([a.candidate]), {},
+            np.zeros((1, 1)), np.zeros(1),
+        )
+        for a in (friction, gear)
+    )  # fmt: skip
+    monkeypatch.setattr(deciding, "decided_by", lambda trials: (0, np.array([0.0, 7.0]), [True, False]))
+    monkeypatch.setattr(deciding, "others_than", lambda own, options, needed: asked.append(needed) or ())
+    monkeypatch.setattr(deciding, "torque_is_open", lambda trial: False)
+    monkeypatch.setattr(deciding, "answer_set", lambda part, term: ())
+    proposed = SimpleNamespace(located=None, drive=None)
+    deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=()))
+    assert asked == [[{("friction", "hip")}, set()]]
 
 
 def test_only_what_is_stated_is_asked_who_could_stand_in_its_place(monkeypatch):

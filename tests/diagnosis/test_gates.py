@@ -22,6 +22,7 @@ from torchrl_athletic.effects import (
     Backlash,
     Compliance,
     CoulombFriction,
+    GravityTilt,
     JointSpring,
     Parameter,
     StribeckFriction,
@@ -93,6 +94,15 @@ def test_what_makes_no_sense_or_is_as_likely_as_not_explains_nothing():
     assert verdict([FINDING, hardly])[0] == "partly_explained"
 
 
+@pytest.mark.parametrize("far_from", ["train", "heldout"])
+def test_recordings_that_the_model_does_not_follow_are_not_made_up_for_by_others_that_it_does(far_from):
+    near, far = score(1.0, 3.0), score(1.0, STATEMENT.near_floor + 1.0)
+    train, heldout = (far, near) if far_from == "train" else (near, far)
+    assert verdict_of([], [], train, heldout, False)[0] == "unexplained"
+    assert verdict_of([], [], near, near, False)[0] == "nothing_missing"
+    assert verdict_of([*evidence(0.0), *evidence(0.5)], [FINDING], score(0.0), None, True)[0] == "partly_explained"
+
+
 def test_the_unexplained_share_is_the_greater_one():
     assert verdict(train=0.1, heldout=0.3)[1] == pytest.approx(0.3)
     assert verdict(train=0.4, heldout=0.3)[1] == pytest.approx(0.4)
@@ -103,6 +113,7 @@ def test_before_anything_was_scored_nothing_is_called_explained():
     assert verdict_of([], [FINDING], None, None, True)[0] == "partly_explained"
     assert verdict_of([], [], None, None, True)[0] == "unexplained"
     assert verdict_of([], [], None, None, False)[0] != "nothing_missing"
+    assert [verdict_of([], [FINDING], None, None, is_open)[1] for is_open in (True, False)] == [1.0, 0.0]
 
 
 def test_one_joint_far_from_its_floor_is_enough_not_to_call_the_model_complete():
@@ -161,6 +172,15 @@ def test_play_whose_stated_interval_reaches_zero_may_be_a_soft_gear(spread, expe
     samples = values + np.random.default_rng(0).normal(size=(400, 2)) * [spread, 1.0]
     assert np.quantile(samples[:, 0], 0.025) > 0
     assert gates._is_plain(play, values, samples) is expected
+
+
+@pytest.mark.parametrize(("given", "ends", "seen"), [(0.0, (0.01, 0.6), True), (0.0, (-0.6, -0.01), True),
+                                                     (2.0, (1.9, 2.1), False), (2.0, (1.8, 1.9), True)])  # fmt: skip
+def test_a_number_is_seen_where_its_interval_excludes_the_given_one_however_wide_it_is(given, ends, seen, monkeypatch):
+    monkeypatch.setattr(gates, "widened", lambda value, low, high: ends)
+    of = (Parameter("stiffness", "N·m/rad", given, 0, 9, 0.1), Parameter("preload", "N·m", 0.0, -9, 9, 0.1))
+    values = np.array([np.mean(ends), -0.67])
+    assert gates._is_plain(Candidate(JointSpring(), 0, "elbow", of), values, np.tile(values, (9, 1))) is not seen
 
 
 def test_what_makes_no_sense_is_hardly_believed_and_nobody_beside_it_by_more_than_half():
@@ -234,7 +254,26 @@ def test_the_summary_says_the_most_important_first():
     even = dataclasses.replace(FINDING, probability=STATEMENT.likely)
     told = summarise("unexplained", [FINDING, even], (), None, True, 0.5)
     assert told[1] == "Not identified at elbow; coulomb friction fits best, at 50 %."
+    assert summarise("explained", [dataclasses.replace(FINDING, probability=0.6)], (), None, True, 0.0) == text[:1]
     assert "none were kept aside" in summarise("explained", [FINDING], WHERE, score(0.0), False, 0.04)[2]
+
+
+@pytest.mark.parametrize(
+    ("regime", "said"),
+    [
+        ("moving backwards", "when moving backwards"),
+        ("accelerating", "when accelerating"),
+        ("slower than 1 rad/s", "when slower than 1 rad/s"),
+        ("faster than 1 rad/s", "when faster than 1 rad/s"),
+        ("position above 1 rad", "with position above 1 rad"),
+        ("load above 1 N·m", "with load above 1 N·m"),
+        ("command above 1 N·m", "with command above 1 N·m"),
+        ("at rest", "at rest"),
+    ],
+)
+def test_where_the_error_is_densest_is_said_in_words(regime, said):
+    where = (WHERE[0], dataclasses.replace(WHERE[1], regime=regime))
+    assert f"; it is densest {said} (elbow)." in summarise("explained", [FINDING], where, None, True, 0.0)[1]
 
 
 @pytest.mark.parametrize("rivals", [(), (Rival("backlash", "elbow", 0.1, "hang a weight on elbow"),)])
@@ -284,6 +323,8 @@ def test_a_finding_is_as_sure_as_the_surest_of_its_numbers_in_deviations_of_its_
     samples = np.array([[1.0, 0.4], [3.0, 0.6]])  # deviations 1 and 0.1
     assert gates._certainty(friction((2.0, 0.5)), np.array([2.0, 0.5]), samples) == pytest.approx(5.0)
     assert gates._certainty(friction((2.0, 0.5)), np.array([-7.0, 0.1]), samples) == pytest.approx(7.0)
+    off = np.array([1.5, 1.0])  # from what is given; not from zero
+    assert gates._certainty(friction(off, nominal=1.0), off, samples) == pytest.approx(0.5)
     still = np.ones((3, 1))  # draws that are all alike do not make it certain beyond a thousandth of its scale
     assert gates._certainty(friction((1.0,)), np.array([0.5]), still) == pytest.approx(500.0)
 
@@ -351,6 +392,41 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
     assert beside_it.class_probability == beside_it.probability  # nonsense speaks for no class
 
 
+@pytest.mark.parametrize(
+    ("chosen", "senseless", "far", "expected"),
+    [
+        (0, (1,), ("wrist",), (2, True, False)),  # what makes no sense on the same joint leans on it
+        (0, (2,), ("elbow",), (2, False, True)),
+        (0, (0,), (), (2, False, False)),  # no term on itself
+        (3, (), ("wrist",), (4, False, True)),  # of the whole robot is what any joint lacks
+        (3, (), (), (4, False, False)),
+        (2, (1,), ("elbow",), (1, False, False)),
+    ],
+)
+def test_terms_beside_a_finding_are_those_of_its_own_joint_and_of_the_robot_all(
+    chosen, senseless, far, expected, monkeypatch
+):
+    everywhere = Candidate(GravityTilt(), 0, None, terms()[0].parameters)
+    h, grounds = Hypothesis((*terms(), everywhere)), []
+    c = h.terms[chosen]
+    fitted = Fitted(h, np.full(4, 0.5), np.tile(np.linspace(0.4, 0.6, 21)[:, None], 4), 0.0)
+    bank = SimpleNamespace(prediction=lambda fit, term: None)
+    part = SimpleNamespace(
+        judge=SimpleNamespace(bank=bank), best=SimpleNamespace(fit=SimpleNamespace(strain=0.0)),
+        left_of=lambda c: 0.0, excess_of=lambda c: 0.0,
+    )  # fmt: skip
+    monkeypatch.setattr(gates, "_sentence", lambda *_: "")
+    monkeypatch.setattr(gates, "scatter", lambda *_: 0.0)
+    monkeypatch.setattr(gates, "_energy_share", lambda *_: 1.0)
+    monkeypatch.setattr(gates, "regime_of", lambda *_: "everywhere")
+    monkeypatch.setattr(gates, "probability", lambda g, effect: grounds.append(g) or 0.4)
+    rated = [SimpleNamespace(atom=SimpleNamespace(candidate=c), share=1.0)]
+    without = {h.terms[k].key for k in senseless}
+    gates._finding(part, SimpleNamespace(candidate=c), fitted, c, rated, 0.0, without, frozenset(far))
+    (g,) = grounds
+    assert (g.terms, g.leans, g.far) == expected
+
+
 def test_the_worst_of_the_scores_says_how_much_is_open(monkeypatch):
     told = []
     one, *_ = terms()
@@ -360,6 +436,22 @@ def test_the_worst_of_the_scores_says_how_much_is_open(monkeypatch):
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
     gates.judge_findings([part], fitted, [score(0.2), score(0.7)], {one.key: ()})
     assert told == [pytest.approx(0.7)]
+
+
+@pytest.mark.parametrize(("gear", "friction", "before", "senseless"),
+                         [(0.5, 0.5, 1.2, {"compliance"}), (0.5, 0.5, 4.0, set()), (-1.0, 0.5, 4.0, {"compliance"}),
+                          (0.5, -1.0, 4.0, {"coulomb_friction"})])  # fmt: skip
+def test_what_no_robot_has_and_a_gear_in_the_noise_make_no_sense_each_alone(
+    gear, friction, before, senseless, monkeypatch
+):
+    told, (dry, soft, _) = [], terms()
+    for effect in (CoulombFriction, Compliance):
+        monkeypatch.setattr(effect, "is_physical", lambda self, parameters, values: values[0] > 0)
+    monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a[6]) or FINDING)
+    part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=dry)])))
+    fitted = Fitted(Hypothesis((dry, soft)), np.array([friction, gear]), np.zeros((3, 2)), 0.0)
+    gates.judge_findings([part], fitted, [score(0.2, before)], {dry.key: ()})
+    assert told == [{(name, "elbow") for name in senseless}]
 
 
 def test_findings_are_told_by_whole_per_cent_and_then_by_what_they_account_for(monkeypatch):

@@ -40,7 +40,9 @@ def test_friction_by_direction_is_dry_friction_and_an_offset_unless_it_grows_dif
     both = (Name("coulomb_friction", "knee"), Name("torque_offset", "knee"))
     assert names(asymmetric((0.0, 2.0), (0.0, 2.5))) == [{both}]
     assert names(asymmetric((1.0, 2.0), (1.5, 2.5))) == [{(*both, Name("viscous_friction", "knee"))}]
+    assert names(asymmetric((0.0, 2.0), (1.5, 2.5))) == [{(*both, Name("viscous_friction", "knee"))}]
     assert names(asymmetric((1.0, 2.0), (2.1, 2.5))) == [set()]
+    assert names(finding("asymmetric_friction", "knee", viscous_positive=(1.0, 2.0))) == [set()]
 
 
 def test_dry_friction_and_an_offset_on_one_joint_are_friction_by_direction():
@@ -99,6 +101,10 @@ def test_delays_are_a_clock_only_where_all_joints_have_the_same():
     clock = {(Name("clock_offset", None),)}
     assert delays((0.004, 0.006), (0.005, 0.007)) == [clock, clock]
     assert delays((0.004, 0.006), (0.008, 0.009)) == [set(), set()]
+    assert delays((0.004, 0.006), (0.0055, 0.0095)) == [clock, clock]  # 7.5 ms is no delay of the hip; 5.8 ms is
+    assert names(finding("actuation_delay", "hip", delay=(0.004, 0.006)), finding("actuation_delay", "knee")) == [
+        set(), set()
+    ]  # fmt: skip
     assert names(finding("actuation_delay", "hip", delay=(0.004, 0.006))) == [set()]
     assert names(finding("actuation_delay", "hip", delay=(0.004, 0.006)), joints=("hip",)) == [clock]
 
@@ -120,6 +126,14 @@ def test_a_rival_has_the_names_that_are_its_own_at_any_values():
     assert of_rival("asymmetric_friction", "hip", ("hip",)) == set()
     # with what is beside it, which is said of findings
     assert of_rival("coulomb_friction", "hip", ("hip",), finding("torque_offset", "hip")) == set()
+
+
+def test_each_of_two_rivals_has_names_of_its_own():
+    rivals = tuple(Rival(name, "hip", 0.3, "") for name in ("torque_ripple", "actuation_delay", "viscous_friction"))
+    (found,) = with_alternatives([replace(finding("actuation_lag", "hip"), rivals=rivals)], ("hip",), CATALOGUE, ("hip",))
+    assert [r.alternatives for r in found.rivals] == [
+        (), ((Name("clock_offset", None),),), ((Name("gain_mismatch", "hip"),),)
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+from diagnosis.columns import Given, candidate, signals
 
 from torchrl_athletic.diagnosis import remainder
 from torchrl_athletic.diagnosis.remainder import Flexibility, flexibilities, remarks_on
@@ -267,3 +268,27 @@ def test_an_answer_that_is_next_to_nothing_of_what_is_missing_up_there_is_not_to
     small, loud = hum(10.0, 15.0), hum(17.0, 27.0, seed=1)
     left, command = answer * small + loud, small + hum(17.0, 27.0, seed=2)
     assert bool(found_in((left[:, None] * [0.0, 1.0], command[:, None] * [0.0, 1.0]))) is seen
+
+
+def test_what_hardly_follows_the_command_adds_nothing_to_the_strength_of_what_does(found_in):
+    """Ten times the power beside the answer is as coherent as chance makes it, which is no answer."""
+    answer, loud = hum(10.0, 15.0), np.sqrt(10.0) * hum(17.0, 27.0, seed=1)
+    left, command = answer + loud, answer + hum(17.0, 27.0, seed=2)
+    (found,) = found_in((left[:, None] * [0.0, 1.0], command[:, None] * [0.0, 1.0]))
+    assert found.rms == pytest.approx(1.0, rel=0.05)
+    assert found.coherence > 0.9
+
+
+def test_a_joint_is_compared_with_the_noise_of_its_own_sensors(found_in):
+    x = hum(10.0, 20.0)[:, None] * [0.0, 1.0]
+    (found,) = found_in((x, x), noise=[9.0, 1e-3])
+    assert (found.joint, found.noise) == ("rail", 1e-3)
+    assert found_in((x, x), noise=[1e-3, 9.0]) == []
+
+
+def test_all_that_was_found_is_taken_from_the_missing_torque():
+    one, two = np.random.default_rng(0).normal(size=(2, 300))
+    s = signals(np.stack([2 * one, 3 * two], -1))
+    found = Judge(Bank([s], [candidate(Given("one", one), 0), candidate(Given("two", two), 1)], noise=np.ones(2)))
+    left = remainder._left(s, found.score(found.bank.atoms))
+    np.testing.assert_allclose(left, np.zeros((300, 2)), atol=1e-4)

@@ -86,7 +86,7 @@ def _is_part(f: Finding, whole: Effect, findings: Sequence[Finding], joints: Seq
         parts = [g for g in findings if g.effect in names and g.joint in where]
         if not all(_holds(g, {whole.name}) for g in parts):
             continue
-        damps = whole.name == "asymmetric_friction" and f.effect == "viscous_friction" and f.joint in where
+        damps = whole.name == "asymmetric_friction" and f.effect == "viscous_friction"
         if (f in parts or damps) and len({(g.effect, g.joint) for g in parts}) == len(names) * len(where):
             if not whole.whole_robot or len(parts) == 1:
                 return True
