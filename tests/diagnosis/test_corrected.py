@@ -467,6 +467,29 @@ def test_dry_friction_brings_its_stiffness_into_mjcf():
     assert model.dof_solimp[0, :2] == pytest.approx([0.99, 0.99])
 
 
+@pytest.mark.parametrize("angle", ["degree", "radian"])
+def test_every_number_of_every_joint_reaches_its_own_place(angle):
+    """Beneath a free base, where no joint has its degree of freedom's number, nor its position's; named backwards."""
+    xml = f"""<mujoco><compiler angle="{angle}"/><worldbody><body><freejoint/><geom size="0.1"/>
+      <body><joint name="hip" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.2"/>
+        <body pos="0 0 -0.4"><joint name="rail" type="slide"/><geom size="0.1"/></body></body></body></worldbody>
+    </mujoco>"""
+    model, names = mujoco.MjModel.from_xml_string(xml), ("rail", "hip")
+    address, terms = JointAddress.of(model, names), []
+    effects = ("coulomb_friction", "viscous_friction", "reflected_inertia", "joint_spring")
+    for j, name in enumerate(names):
+        terms += [Candidate(EFFECTS[e], j, name, EFFECTS[e].parameters(model, address, j)) for e in effects]
+    values = np.array([0.1, 0.01, 0.2, 0.03, 4.0, 0.5, 0.6, 0.02, 0.7, 0.08, 9.0, 1.1])
+    simulation = Simulation(model, names, Hypothesis(tuple(terms)), values)
+    plant = Plant(model, address, 1)
+    simulation.hypothesis.build(plant, values[None])
+    written_down = mujoco.MjModel.from_xml_string(corrected_xml(xml, simulation))
+    given = {"dof_frictionloss", "dof_damping", "dof_armature", "jnt_stiffness", "qpos_spring", "dof_solref"}
+    assert given <= plant.fields.keys()
+    for field, wanted in plant.fields.items():
+        np.testing.assert_allclose(getattr(written_down, field), wanted[0], atol=1e-6, err_msg=field)
+
+
 def test_mass_keeps_the_rest_of_the_link():
     model = mujoco.MjModel.from_xml_string(corrected_xml(pendulum(), corrected({"link_mass": [0.6]})))
     body = model.body("link")
@@ -544,7 +567,7 @@ def test_names_of_joints_survive(name):
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path):
-    path = tmp_path / "new" / "a.json"
+    path = tmp_path / "new" / "one" / "a.json"
     write_json(path, {"π": [1.0]})
     assert path.read_text(encoding="utf-8") == '{\n "π": [\n  1.0\n ]\n}\n'
     with pytest.raises(ValueError, match="not JSON compliant"):

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from diagnosis.columns import Given, candidate, judge, signals
 from effects.arm import address, arm
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +17,7 @@ from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis
 from torchrl_athletic.diagnosis.gates import summarise, verdict_of
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.diagnosis.thresholds import STATEMENT
+from torchrl_athletic.diagnosis.thresholds import SEARCH, STATEMENT
 from torchrl_athletic.effects import (
     AsymmetricFriction,
     Backlash,
@@ -183,6 +184,31 @@ def test_a_number_is_seen_where_its_interval_excludes_the_given_one_however_wide
     assert gates._is_plain(Candidate(JointSpring(), 0, "elbow", of), values, np.tile(values, (9, 1))) is not seen
 
 
+@pytest.mark.parametrize(("unit", "seen"), [("N·m", False), ("N·m/rad", True)])
+def test_a_number_that_is_next_to_nothing_of_another_in_its_unit_is_not_seen(unit, seen, monkeypatch):
+    monkeypatch.setattr(gates, "widened", lambda value, low, high: (0.01, 0.03))
+    of = (Parameter("stiffness", unit, 0.0, 0, 9, 0.1), Parameter("preload", "N·m", 0.0, -9, 9, 0.1))
+    values = np.array([0.02, -0.67])
+    assert gates._is_plain(Candidate(JointSpring(), 0, "elbow", of), values, np.tile(values, (9, 1))) is not seen
+
+
+def test_the_energy_of_a_term_is_what_its_joint_misses_without_it_beside_the_others():
+    """Of a torque whose parts have four, two and one units of power the first is four sevenths; not the hum beside."""
+    one, two, rest, hum = np.linalg.qr(np.random.default_rng(0).normal(size=(400, 4)))[0].T * 20.0
+    take = signals(np.stack([2 * one + np.sqrt(2) * two + rest, 9 * hum], -1))
+    weigh = judge(take, candidate(Given("one", one)), candidate(Given("two", two)))
+    best = weigh.score(weigh.bank.atoms)
+    shares = [gates._energy_share(SimpleNamespace(judge=weigh, best=best), term) for term in best.fit.terms]
+    assert shares == pytest.approx([4 / 7, 2 / 7], rel=1e-3)
+
+
+@pytest.mark.parametrize(("more", "said"), [(0.01, True), (-0.01, False)])
+def test_a_term_of_another_strength_on_each_recording_stands_in_for_something(more, said):
+    dry = Candidate(CoulombFriction(), 1, "elbow", CoulombFriction().parameters(arm(), address(), 1))
+    grounds = Grounds(1, 0, 0, SEARCH.invariant + more, 0, 1, 1, 0, 30)
+    assert ("on each" in gates._sentence(dry, {"torque": 0.5, "turnover": 0.0}, grounds)) is said
+
+
 def test_what_makes_no_sense_is_hardly_believed_and_nobody_beside_it_by_more_than_half():
     sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
     odd, beside = (dataclasses.replace(sure, **{how: True}) for how in ("senseless", "leans"))
@@ -311,6 +337,7 @@ def test_a_gear_is_not_read_from_the_noise_of_a_joint_that_the_given_model_follo
         for effect in (Compliance(), CoulombFriction())
     )
     assert gates._is_noise(compliance, seen) is expected
+    assert not gates._is_noise(compliance, {})  # of a joint that no score tells of
     assert not gates._is_noise(dry, seen)
 
 

@@ -126,6 +126,8 @@ def test_what_is_seen_is_the_largest_of_all_takes_and_no_more_than_the_motor_has
     assert seen.travel == pytest.approx(np.ptp(np.concatenate([slow.position, fast.position])), rel=1e-2)
     needed = max(np.quantile(np.abs(s.required), 0.99) for s in both.signals)
     assert seen.torque == pytest.approx(max(asked, needed))
+    beside = replace(slow, position=slow.position + 1.0)
+    assert seen_in(prepared(slow, beside)).travel == pytest.approx(np.ptp(slow.position) + 1.0, rel=1e-2)
     logged = [replace(r, torque_command=0.1 * r.torque_command) for r in (slow, fast)]  # in another unit
     assert seen_in(prepared(*logged)).torque == pytest.approx(needed)
     motor = f'<motor joint="pendulum" ctrlrange="{-0.8 * asked} {0.8 * asked}"/>'
@@ -249,3 +251,35 @@ def test_each_joint_of_two_has_its_own_friction():
     assert len(agreement(h, takes).parts) == 2
     cost = (agreement(h, takes).rows(values) ** 2).sum(0)
     assert cost[1] < 0.1 * cost[0]
+
+
+def test_joints_in_another_order_are_the_same_joints():
+    """Unlike in their loads, their motors' ranges, their torques' unit and their gains."""
+    motors = '<motor joint="upper" ctrlrange="-1 1"/><motor joint="lower" ctrlrange="-0.1 0.2"/>'
+    xml = double_pendulum().replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>")
+    torque = np.hstack([smooth_torque(2.0, 1.5, 1), smooth_torque(2.0, 0.8, 2)])
+    driven = replace(record(xml, torque), torque_command=torque * [0.1, 1.0])
+    followed = [
+        record(xml, np.hstack([smooth_torque(2.0, 0.3, k), smooth_torque(2.0, 0.6, k + 1)]), kp=np.array([8.0, 3.0]),
+               kd=np.array([0.5, kd])) for k, kd in ((1, 0.1), (2, 0.2))
+    ]  # fmt: skip
+    for takes in ([driven], followed):
+        told = []
+        for names in (("upper", "lower"), ("lower", "upper")):
+            one = prepared(*(r.ordered(names) for r in takes), xml=xml)
+            seen = seen_in(one)
+            h = standard_joints(one, seen)
+            begun = starts(h, one, seen, np.random.default_rng(0), 0)
+            keys = [(*c.key, p.name) for c in h.terms for p in c.parameters]
+            numbers = {
+                key: (p.lower, p.upper, p.scale, *x) for key, p, x in zip(keys, h.parameters, begun.T, strict=True)
+            }
+            for name in ("asked", "torque", "speed", "acceleration", "inertia", "travel"):
+                numbers.update({(name, joint): value for joint, value in zip(names, getattr(seen, name), strict=True)})
+            cost = (agreement(h, one).rows(begun) ** 2).sum(0)
+            told.append(numbers | {"torques": cost})
+        own, turned = told
+        assert own.keys() == turned.keys()
+        assert own["asked", "lower"] == pytest.approx(0.2)  # either way is as far as a limit may have to reach
+        for key, numbers in own.items():
+            assert turned[key] == pytest.approx(numbers, rel=1e-4, abs=1e-6), key
