@@ -26,7 +26,7 @@ from torchrl_athletic.diagnosis.extension import (
 from torchrl_athletic.diagnosis.joint_fit import Linearised, Problem, descend, linearise, problem_of, weighed
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.standard import Seen, seen_in, standard_joints
-from torchrl_athletic.effects import Parameter
+from torchrl_athletic.effects import Compliance, Parameter
 from torchrl_athletic.recordings import Recording
 
 SEEN = Seen(*(np.array([x]) for x in (5.0, 8.0, 2.0, 4.0, 0.1, 3.0)), period=0.01)
@@ -109,6 +109,34 @@ def test_a_base_that_leans_is_offered_once_and_to_no_joint():
     keys = [o.candidate.key for o in offers(two, takes, seen_in(takes))]
     assert [key for key in keys if key[0] == "gravity_tilt"] == [("gravity_tilt", None)]
     assert [key for key in keys if key[0] == "joint_spring"] == [("joint_spring", n) for n in ("upper", "lower")]
+
+
+def test_each_of_two_joints_is_offered_laws_of_its_own_size_that_start_from_its_own_friction():
+    command = np.hstack([smooth_torque(2.0, 1.0, 1), smooth_torque(2.0, 0.5, 2)])
+    take, xml = record(double_pendulum(0.005), command), double_pendulum(0.005)
+    sizes = {"upper": (5.0, 8.0, 2.0, 4.0, 0.1, 0.6), "lower": (1.0, 3.0, 7.0, 2.0, 0.3, 0.2)}
+    friction = {("coulomb_friction", "upper"): 0.3, ("coulomb_friction", "lower"): 0.2,
+                ("viscous_friction", "upper"): 0.07, ("viscous_friction", "lower"): 0.04}  # fmt: skip
+    told = []
+    for names in (("upper", "lower"), ("lower", "upper")):
+        one = prepare([take.ordered(names)], mujoco.MjModel.from_xml_string(xml))
+        seen = Seen(*np.array([sizes[name] for name in names]).T, period=0.01)
+        h = standard_joints(one, seen)
+        values = h.nominal
+        for c in h.terms:
+            if c.key in friction:
+                h.values_of(c, values)[0] = friction[c.key]
+        near = SimpleNamespace(problem=SimpleNamespace(hypothesis=h), values=values)
+        offered = [
+            (*o.candidate.key, *(c.key for c in o.replaced), o.start.round(9).tolist(),
+             [(p.lower, p.upper, p.scale) for p in o.candidate.parameters])
+            for o in offers(near, one, seen) if not o.candidate.effect.whole_robot
+        ]  # fmt: skip
+        told.append(sorted(offered, key=str))
+        at_rest = offers(near, one, replace(seen, travel=seen.travel * [name == "lower" for name in names]))
+        assert {o.candidate.joint_name for o in at_rest} <= {"lower", None}
+    assert told[0] == told[1]
+    assert {joint for _, joint, *_ in told[0]} == {"upper", "lower"}
 
 
 @pytest.mark.parametrize(("unit", "most"), [("N·m", 80.0), ("N", 80.0), ("N·m·s/rad", 40.0), ("N·s/m", 40.0)])
@@ -214,6 +242,26 @@ def test_a_gear_is_hinted_at_where_it_leaves_much_less_of_what_the_torques_leave
     best = dict(zip((p.name for p in hints[0].candidate.parameters), hints[0].start, strict=True))
     assert min(FINER) * best["stiffness"] < stiffness < max(FINER) * best["stiffness"]  # among which a search begins
     assert extension._hints(near.problem.hypothesis, swings) == []
+
+
+def test_the_soft_one_of_two_joints_is_hinted_at_though_nothing_of_the_first_one_can_be_used(monkeypatch):
+    monkeypatch.setattr(extension, "GEARS", (Compliance(),))
+    time, command, read = behind_a_spring(40.0, link=0.05, rotor=0.04, rng=np.random.default_rng(1))
+    step = time[1] - time[0]
+    speed = np.cumsum(np.append(0.0, command[:-1])) * step / 0.09
+    stiff = np.append(0.0, np.cumsum(speed[:-1] + step / 2 * command[:-1] / 0.09) * step)
+    table = '<body><joint name="{0}" axis="0 0 1" armature="0.04"/><inertial pos="0 0 0" mass="0.1" diaginertia="{1}"/>'
+    tables = "".join(table.format(name, "0.05 0.05 0.05") + "</body>" for name in ("stiff", "soft"))
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="0.005" gravity="0 0 0"/><worldbody>{tables}</worldbody></mujoco>'
+    )
+    position = np.stack([stiff, read], -1) + 1e-6 * np.random.default_rng(0).standard_normal((len(read), 2))
+    take = Recording(time, ("stiff", "soft"), position, torque_command=np.stack([command, command], -1))
+    bent = prepare([take.slice(0, 600)], model)
+    h = standard_joints(bent, seen_in(bent))
+    bent.signals[0].valid[:, 0] = False
+    hints = extension._hints(h, bent)
+    assert {(o.candidate.joint, o.candidate.joint_name) for o in hints} == {(1, "soft")}
 
 
 def test_each_round_builds_on_the_last_one_and_must_save_a_hundredth(monkeypatch):
