@@ -106,9 +106,7 @@ def test_what_does_not_fill_a_window_is_simulated_from_where_the_last_one_ends(b
 def test_a_path_is_read_at_the_stamps_of_a_log_that_lost_samples():
     whole = record(pendulum(), np.zeros((200, 1)), start=1.0, noise=0.0)
     kept = np.delete(np.arange(200), np.arange(5, 195, 9))
-    r = replace(
-        whole, time=whole.time[kept], position=whole.position[kept], torque_command=whole.torque_command[kept]
-    )
+    r = replace(whole, time=whole.time[kept], position=whole.position[kept], torque_command=whole.torque_command[kept])
     np.testing.assert_allclose(corrected({}).rollout(r, None), r.position, atol=5e-3)
 
 

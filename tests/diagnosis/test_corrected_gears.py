@@ -212,6 +212,13 @@ def test_a_gear_stays_in_json_where_the_joint_is_coupled_or_nothing_could_couple
     assert "its link" not in xml
 
 
+def test_two_gears_of_one_joint_stay_in_json():
+    given = pendulum()
+    xml = corrected_xml(given, corrected({"compliance": [40.0, 0.1], "backlash": [0.03, 60.0]}, xml=given))
+    assert mujoco.MjModel.from_xml_string(xml).nv == 1
+    assert "compliance of pendulum, backlash of pendulum" in xml
+
+
 def test_a_chain_that_acts_the_drive_out_gets_no_gear():
     given = pendulum()
     xml = corrected_xml(given, corrected({"compliance": [30.0, 0.1]}, xml=given), drive=False)

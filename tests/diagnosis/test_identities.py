@@ -130,7 +130,9 @@ def test_a_rival_has_the_names_that_are_its_own_at_any_values():
 
 def test_each_of_two_rivals_has_names_of_its_own():
     rivals = tuple(Rival(name, "hip", 0.3, "") for name in ("torque_ripple", "actuation_delay", "viscous_friction"))
-    (found,) = with_alternatives([replace(finding("actuation_lag", "hip"), rivals=rivals)], ("hip",), CATALOGUE, ("hip",))
+    (found,) = with_alternatives(
+        [replace(finding("actuation_lag", "hip"), rivals=rivals)], ("hip",), CATALOGUE, ("hip",)
+    )
     assert [r.alternatives for r in found.rivals] == [
         (), ((Name("clock_offset", None),),), ((Name("gain_mismatch", "hip"),),)
     ]  # fmt: skip

@@ -174,6 +174,7 @@ def test_a_parameter_goes_where_folds_do_not_ask_for_it(monkeypatch, stated, wei
     monkeypatch.setattr(module, "folded", lambda near, trials, fold, first_order=False: [t.any() for t in trials])
     monkeypatch.setattr(module, "window_cost", lambda problem, trials: np.array([problem.of(t) for t in trials]))
     assert prune(near, Deadline(np.inf)).tolist() == [needed]
+    assert prune(near, Deadline(0.0)).tolist() == [True]  # without time nothing is found to be worthless
 
 
 def take_like(samples, begins=(0,), period=0.005, truth=1.0):
@@ -230,6 +231,13 @@ def test_errors_are_those_of_the_thinned_samples_window_by_window(monkeypatch, a
     assert told == pytest.approx([0.5, 0.1] * 3 + [1.0, 0.2] * 3 + [1.5, 0.3] * 2)
 
 
+@pytest.mark.parametrize("length", range(5, 12))
+def test_rows_are_counted_as_they_are_made_whatever_a_windows_length(monkeypatch, length):
+    problem, _ = following(monkeypatch, Windows(take_like(30, period=0.001), np.array([0, 9]), length))
+    assert problem.window.tolist() == sorted([0, 1] * (length // 5))
+    assert len(problem.errors(np.ones((1, 1)))) == len(problem.window) == len(problem.row_weight)
+
+
 def test_a_window_weighs_less_the_more_typical_errors_it_is_off_and_in_plain_least_squares_as_any_other():
     square = np.array([[1.0, 4.0], [9.0, 4.0], [4.0, 160.0]])
     problem = Problem(None, (), np.ones(2), np.ones(3))
@@ -253,9 +261,9 @@ def test_few_windows_are_made_up_by_some_that_overlap_within_their_own_recording
     assert denser.start.tolist() == [*range(8), 11, *range(20, 28), 31]  # 12 + 8 is the next recording's first
     asked = []
     monkeypatch.setattr(module, "_overlapping", lambda w, times: asked.append(times) or w)
-    monkeypatch.setattr(module, "well_started", lambda w: w)
     many = Windows(take_like(90), np.arange(10), 2)
-    monkeypatch.setattr(module, "draw_windows", lambda takes, seconds, most, rng: [many, many])
+    monkeypatch.setattr(module, "well_started", lambda w: many if w == "drawn" else w)
+    monkeypatch.setattr(module, "draw_windows", lambda takes, seconds, most, rng: ["drawn", "drawn"])
     problem, _ = following(monkeypatch, many, many)
     take = SimpleNamespace(address=SimpleNamespace(dof=[0]))
     for seconds, most in ((0.5, 400), (0.5, 30), (0.5, 20), (0.2, 400)):
@@ -278,6 +286,10 @@ def test_of_points_the_best_are_kept_once_each_and_the_torques_have_a_say(monkey
     assert [x[0] for x in module._best(problem, points, 3)] == [0.9, 1.5, 2.5]
     torques = SimpleNamespace(rows=lambda values: 1e3 * (values[:, 0] - 1.5)[None])
     assert [x[0] for x in module._best(replace(problem, torques=torques), points, 2)] == [1.5, 0.9]
+    points = [np.array([1.1]), np.array([1.5])]  # of 25 and 1 times the least square error, 12.0 and 0.9 robustly
+    for size, best in ((20.0, 1.1), (25.0, 1.5)):  # a fiftieth of the torques' squares: 8.0 and 12.5
+        told = SimpleNamespace(rows=lambda values, size=size: size * (values[:, 0] < 1.3)[None])
+        assert module._best(replace(problem, torques=told), points, 1)[0] == best
 
 
 def test_a_step_solves_for_the_windows_that_are_asked_and_for_their_share_of_the_torques(monkeypatch):
@@ -291,6 +303,8 @@ def test_a_step_solves_for_the_windows_that_are_asked_and_for_their_share_of_the
     assert near.step(first, no) == pytest.approx([(1 + 2.5) / 1.5], rel=1e-4)
     assert near.move(both, no) == pytest.approx([2.0], rel=1e-4)  # units of 0.5
     assert near.step(both, yes).tolist() == [-1.0]
+    uneven = linearise(replace(problem, torques=None, weight=np.array([1.0, 3.0])), np.array([2.0]), yes)
+    assert uneven.step(both, no) == pytest.approx([(1 + 3 * 3) / 4], rel=1e-4)
     alone = linearise(replace(problem, torques=None), np.array([2.0]), yes)
     for high, ends in ((2.5, 2.5), (99.0, 3.0)):
         problem.hypothesis.bounds = (np.array([0.0]), np.array([high]))
@@ -328,6 +342,8 @@ def test_folds_are_whole_recordings_as_even_as_can_be_and_of_few_recordings_stre
     assert sorted(np.bincount(folds_of(SimpleNamespace(windows=(four,))))) == [1, 1, 1, 5]
     alone = Windows(take_like(90), np.array([40, 0, 10, 20, 30, 50, 60, 70]), 3)
     assert folds_of(SimpleNamespace(windows=(alone,))).tolist() == [2, 0, 0, 1, 1, 2, 3, 3]
+    halves = tuple(Windows(take_like(50), np.array([30, 0, 10, 20]), 3) for _ in range(2))
+    assert folds_of(SimpleNamespace(windows=halves)).tolist() == [1, 0, 0, 1, 3, 2, 2, 3]
 
 
 def test_a_part_of_a_problem_is_its_windows_with_their_weights(monkeypatch):
@@ -350,6 +366,58 @@ def test_a_descent_ends_at_the_least_squares_or_at_the_bound_before_it_and_moves
     monkeypatch.setattr(module, "DAMPING", (10.0, 0.0))
     monkeypatch.setattr(module, "STEPS", 1)  # the longer of two
     assert descend(problem, begin, np.array([True, True]), 1, Deadline()) == pytest.approx([1.0, -1.5], abs=1e-3)
+
+
+def bent(monkeypatch, damping, steps=5):
+    """A problem whose error is the arc tangent of its only number, so that a whole step from 2 leads to -3.5."""
+    problem, _ = following(monkeypatch, each_its_own(0.0, 0.0))
+    wave = lambda w: w.take.wave[w.index][None, :, :, None]  # noqa: E731
+    monkeypatch.setattr(module, "simulate", lambda w, build, values: np.arctan(values)[:, None, None] * wave(w))
+    monkeypatch.setattr(module, "DAMPING", damping)
+    monkeypatch.setattr(module, "STEPS", steps)
+    return problem
+
+
+def test_a_step_that_would_go_too_far_is_damped_and_one_that_is_worse_is_not_taken(monkeypatch):
+    free, begin = np.array([True]), np.array([2.0])
+    assert descend(bent(monkeypatch, (0.0,)), begin, free, 1, Deadline()) == pytest.approx(begin)
+    assert abs(descend(bent(monkeypatch, (0.0, 0.1, 1.0)), begin, free, 3, Deadline())[0]) < 0.1
+
+
+def test_each_of_several_steps_by_one_slope_goes_on_with_what_the_last_one_learned(monkeypatch):
+    """On a straight line the slope stays: damped by ten, each step goes an eleventh of the rest of the way."""
+    problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
+    monkeypatch.setattr(module, "DAMPING", (10.0,))
+    free = np.array([True])
+    x, saved = module._steps(problem, linearise(problem, np.array([12.0]), free), Deadline())
+    assert x == pytest.approx([1 + 11 * (10 / 11) ** 5], rel=1e-4)
+    assert saved == pytest.approx(1 - (10 / 11) ** 10, rel=1e-3)
+
+
+def test_a_descent_pays_for_contradicting_the_torques(monkeypatch):
+    """(x - 1)², (x - 3)² of two windows and (x - 5)² of the torques."""
+    torques = SimpleNamespace(rows=lambda values: 5.0 * (values[:, 0] - 5.0)[None])
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0), torques=torques)
+    assert descend(problem, np.array([3.5]), np.array([True]), 2, Deadline()) == pytest.approx([3.0], abs=1e-3)
+
+
+@pytest.mark.parametrize(("count", "asked"), [(400, [(0.5, 400), (0.5, 40)]), (30, [(0.5, 30)])])
+def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(monkeypatch, count, asked):
+    problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
+    told, moved = [], []
+
+    def problem_of(h, takes, seconds, most, rng, x, torques=None):
+        told.append((seconds, most, torques))
+        return problem
+
+    monkeypatch.setattr(module, "affordable", lambda *_: count)
+    monkeypatch.setattr(module, "problem_of", problem_of)
+    monkeypatch.setattr(module, "more_telling", lambda near, deadline: near)
+    monkeypatch.setattr(module, "descend", lambda problem, x, *_: moved.append(x) or x)
+    begin = np.arange(2.0, 12.0)[:, None]
+    search(problem.hypothesis, [], begin, None, Deadline(), torques="said")
+    assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
+    assert len(moved) == 2 * 2 + 2 + 2 + 1  # two that short windows like and two that long ones do are the same here
 
 
 def test_a_descent_goes_on_from_where_it_is_as_long_as_it_pays(monkeypatch):
@@ -389,8 +457,8 @@ def test_windows_are_as_many_as_five_million_steps_allow(monkeypatch, step, coun
 
 def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
     name = lambda problem: "pooled" if problem.pooled else "plain" if np.isinf(problem.tuning) else "weighed"  # noqa: E731
-    errors = {}
-    monkeypatch.setattr(module, "in_units", lambda problem, square: problem)
+    errors, units = {}, []
+    monkeypatch.setattr(module, "in_units", lambda problem, square: units.append(square) or problem)
     monkeypatch.setattr(module, "weighed", lambda problem, x: problem)
     monkeypatch.setattr(module, "descend", lambda problem, x, *_: x)
     monkeypatch.setattr(module, "stated", lambda near: errors[name(near.problem)])
@@ -399,11 +467,12 @@ def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
     def best(*told, joints=2, left=np.inf):
         errors.update(zip(("weighed", "plain", "pooled"), told, strict=True))
         problem = Problem(None, (), np.ones(joints), np.ones(1))
-        monkeypatch.setattr(Problem, "squares", lambda self, errors: None)
+        monkeypatch.setattr(Problem, "squares", lambda self, errors: "of the solution")
         near = SimpleNamespace(problem=problem, free=None, values=None, errors=None, seconds=10.0)
         return name(more_telling(near, Deadline(left)).problem)
 
     assert best(1.0, 2.0, 3.0) == "weighed"
+    assert units == ["of the solution"] * 2
     assert best(2.0, 1.0, 3.0) == "plain"
     assert best(3.0, 2.0, 1.0) == "pooled"
     assert best(3.0, 1.0, 2.0) == "plain"

@@ -2,12 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis.columns import NAMES, STEP, Given, Shifted, candidate, shifted, signals
+from diagnosis.columns import NAMES, STEP, Curved, Given, Shifted, candidate, shifted, signals
 from effects.arm import arm, record
 from scipy.interpolate import CubicSpline
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
+from torchrl_athletic.diagnosis import screen
 from torchrl_athletic.diagnosis.screen import (
     Atom,
     Bank,
@@ -35,6 +36,7 @@ from torchrl_athletic.effects import (
     TorqueScale,
     project_recording,
 )
+from torchrl_athletic.effects.effect import torque_scale
 
 N = 450  # four and a half blocks
 NOISE = np.array([0.5, 2.0])
@@ -286,6 +288,19 @@ def test_bounded_least_squares_is_scipys(seed):
     assert (got <= high + 1e-12 * scale).all()
 
 
+@pytest.mark.parametrize("in_circles", [False, True])
+def test_bounds_that_are_met_on_the_way_and_left_again_are_no_trap(in_circles, monkeypatch):
+    """Of columns nearly alike, either way that the least squares are found."""
+    if in_circles:
+        monkeypatch.setattr(screen, "_within", lambda *_: None)
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        matrix, target = rng.normal(size=(12, 4)) + 2 * rng.normal(size=(12, 1)), 3 * rng.normal(size=12)
+        low, high = np.sort(rng.uniform(-1, 1, (2, 4)), axis=0)
+        got = bounded_least_squares(matrix.T @ matrix, matrix.T @ target, low, high)
+        np.testing.assert_allclose(got, lsq_linear(matrix, target, (low, high), method="bvls").x, atol=1e-5)
+
+
 def test_equal_bounds_fix_a_coefficient(rng):
     matrix, target = rng.normal(size=(30, 3)), rng.normal(size=30)
     wide = np.full(3, 100.0)
@@ -364,3 +379,175 @@ def fit_of(value, low, high, nominal=1.0):
     nothing = np.zeros((2, 1))
     atom = Atom(candidate(law), {}, (0,), (0,))
     return Fit((atom,), 1, np.array([value]), (np.array([low]), np.array([high])), 0.0, nothing, nothing)
+
+
+# --- which candidates stand beside each other ---
+
+
+def of(name, joint, excludes=()):
+    """A law of a joint, or of the whole robot if that is None."""
+    law = candidate(Given(name, np.ones(2), excludes=excludes), joint or 0)
+    return law if joint is not None else replace(law, joint_name=None)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "together", "beside"),
+    [
+        (of("a", 0), of("b", 0), True, True),
+        (of("a", 0), of("a", 0), False, False),
+        (of("a", 0), of("a", 1), True, True),
+        (of("a", 0, "b"), of("b", 0), False, False),
+        (of("a", 0, "b"), of("b", 1), True, True),  # what excludes it does so on its own joint
+        (of("a", 0), of("b", 0, "a"), False, True),  # a trim stays unless it is the one that excludes
+        (of("a", None, "b"), of("b", 1), False, False),  # what the whole robot has is on every joint
+        (of("a", 1, "b"), of("b", None), False, False),
+        (of("a", 1), of("b", None), True, True),
+    ],
+)
+def test_on_one_joint_no_two_of_a_name_nor_what_excludes_another(one, other, together, beside):
+    assert one.allows(other) is other.allows(one) is together
+    assert one.moves_beside(other) is beside
+
+
+def test_the_second_of_two_terms_may_be_the_one_at_its_bound():
+    """Of a law with two numbers and one with one, of which the last number stops."""
+    two, one = Given("two", np.zeros((2, 2)), 0.0, 4.0), Given("one", np.zeros(2), 1.0, 4.0)
+    atoms = tuple(Atom(candidate(law), {}, linear, linear) for law, linear in ((two, (0, 1)), (one, (0,))))
+    low, high, nothing = np.array([0.0, 0.0, 1.0]), np.full(3, 4.0), np.zeros((2, 1))
+    for last, stops in ((4.0, True), (2.0, False)):
+        fit = Fit(atoms, 2, np.array([2.0, 3.0, last]), (low, high), 0.0, nothing, nothing)
+        assert fit.at_bound is stops
+
+
+def test_a_number_on_its_grid_counts_unless_it_is_the_given_models():
+    parameters = candidate(Given("law", np.zeros((2, 3)))).parameters
+    law = replace(candidate(Given("law", np.zeros((2, 3)))), parameters=parameters)
+    assert Atom(law, {}, (0, 1, 2), (0, 1, 2)).freedom == 3
+    assert Atom(law, {"p0": 2.0}, (1, 2), (0, 1)).freedom == 3
+    assert Atom(law, {"p0": 0.0}, (1, 2), (0, 1)).freedom == 2
+
+
+# --- stretches, rows and what is predicted at all ---
+
+
+def test_stretches_are_as_long_as_they_may_be_and_none_lies_in_two_takes(rng):
+    """Of 450 samples of 10 ms: 2.2 s each; of 350 also two, of 100 one."""
+    bank = Bank([signals(rng.normal(size=(n, 2))) for n in (450, 350, 100)], [], noise=NOISE)
+    assert np.bincount(bank.stretch).tolist() == [225, 225, 175, 175, 100]
+    assert (np.diff(bank.stretch) >= 0).all()
+
+
+def test_only_rows_that_can_be_used_are_counted(take):
+    bank = Bank([take], [], noise=NOISE)
+    np.testing.assert_array_equal(bank.count.sum(1), take.valid.sum(0))
+
+
+def test_white_noise_behind_the_test_function_is_independent_every_so_many_rows(rng):
+    """As signals are made here each row is; of a test function twice as wide, or of coarser rows, it is not."""
+    take = signals(rng.normal(size=(N, 2)))
+    assert Bank([take], [], noise=NOISE).correlation == pytest.approx(1.0)
+    assert Bank([replace(take, kernel=2 * take.kernel)], [], noise=NOISE).correlation == pytest.approx(2.0)
+    assert Bank([replace(take, fine_step=2 * STEP)], [], noise=NOISE).correlation == pytest.approx(0.5)
+
+
+def test_what_one_of_two_takes_cannot_show_is_no_candidate(take):
+    class Half(Given):
+        def applies(self, s):
+            return s is take
+
+    half = candidate(Half("half", np.ones(N)))
+    assert Bank([take, replace(take)], [half], noise=NOISE).atoms == []
+    assert len(Bank([take], [half], noise=NOISE).atoms) == 1
+
+
+def test_an_equation_of_motion_that_has_run_away_predicts_nothing(take):
+    runaway = candidate(Given("runaway", np.geomspace(1.0, 1e17, N)))
+    assert Bank([take], [runaway], noise=NOISE).atoms == []
+
+
+class Two(Given):
+    """Has two forms of its column."""
+
+    def grid(self, s, joint):
+        return [{"form": 1.0}, {"form": -1.0}]
+
+
+def test_a_number_that_nothing_shows_is_no_coefficient_beside_a_constant(take):
+    class Unseen(Two):
+        def parameters(self, model, address, joint):
+            return super().parameters(model, address, joint) * 2
+
+        def fingerprint(self, s, joint, fixed):
+            plain = super().fingerprint(s, joint, {})
+            return replace(plain, constant=5 * plain.columns[:, :, 0])
+
+    assert Bank([take], [candidate(Unseen("half", np.ones(N)))], noise=NOISE).atoms[0].linear == (0, -1)
+
+
+def test_what_the_whole_robot_has_is_not_weighed_on_one_joint_alone(take):
+    law, whole = Two("law", np.ones(N)), Two("whole", np.ones(N))
+    whole.whole_robot = True
+    bank = Bank([take], [candidate(law), candidate(whole)], noise=NOISE)
+    assert {atom.candidate.effect.name for atom in bank.gains(bank.fit(()), np.ones(2))} == {"law"}
+
+
+@pytest.mark.parametrize(("upper", "least"), [(1.0, 0.9999), (2.0, 0.8), (9.0, 0.9999)])
+def test_beside_a_new_term_the_old_one_moves_as_far_as_its_bound_is_away(upper, least):
+    """It has 1.5 and would have 3.1: it stands at its bound, has 0.5 left (where the gain is a guess), or is free."""
+    u, w = np.linalg.qr(np.random.default_rng(0).normal(size=(N, 2)))[0].T * 30.0
+    take = signals(np.stack([1.5 * u + 2 * w, 0 * u], -1))
+    old, new = candidate(Given("old", u, 0.0, upper)), candidate(Two("new", w - 0.8 * u))
+    bank = Bank([take], [old, new], noise=np.ones(2))
+    before = bank.fit(bank.atoms[:1])
+    for atom, gain in bank.gains(before, np.ones(2)).items():
+        after = bank.fit([bank.atoms[0], atom])
+        closed = before.residual.sum() - after.residual.sum()
+        assert least * closed < gain < closed * (1 + 1e-6)
+
+
+def test_a_trim_is_pulled_to_zero_by_half_its_tolerance_as_one_deviation():
+    """By hand, of rows every other of which is independent, with 16 for the square of two over a half."""
+    column = np.full(900, 4.0)
+    take = signals(np.stack([0.4 * column, 0 * column], -1))
+    take = replace(take, kernel=2 * take.kernel)
+    bank = Bank([take], [], [candidate(Given("trim", column, -0.5, 0.5))], noise=np.ones(2))
+    fit = bank.fit(())
+    (found,) = fit.coefficients
+    assert found == pytest.approx(0.4 * 900 * 16 / (900 * 16 + 2 * 16), rel=1e-6)
+    assert fit.strain == pytest.approx(16 * found**2)
+
+
+def test_what_holds_near_old_values_is_moved_to_the_new_ones(take):
+    bank = Bank([take], [candidate(Curved("law", np.ones((N, 2))))], noise=NOISE)
+    (near,) = bank.near(replace(bank.fit(bank.atoms), coefficients=np.array([2.0])))
+    assert near.fixed == {"near": 2.0}
+    (moved,) = bank.near(replace(bank.fit([near]), coefficients=np.array([3.0])))
+    assert moved.fixed == {"near": 3.0}
+
+
+def test_a_load_counts_as_a_torque_below_which_a_share_is_not_asked_for():
+    """A joint that holds ten newton-metres by friction of its gear, and one that is told to."""
+    command = np.stack([np.full(N, 0.1), np.full(N, 10.0)], -1)
+    s = replace(signals(np.zeros((N, 2)), command=command), noise=np.full(2, 1e-9))
+    s.__dict__["load"] = command[:, ::-1]
+    strong, weak = (torque_scale(s.nominal, s.address, j) for j in range(2))
+    assert weak < 10.0 < strong < 100.0
+    np.testing.assert_allclose(row_noise([s])[0], TORQUES.torque_floor * np.array([strong, 10.0]), rtol=1e-3)
+
+
+def test_half_a_sample_of_the_slowest_log_is_nobodys_fault(take):
+    """Whether it is the first one or not."""
+    r = take.recording
+    slow = replace(take, recording=replace(r, time=4 * r.time))
+    for takes in ([take, slow], [slow, take]):
+        (trim,) = trims_for(takes, [ClockShift()])
+        assert trim.parameters[0].upper == pytest.approx(2 * STEP)
+
+
+def test_predictions_of_what_stands_behind_others_are_its_own(rng, take):
+    """A trim's coefficients come after those of the terms, however many numbers each has."""
+    laws = [candidate(Given(name, both(rng, count))) for name, count in (("a", 1), ("b", 2))]
+    bank = Bank([take], laws, [candidate(Given(name, both(rng, 1))) for name in ("c", "d")], noise=NOISE)
+    fit = bank.fit(bank.atoms)
+    for atom, part in zip(fit.atoms, np.split(fit.coefficients, [1, 3, 4]), strict=True):
+        np.testing.assert_allclose(bank.prediction(fit, atom), atom.candidate.effect.columns @ part)

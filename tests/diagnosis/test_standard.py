@@ -247,6 +247,17 @@ def test_each_joint_of_two_has_its_own_friction():
     found = {c.joint_name: h.values_of(c, x)[0] for c in h.terms if c.effect.name == "coulomb_friction"}
     assert found["lower"] == pytest.approx(0.1, abs=0.02)
     assert abs(found["upper"]) < 0.02
+    big = Seen(*(np.array([x, 100 * x]) for x in (5.0, 8.0, 2.0, 4.0, 0.1, 1.0)), period=0.03)
+    wide = standard_joints(takes, big)
+    drawn = starts(wide, takes, big, np.random.default_rng(0), 50)[9:]
+    for c in wide.terms:
+        least = {"reflected_inertia": 0.1 * 10**-1.5, "torque_saturation": 5.0 * 10**-0.5}.get(c.effect.name)
+        if least is not None:
+            own = wide.values_of(c, drawn)[:, 0]
+            own = own[own != c.parameters[0].nominal] / 100.0**c.joint
+            assert len(own) > 10
+            assert (own >= 0.99 * least).all()
+            assert (own <= 1e3 * least).all()
     values = np.stack([h.nominal, x])
     assert len(agreement(h, takes).parts) == 2
     cost = (agreement(h, takes).rows(values) ** 2).sum(0)
