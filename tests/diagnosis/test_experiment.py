@@ -635,3 +635,99 @@ def test_the_most_doubtful_of_several_findings_is_asked_about_first(monkeypatch)
     findings = [Finding(*key, p, "", {}, "", rival) for key, p in zip(keys, (0.6, 0.3, 0.9), strict=True)]
     assert next_experiment([part], findings) is None
     assert asked == [keys[1], keys[0], keys[2]]
+
+
+def two_jointed() -> Experiment:
+    """Of an arm, by hand: two joints that differ in all numbers, three samples."""
+    pose, wave = np.array([0.1, 0.2]), np.zeros((3, 2))
+    keys = (("drag", "hip"), ("rotor", "knee"), ("tilt", None))
+    return Experiment(
+        rivals=keys,
+        motions=(Motion("hip", "sine", 0.4, 1.5, pose, wave), Motion("knee", "steps", 0.3, 0.7, pose, wave)),
+        repeats=3,
+        payload=0.25,
+        duration=12.0,
+        before=1.25,
+        repeated=2.5,
+        after=9.75,
+        pairs={keys[:2]: (1.25, 9.75)},
+        inseparable=(keys[1:],),
+        spread=0.02,
+        unit="rad",
+        joint_names=("hip", "knee"),
+        time=np.arange(3) / PLAN.rate,
+        target=np.array([[0.0, 5.0], [0.1, 5.1], [0.2, 5.2]]),
+        reference=np.array([[0.0, 1.0], [0.2, 0.5], [0.1, 0.8]]),
+        torque=np.array([[-3.0, 1.0], [2.0, 7.0], [0.0, 0.0]]),
+        kp=np.array([10.0, 20.0]),
+        kd=np.array([1.0, 2.0]),
+        limits=limits(8.0),
+    )
+
+
+def test_the_report_of_an_experiment_holds_each_joints_own_extremes_and_every_motion():
+    e = two_jointed()
+    report = e.report()
+    assert report["largest"] == {
+        "position": [[0.0, 0.5], [0.2, 1.0]],
+        "velocity": pytest.approx([0.2 * PLAN.rate, 0.5 * PLAN.rate]),
+        "torque": [3.0, 7.0],
+        "difference_between_rivals": 0.02,
+    }
+    assert report["expected_separation"] == {"before": 1.25, "repeating": 2.5, "after": 9.75}
+    assert report["pairs"] == [{"rivals": [["drag", "hip"], ["rotor", "knee"]], "before": 1.25, "after": 9.75}]
+    assert report["inseparable"] == [[["rotor", "knee"], ["tilt", None]]]
+    assert [(m["joint"], m["amplitude"], m["frequency"], m["unit"], m["pose"]) for m in report["motions"]] == [
+        ("hip", 0.4, 1.5, "rad", [0.1, 0.2]),
+        ("knee", 0.3, 0.7, "rad", [0.1, 0.2]),
+    ]
+    assert (report["repeats"], report["payload_kg"], report["duration"]) == (3, 0.25, 12.0)
+    assert (report["rate"], report["kp"], report["kd"]) == (PLAN.rate, [10.0, 20.0], [1.0, 2.0])
+    assert report["limits"] == {
+        "position": [[-1.0, 1.0], [0.0, 2.0]], "velocity": [2.0, 4.0], "torque": [5.0, 7.0], "frequency": 8.0
+    }  # fmt: skip
+
+
+def test_the_sentence_of_an_experiment_says_how_often_with_what_weight_and_what_stays_open():
+    e = two_jointed()
+    assert ", 3 times with 0.25 kg fastened to the end, 12 s in all." in e.sentence
+    assert "drag of hip, rotor of knee and tilt of the robot about 9.8 standard deviations apart" in e.sentence
+    assert "now they are 1.2 apart, and repeating the old motion would make it 2.5." in e.sentence
+    assert e.sentence.endswith("No motion within the limits separates rotor of knee and tilt of the robot.")
+    plain = replace(e, repeats=1, payload=0.0, inseparable=()).sentence
+    assert not any(word in plain for word in ("times", "fastened", "No motion"))
+
+
+@pytest.mark.parametrize(("slides", "unit"), [((False, False), "rad"), ((True, False), "rad"), ((True, True), "m")])
+def test_an_experiment_promises_what_its_closest_pair_that_can_be_told_has(slides, unit, monkeypatch):
+    monkeypatch.setattr(planning, "is_slide", lambda model, address, j: slides[j])
+    e, keys = two_jointed(), [("drag", "hip"), ("rotor", "knee"), ("tilt", None)]
+    recording = Recording(e.time, e.joint_names, e.reference, position_target=e.target, kp=e.kp, kd=e.kd)
+    plan = planning._Plan(e.motions, 0.25, None, recording, e.torque, (0.5, 0.5), repeats=3)
+    scene = SimpleNamespace(pairs=[(0, 1), (0, 2), (1, 2)], takes=[SimpleNamespace(address=None)])
+    separations = (np.array([1.0, 2.0, 0.5]), np.array([3.0, 2.5, 0.6]), np.array([9.0, 8.0, 0.7]))
+    paths = np.zeros((3, 2, 4, 2))
+    paths[1, 0, 2] = 0.1, 0.3
+    paths[2, 1, 2] = 0.9  # with values that are not its likeliest
+    hopeful = np.array([True, True, False])
+    found = planning._experiment(plan, scene, keys, separations, hopeful, paths, e.limits)
+    assert (found.before, found.repeated, found.after) == (1.0, 2.5, 8.0)
+    assert found.pairs[keys[0], keys[2]] == (2.0, 8.0)
+    assert found.inseparable == ((keys[1], keys[2]),)
+    assert (found.spread, found.unit) == (pytest.approx(0.3), unit)
+    assert (found.repeats, found.payload, found.limits) == (3, 0.25, e.limits)
+    for name in ("time", "target", "reference", "torque", "kp", "kd"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(e, name))
+
+
+def test_the_effort_of_a_plan_is_the_mean_of_four_shares():
+    """Half of the speed, a quarter of the torque, six of thirty seconds, and of the band the quickest motion's."""
+    seconds, widest = 6.0, planning.HALF_POWER / planning.QUICKEST
+    path = np.zeros((round(seconds * PLAN.rate) + 1, 1))
+    recording = Recording(np.arange(len(path)) / PLAN.rate, ("hip",), path, position_target=path, kp=np.ones(1),
+                          kd=np.ones(1))  # fmt: skip
+    quick = (SimpleNamespace(highest=0.1 * widest), SimpleNamespace(highest=0.4 * widest))
+    plan = planning._Plan(quick, 0.0, None, recording, path, (0.5, 0.25))
+    assert plan.effort == pytest.approx((0.5 + 0.25 + 0.2 + 0.4) / 4)
+    long = replace(recording, time=10 * recording.time)
+    assert replace(plan, recording=long).effort == pytest.approx((0.5 + 0.25 + 1.0 + 0.4) / 4)

@@ -262,6 +262,13 @@ def test_each_joint_of_two_has_its_own_friction():
     assert len(agreement(h, takes).parts) == 2
     cost = (agreement(h, takes).rows(values) ** 2).sum(0)
     assert cost[1] < 0.1 * cost[0]
+    (signals,) = takes.signals
+    signals.valid[:, 0] = np.arange(len(signals.valid)) % 100 == 50  # so little says nothing of the upper one
+    seldom = torque_domain(h, takes)
+    for c in h.terms:
+        same = h.values_of(c, seldom) == h.values_of(c, h.nominal if c.joint_name == "upper" else x)
+        assert same.all(), c.key
+    assert len(agreement(h, takes).parts) == 1
 
 
 def test_joints_in_another_order_are_the_same_joints():
