@@ -690,6 +690,7 @@ def test_the_report_of_an_experiment_holds_each_joints_own_extremes_and_every_mo
 
 def test_the_sentence_of_an_experiment_says_how_often_with_what_weight_and_what_stays_open():
     e = two_jointed()
+    assert e.sentence.startswith("Move hip in a sine of ±0.4 rad at 1.5 Hz about (0.10, 0.20), then step knee by ")
     assert ", 3 times with 0.25 kg fastened to the end, 12 s in all." in e.sentence
     assert "drag of hip, rotor of knee and tilt of the robot about 9.8 standard deviations apart" in e.sentence
     assert "now they are 1.2 apart, and repeating the old motion would make it 2.5." in e.sentence
