@@ -767,8 +767,9 @@ def test_evidence_is_likelihood_price_strain_and_doubt():
     take = on_shoulder(5 * a + 0.8 * b, rng.normal(size=(N, 2)))
     doubtful = Given("a", a)
     doubtful.odds = 0.2  # type: ignore[misc]
-    trim = candidate(Given("trim", b, lower=-1.0, upper=1.0))
-    weigh = Judge(Bank([take], [candidate(doubtful)], [trim], noise=np.ones(2)))
+    trim = Given("trim", b, lower=-1.0, upper=1.0)
+    trim.odds = 0.1  # type: ignore[misc]  # which is no name, so that nothing speaks against it
+    weigh = Judge(Bank([take], [candidate(doubtful)], [candidate(trim)], noise=np.ones(2)))
     for atoms, doubt in (((), 0.0), (weigh.bank.atoms, -2 * np.log(0.2))):
         scored = weigh.score(atoms)
         likelihood = float((weigh.independent * np.log(np.maximum(weigh.mean_square(scored.fit), weigh.floor))).sum())
@@ -777,6 +778,26 @@ def test_evidence_is_likelihood_price_strain_and_doubt():
         assert scored.evidence == pytest.approx(likelihood + price + scored.fit.strain + doubt)
         promised = weigh.promise(atoms, scored.fit)  # with the weights that it has itself: the same but for the name
         assert promised == pytest.approx(scored.evidence - doubt, abs=0.01)
+
+
+def test_trims_take_nothing_from_what_is_bare_and_what_they_leave_is_usual():
+    trim = candidate(Given("trim", FAST))
+    weigh = Judge(Bank([on_shoulder(4 * FAST + 2 * SLOW)], [], [trim], noise=np.ones(2)), noisy=[0])
+    np.testing.assert_allclose(weigh.mean_square(weigh.bare)[0], 4.0**2 + 2.0**2)
+    np.testing.assert_allclose(weigh.floor[0], SEARCH.open * 2.0**2, rtol=0.01)
+
+
+def test_a_parameter_costs_the_logarithm_of_the_samples_that_are_said_to_be_independent():
+    weigh = judge(on_shoulder(levels(9.0, 9.0, 9.0, 9.0, 9.0)), candidate(Given("idle", SLOW)))
+    few = np.full((2, 5), 2.0)
+    price = weigh.score(weigh.bank.atoms, few).evidence - weigh.score((), few).evidence
+    assert price == pytest.approx(np.log(20.0) + SEARCH.term, abs=0.1)
+
+
+def test_the_joint_on_which_a_step_does_most_is_that_of_the_evidence_and_not_of_the_energy():
+    excess, level = np.array([[999.0, 10.0], [899.0, 0.0]]), np.array([[[1e3], [11.0]], [[900.0], [1.0]]])
+    asked = SimpleNamespace(excess=lambda k: excess[k], level=lambda k: level[k], independent=np.ones((2, 1)))
+    assert Judge._closed(asked, 0, 1) == (1, 1.0)
 
 
 def step(excess_before, excess_after, energy=((0.0, 0.0),), misfits=(0.02,), joints=(0,), bare=(100.0, 100.0)):

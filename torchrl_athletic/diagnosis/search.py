@@ -112,7 +112,7 @@ class Judge:
         usual = SEARCH.open * self.floor
         chance = 1.0 + SEARCH.chance * np.sqrt(2.0 / np.maximum(self.independent, 1.0))
         whole = fit.residual.sum(1) > (self.total * usual).sum(1)
-        return np.asarray(whole | ((self.mean_square(fit) > usual * chance) & (self.bank.count > 0)).any(1))
+        return np.asarray(whole | (self.mean_square(fit) > usual * chance).any(1))
 
     def helps(self, before: Fit, after: Fit) -> bool:
         """Whether the step closes a material share of what was open, or relieves the trims.
@@ -123,7 +123,7 @@ class Judge:
         if _relieves(before, after):
             return True
         _, share = self._closed(before, after)
-        if share <= SEARCH.material or not self.within_misfit(before, after):
+        if not self.within_misfit(before, after):
             return share > SEARCH.material
         known = keys(before.terms)
         newest = [term for term in after.terms if term.candidate.key not in known]
@@ -165,7 +165,7 @@ def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: No
             children = _extensions(judge, parent)
             if not children:
                 finished.append(parent)
-            for child in children[: 2 * SEARCH.beam]:
+            for child in children:
                 key = keys(child.fit.terms)
                 if key not in grown or child.evidence < grown[key].evidence:
                     grown[key] = child
@@ -175,8 +175,7 @@ def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: No
         beam = [_refine(judge, s) for s in sorted(grown.values(), key=lambda s: s.evidence)[: SEARCH.beam]]
     else:
         finished.extend(beam)
-    distinct = {keys(s.fit.terms): s for s in sorted(finished, key=lambda s: -s.evidence)}
-    best = sorted(distinct.values(), key=lambda s: s.evidence)[: SEARCH.beam]
+    best = sorted(finished, key=lambda s: s.evidence)[: SEARCH.beam]
     polished = [_polish(judge, s) for s in best]
     unique = {keys(s.fit.terms): s for s in sorted(polished, key=lambda s: -s.evidence)}
     return sorted(unique.values(), key=lambda s: s.evidence)
