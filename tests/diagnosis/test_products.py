@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from torchrl_athletic.diagnosis.products import Library, Products, gains
 
@@ -80,3 +81,21 @@ def test_what_a_bound_forbids_gains_nothing_and_what_stands_beside_it_may_not_ma
     assert half == pytest.approx(0.75 * y @ y)  # the residual is halved
     stuck = gains(gram, cross, beside.T @ beside, right, none, 0.5 * one, (np.zeros(1), np.zeros(1)))
     assert stuck == pytest.approx(half)
+
+
+def test_beside_a_group_the_active_columns_move_as_far_as_each_of_them_may():
+    """Whatever their units; a group that must have certain coefficients leaves the rest to bounded least squares."""
+    rng = np.random.default_rng(5)
+    group, y, unit = rng.normal(size=(200, 2)), rng.normal(size=200), np.array([1e-5, 1.0, 1e3])
+    active = (rng.normal(size=(200, 3)) + 0.4 * group.sum(1, keepdims=True)) * unit
+    left = y - active @ np.linalg.lstsq(active, y)[0]
+    chosen, low, high = np.array([[2.0, -3.0]]), np.array([-9.0, -9.0, -0.05]) / unit, np.array([0.1, 9.0, 9.0]) / unit
+    for down, up in ((low, high), (-high[::-1] * unit[::-1] / unit, -low[::-1] * unit[::-1] / unit)):
+        (told,) = gains(
+            (group.T @ group)[None], (group.T @ active)[None], active.T @ active, (left @ group)[None], chosen, chosen,
+            (down, up),
+        )  # fmt: skip
+        rest = left - group @ chosen[0]
+        move = lsq_linear(active * (1 / unit), rest, (down * unit, up * unit)).x
+        after = rest - (active / unit) @ move
+        assert told == pytest.approx(left @ left - after @ after, rel=1e-4)

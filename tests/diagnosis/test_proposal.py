@@ -64,6 +64,15 @@ def test_an_effect_that_does_alone_what_several_do_is_a_rival_of_each(monkeypatc
     assert exchanged(monkeypatch, kept, best, other) == {"payload": 1.0}
 
 
+def test_a_name_that_stands_there_alone_and_for_several_counts_as_the_better_of_the_two(monkeypatch):
+    rotor, lag, gains = atom("rotor"), atom("lag"), atom("gains")
+    best, alone, other = scored(100.0, rotor, lag), scored(130.0, gains, lag), scored(0.0, gains)
+    monkeypatch.setattr(proposal, "alternatives", lambda *_: [best, alone])
+    monkeypatch.setattr(proposal, "as_rival", lambda judge, best, atoms: scored(102.0, *atoms))
+    found = {o.atom.candidate.key[0]: o.evidence for o in answer_set(Proposal(None, best, others=(other,)), rotor)}
+    assert found == {"rotor": 100.0, "gains": 102.0}
+
+
 def test_a_cause_of_the_whole_robot_is_a_rival_of_those_of_its_joints(monkeypatch):
     delays, clock = [atom("delay", joint) for joint in ("hip", "knee")], atom("clock", None)
     for delay in delays:
@@ -76,6 +85,7 @@ def test_a_cause_of_the_whole_robot_is_a_rival_of_those_of_its_joints(monkeypatc
         ((atom("gains"),), (atom("rotor"), atom("lag"))),  # which of two would it be
         ((atom("gains"), atom("offset")), (atom("rotor"), atom("lag"))),
         ((atom("gains"), atom("play", "wrist")), (atom("rotor"),)),  # nor does one joint's speak for another's
+        ((atom("gains"), atom("play")), (atom("rotor", "wrist"),)),
         ((atom("gains"), atom("offset")), (atom("offset"),)),
         ((atom("gains"),), (atom("rotor"),)),  # that is in the list of those that stand in its place alone
     ],

@@ -388,3 +388,22 @@ def test_what_ends_as_the_same_names_is_told_once_as_the_better_of_the_two(monke
         monkeypatch.setattr(steps, "_polish", lambda judge, s, own=better: told.score([points[names(s) == own]]))
         (found,) = search(told)
         assert found.evidence == -0.2
+
+
+@pytest.mark.usefixtures("steady")
+def test_children_of_all_parents_are_compared_and_not_those_of_the_best_one_alone():
+    alone = {"a": -100.0, "b": -90.0, "ap": -111.0, "aq": -112.0, "ar": -113.0, "as": -114.0}
+    atoms = [law("a", excludes="bz"), law("b", excludes="apqrs"), *map(law, "pqrs"), law("z", excludes="apqrs")]
+    assert names(search(Told({"": 0.0, **alone, "bz": -200.0}, *atoms))[0]) == "bz"
+
+
+@pytest.mark.usefixtures("steady")
+def test_a_combination_is_refined_before_it_grows_since_a_coarse_one_hides_weaker_effects():
+    def of_both(at):
+        return off(at) - (20.0 if off(at) < -49.0 else 5.0)
+
+    def off(at):
+        return 100 * abs(at["l"]["delay"] - 0.3) - 50.0
+
+    told = Told({"": 0.0, "l": off, "al": of_both}, A, *grid_of("l", *DELAYS))
+    assert names(search(told)[0]) == "al"
