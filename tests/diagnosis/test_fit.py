@@ -32,6 +32,7 @@ from torchrl_athletic.effects import (
     JointAddress,
     JointStop,
     LinkMass,
+    Parameter,
     Payload,
     Plant,
     ReflectedInertia,
@@ -364,3 +365,95 @@ def test_the_state_is_looked_at_each_step_where_a_loop_closes(monkeypatch, targe
     monkeypatch.setitem(_is_stepped.__globals__, "Plant", lambda model, address, rows: plant)
     t = SimpleNamespace(model=None, address=None, recording=SimpleNamespace(position_target=target))
     assert _is_stepped(SimpleNamespace(build=built), t, np.zeros(1)) is stepped
+
+
+# --- terms that do nothing, windows that tell, and what a trim pays, by hand ---
+
+
+def actions(*windows: tuple[float, float, float]) -> np.ndarray:
+    """Of one term: motion that it makes, error with it and error without it. Shape (3, W, J), the first joint's."""
+    return np.stack([np.array(windows).T, np.ones((3, len(windows)))], -1) * [1.0, 1e-6]
+
+
+@pytest.mark.parametrize(
+    ("windows", "idle"),
+    [
+        ([(4.0, 1.0, 5.0)] * 2, False),
+        ([(0.2, 1.0, 1.2)] * 9, True),  # it moves less than half of what is left
+        ([(0.3, 1.0, 1.3)] * 9, False),  # mean squares: half of the motion is a quarter of them
+        ([(4.0, 1.0, 2.1)] * 9, True),  # of its motion three tenths are error without it, of a true one all is
+        ([(4.0, 1.0, 2.3)] * 9, False),
+        ([(4.0, 1.0, 5.0)] + [(0.0, 1.0, 1.0)] * 9, True),  # once by accident
+        ([(4.0, 0.4, 5.0)] + [(0.0, 1.0, 1.0)] * 9, False),  # once, and nearly all is explained
+        ([(4.0, 1.0, 5.0)] * 3 + [(4.0, 1.0, 0.5)] * 4, True),  # in less than half of where it acts
+        ([(4.0, 1.0, 5.0)] * 3 + [(4.0, 1.0, 0.5)] * 3, False),
+    ],
+)
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_term_is_idle_unless_it_moves_what_is_left_and_to_its_good(windows, idle, joint, monkeypatch):
+    moved, error, error_without = np.roll(actions(*windows), joint, axis=2)
+    told = lambda h, drawn, values: (moved[None], error, error_without[None])  # noqa: E731
+    monkeypatch.setitem(idle_terms.__globals__, "_actions", told)
+    monkeypatch.setitem(idle_terms.__globals__, "draw_windows", lambda *_: [])
+    fitted = Fitted(SimpleNamespace(terms=("term",)), np.zeros(1), np.zeros((0, 1)), 0.0)
+    assert idle_terms(fitted, [], np.random.default_rng(0)) == (("term",) if idle else ())
+
+
+def test_two_joints_that_a_term_helps_once_each_are_no_two_windows(monkeypatch):
+    once = np.array([[4.0, 0.0], [0.0, 4.0]])  # windows, joints
+    told = lambda h, drawn, values: (once[None], np.ones((2, 2)), 1.0 + once[None])  # noqa: E731
+    monkeypatch.setitem(idle_terms.__globals__, "_actions", told)
+    monkeypatch.setitem(idle_terms.__globals__, "draw_windows", lambda *_: [])
+    fitted = Fitted(SimpleNamespace(terms=("term",)), np.zeros(1), np.zeros((0, 1)), 0.0)
+    assert idle_terms(fitted, [], np.random.default_rng(0)) == ("term",)
+
+
+def test_telling_windows_of_all_takes_join_those_that_were_drawn(monkeypatch):
+    """Of two takes with three and two windows; the first term acts most in the last two of all, the other in one."""
+    full = [Windows("one", np.array([0, 10, 20]), 10), Windows("two", np.array([0, 10]), 10)]
+    moved = np.zeros((2, 5, 2))
+    moved[0, 3:, 1], moved[1, 2, 0], moved[1, 3, 0], moved[0, 1, 0] = [3.0, 4.0], 5.0, 4.0, 8.0
+    error = np.array([[1.0, 1.0], [9.0, 1.0], [1.0, 1.0], [1.0, 1.0], [1.0, 1.0]])  # much is left where it moves most
+    names = _with_telling.__globals__
+    monkeypatch.setitem(names, "SIMULATION", replace(names["SIMULATION"], telling=2))
+    monkeypatch.setitem(names, "draw_windows", lambda *_: full)
+    monkeypatch.setitem(names, "_actions", lambda *_: (moved, error, None))
+    h = SimpleNamespace(terms=("first", "second"))
+    drawn = [Windows("one", np.array([10]), 10)]
+    found = _with_telling(h, ["one", "two"], np.zeros(1), drawn, np.random.default_rng(0))
+    assert {w.take: w.start.tolist() for w in found} == {"one": [10, 20], "two": [0, 10]}
+    assert _with_telling(SimpleNamespace(terms=()), [], np.zeros(0), drawn, np.random.default_rng(0)) is drawn
+
+
+def test_a_trim_at_its_end_costs_a_tenth_of_a_typical_error_and_a_term_nothing(monkeypatch):
+    given = [("term", 1.0, 0.0, 5.0, 0.5), ("trim", 2.0, 1.0, 4.0, 0.1)]
+    term, trim = (
+        Candidate(SimpleNamespace(name=name), 0, "hip", (Parameter(name, "1", nominal, low, high, scale),))
+        for name, nominal, low, high, scale in given
+    )
+    windows = [windows_like(50, 0, 50, 100)]
+    monkeypatch.setattr(_Problem, "predict", lambda self, x: [np.full((x.shape[1], 3, 50, 2), 0.1)])
+    h = Hypothesis((term,), (trim,))
+    problem = _Problem(h, windows, np.array([0.5, 0.1]), np.array([2.0, 20.0]))
+    at_nominal, beyond = np.array([[2.0], [20.0]]), np.array([[10.0], [40.0]])  # in units; the ends of both
+    assert problem.residual(at_nominal)[-2:, 0].tolist() == [0.0, 0.0]
+    assert problem.residual(beyond)[-2:, 0] == pytest.approx([0.0, 0.3])
+    both = problem.residual(np.hstack([at_nominal, beyond]))
+    assert both.shape == (3 * 50 * 2 + 2, 2)
+    assert (both[:-2, 0] ** 2).sum() == pytest.approx(3 / (1 + 1 / 9))  # three windows, of typical errors
+
+
+def test_a_short_take_keeps_a_window_however_few_are_drawn(monkeypatch):
+    full = {"long": windows_like(10, *range(0, 290, 10)), "short": windows_like(10, 0), "none": windows_like(10)}
+    monkeypatch.setitem(draw_windows.__globals__, "windows_of", lambda take, seconds: full[take])
+    drawn = draw_windows(["long", "short", "none"], 0.1, 6, np.random.default_rng(0))
+    assert [len(w.start) for w in drawn] == [6, 1]
+    assert (np.diff(drawn[0].start) > 0).all()
+    assert [len(w.start) for w in draw_windows(["long", "short", "none"], 0.1, 30, np.random.default_rng(0))] == [29, 1]
+
+
+def test_what_is_no_part_of_a_hypothesis_has_no_values_in_it():
+    r = record(pendulum(), smooth_torque(1.0))
+    friction, scale = (candidate(e, r, pendulum()) for e in (ViscousFriction(), TorqueScale()))
+    with pytest.raises(ValueError, match="torque_scale"):
+        Hypothesis((friction,)).values_of(scale, np.zeros(1))

@@ -1,6 +1,7 @@
 """Replay is MuJoCo, step for step: closed forms, plain loops, and every sample exactly once."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -554,3 +555,84 @@ def test_where_noise_is_alike_from_sample_to_sample_a_start_is_known_less_well()
     r = Recording(time, ("pendulum",), 0.1 * np.sin(time)[:, None], torque_command=np.zeros((200, 1)))
     white, slow = (take_of(r, model, np.array([1e-3]), noise_correlation=c).start_noise for c in (0.0, 0.6))
     np.testing.assert_allclose(slow, 2.0 * white, rtol=1e-6)
+
+
+# --- by hand ---
+
+
+def test_half_of_two_neighbours_lies_between_them_and_the_last_stays():
+    np.testing.assert_allclose(
+        replay._until_next(np.array([[0.0, 1.0], [2.0, 1.0], [6.0, 5.0]])), [[1, 1], [4, 3], [6, 5]]
+    )
+
+
+def test_what_diverges_keeps_its_last_finite_values_for_good_and_in_its_own_row():
+    fine, wild = np.arange(8.0).reshape(4, 2), np.arange(8.0).reshape(4, 2)
+    wild[2, 1] = np.nan
+    lost = np.full((4, 2), 2e4)
+    found = replay._hold_finite(np.stack([fine, wild, lost]))
+    np.testing.assert_array_equal(found, [fine, [[0, 1], [2, 3], [2, 3], [2, 3]], np.zeros((4, 2))])
+
+
+def test_an_error_over_all_windows_weighs_them_by_their_length():
+    def windows(length: int, *starts: int) -> replay.Windows:
+        return replay.Windows(SimpleNamespace(measured=np.zeros((50, 2))), np.array(starts), length)
+
+    both = [windows(10, 0, 10), windows(20, 0)]
+    predicted = [np.array([1.0, 2.0])[:, None, None] * np.ones((2, 10, 2)), np.full((1, 20, 2), 3.0) * [1.0, 0.0]]
+    whole, each = replay.window_rmse(both, predicted)
+    np.testing.assert_allclose(each, [[1, 1], [2, 2], [3, 0]])
+    np.testing.assert_allclose(whole, np.sqrt([(10 * 1 + 10 * 4 + 20 * 9) / 40, (10 * 1 + 10 * 4) / 40]))
+
+
+def test_each_joints_torque_is_limited_scaled_and_shifted_in_this_order_within_the_motors_range(monkeypatch):
+    monkeypatch.setattr(replay, "torque_range", lambda model, address: (np.array([-9.0, -1.5]), np.array([9.0, 1.0])))
+    plant = SimpleNamespace(
+        torque_limit=np.array([[2.0, np.inf], [np.inf, 0.5]]),
+        torque_scale=np.array([[3.0, 1.0], [1.0, 2.0]]),
+        torque_offset=np.array([[0.5, 0.0], [0.0, -0.25]]),
+    )
+    asked = np.array([[[4.0, 4.0], [-4.0, -4.0]], [[4.0, 4.0], [-4.0, -4.0]]])
+    driven = replay._drive(asked, plant, SimpleNamespace(model=None, address=None))
+    np.testing.assert_allclose(driven, [[[6.5, 1.0], [-5.5, -1.5]], [[4.0, 0.75], [-4.0, -1.25]]])
+
+
+def test_jitter_of_the_stamps_is_told_from_gaps():
+    rng = np.random.default_rng(0)
+    time = 0.01 * np.arange(4000) + 1e-3 * rng.normal(size=4000)
+    time[2000:] += 5.0
+    assert replay._stamp_jitter(time) == pytest.approx(1e-3, rel=0.05)
+
+
+def test_each_joint_is_interpolated_from_its_own_readings():
+    read = replay._interpolate(
+        np.array([0.5, 1.0]), np.array([0.0, 1.0, 3.0]), np.array([[0.0, 4.0], [1.0, 2.0], [9.0, 0.0]])
+    )
+    np.testing.assert_allclose(read, [[0.5, 3.0], [1.0, 2.0]])
+
+
+def test_local_fits_are_as_noisy_as_they_say_in_the_middle_and_at_both_ends():
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(60, 2000)) * 0.5
+    for order in (0, 1):
+        for value, sigma in replay._cubics(noise, order, 0.1, 1.5, np.full(2000, 0.5)):
+            scatter = value.std(1)
+            np.testing.assert_allclose(scatter, np.broadcast_to(sigma, value.shape)[:, 0], rtol=0.08)
+
+
+def test_a_local_fit_is_the_quietest_that_agrees_with_all_noisier_ones():
+    rough, fine, wide = np.array([[1.0, 1.0, 1.0]]), np.array([[1.2, 5.0, 1.2]]), np.array([[1.1, 1.0, 9.0]])
+    estimates = [(wide, np.full((1, 3), 0.1)), (rough, np.ones((1, 3))), (fine, np.full((1, 3), 0.4))]
+    best, sigma = replay._local_fit(estimates)
+    np.testing.assert_allclose(best, [[1.1, 1.0, 1.2]])  # the wide one, the rough one, the one between
+    np.testing.assert_allclose(sigma, [[0.1, 1.0, 0.4]])
+
+
+def test_the_torque_of_a_position_loop_is_that_of_the_mean_state_until_the_next_sample():
+    r = record(pendulum(), smooth_torque(1.0))
+    kp, kd = np.array([8.0]), np.array([0.3])
+    r = replace(r, torque_command=None, position_target=0.5 * r.position, kp=kp, kd=kd)
+    t = take(pendulum(), r)
+    q, v = ((x[:-1] + x[1:]) / 2 for x in (t.position, t.velocity))
+    target = t.commands(0.0).reshape(len(t.time), -1, 1).mean(1)[:-1]
+    np.testing.assert_allclose(t.torque[:-1], kp * (target - q) - kd * v)
