@@ -155,3 +155,8 @@ def test_settings_in_another_order_are_the_same_settings_and_others_are_not():
     assert one == inputs_digest("<mujoco/>", [], {"drive": "command", "seed": 1})
     assert one != inputs_digest("<mujoco/>", [], {"seed": 2, "drive": "command"})
     assert one != inputs_digest("<mujoco />", [], {"seed": 1, "drive": "command"})
+
+
+def test_a_diagnosis_that_fitted_nothing_has_nothing_to_forget(tmp_path):
+    Checkpoint(tmp_path / "progress.json", "inputs").remove()
+    assert list(tmp_path.iterdir()) == []

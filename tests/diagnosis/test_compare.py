@@ -1,12 +1,24 @@
 """Scores: a perfect model scores its floor, and the floor is what noise alone does."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from diagnosis.plants import candidate, pendulum, record, smooth_torque, take
 
-from torchrl_athletic.diagnosis.compare import harms, noise_floor, open_share, score, started
+from torchrl_athletic.diagnosis import compare
+from torchrl_athletic.diagnosis.compare import (
+    far_joints,
+    follows,
+    harms,
+    noise_floor,
+    open_share,
+    score,
+    started,
+    well_started,
+)
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.replay import join, simulate, windows_of
+from torchrl_athletic.diagnosis.replay import Windows, join, simulate, windows_of
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.effects import ViscousFriction
 
@@ -123,3 +135,139 @@ def test_of_a_given_model_at_its_floor_all_is_open_once_a_correction_is_clearly_
     """An energy as large as the floor's, beyond the floor."""
     at_floor = Score(1.0, after, 1.0, 0.0, {"elbow": {"before": 1.0, "after": after, "floor": 1.0}})
     assert open_share(at_floor) == share
+
+
+def test_a_correction_that_changes_nothing_harms_nothing():
+    assert not harms(Score(1.0, 1.0, 0.1, 0.0, {}))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "far"),
+    [(99.0, 8.5, False), (99.0, 11.0, True), (50.0, 8.5, True), (50.0, 7.5, False)],  # a tenth, and eight floors
+)
+def test_a_joint_is_far_that_is_neither_near_its_floor_nor_at_a_tenth_of_its_error(before, after, far):
+    near = {"knee": {"before": 9.0, "after": 1.0, "floor": 1.0}}
+    scores = [Score(1, 1, 1, 0, near), Score(1, 1, 1, 0, {"hip": {"before": before, "after": after, "floor": 1.0}})]
+    assert far_joints(scores) == ({"hip"} if far else set())
+
+
+def test_a_correction_follows_where_every_joint_does():
+    assert follows(of(a=(9.0, 2.0, 1.0), b=(9.0, 0.2, 0.1)), 2.0)
+    assert not follows(of(a=(9.0, 2.1, 1.0), b=(9.0, 0.1, 0.1)), 2.0)
+
+
+# --- windows and their errors, of a take that is made up ---
+
+
+def made_up(samples: int = 200, begins: tuple[int, ...] = (0, 100), command: np.ndarray | None = None, **given):
+    """Two joints at 100 Hz, cut into pieces; quiet unless something is given."""
+    ends = (*begins[1:], samples)
+    told = {
+        "time": 0.01 * np.arange(samples),
+        "begins": np.array(begins),
+        "period": 0.01,
+        "substeps": 1,
+        "commands": lambda delay: np.zeros((samples, 2)) if command is None else command,
+        "start_noise": np.ones((2, samples, 2)),
+        "position": np.zeros((samples, 2)),
+        "velocity": np.zeros((samples, 2)),
+        "measured": np.zeros((samples, 2)),
+        "recording": SimpleNamespace(joint_names=("hip", "knee")),
+        "parts": [
+            SimpleNamespace(recording=SimpleNamespace(duration=0.01 * (end - first)))
+            for first, end in zip(begins, ends, strict=True)
+        ],
+    }
+    return SimpleNamespace(**told | given)
+
+
+def noisy_at(*samples: int) -> np.ndarray:
+    """Noise of the second joint's velocity, beside that of positions, which is larger and the same everywhere."""
+    noise = np.full((2, 200, 2), 100.0)
+    noise[1, :, 1] = 0.1
+    noise[1, list(samples), 1] = 0.2
+    return noise
+
+
+@pytest.mark.parametrize(
+    ("start", "loud", "noisy", "expected"),
+    [
+        (50, (55,), (), 40),  # by a quarter of its length at most, away from the step
+        (50, (42,), (), 47),
+        (50, (55,), range(40, 46), 46),  # but not where the start is known badly
+        (50, (), range(40, 45), 45),
+        (100, (), (), 100),  # not into the piece before
+        (55, range(40, 58), (), 59),  # nor with its end into the piece after: that starts at 100
+        (155, (), (), 145),
+    ],
+)
+def test_a_window_moves_to_where_its_start_is_known_best_and_its_command_is_quiet(
+    start, loud, noisy, expected, monkeypatch
+):
+    monkeypatch.setattr(compare, "kernel_for", lambda recordings: 0.01)
+    command = np.zeros((200, 2))
+    command[:, 1] = np.cumsum(np.isin(np.arange(200), list(loud)))
+    t = made_up(command=command, start_noise=noisy_at(*noisy))
+    (found,) = well_started(Windows(t, np.array([start]), 40)).start
+    assert found == expected
+
+
+def test_windows_that_meet_are_one(monkeypatch):
+    monkeypatch.setattr(compare, "kernel_for", lambda recordings: 0.01)
+    t = made_up(start_noise=noisy_at(*range(35, 45)))
+    assert well_started(Windows(t, np.array([50, 51, 52]), 40)).start.tolist() == [45]
+
+
+def test_pieces_start_a_minute_after_the_end_of_the_one_before():
+    one, two = made_up(time=7.0 + 0.01 * np.arange(200)), made_up()
+    began = started([Windows(one, np.array([0, 50, 100, 120]), 10), Windows(two, np.array([10, 110]), 10)])
+    np.testing.assert_allclose(began, [0.0, 0.5, 61.0, 61.2, 122.1, 183.1])
+
+
+def test_the_floor_is_of_noisy_starts_readings_and_twice_the_step_of_each_joint(monkeypatch):
+    """Of ten windows, of which one is wild: no more than nearly the worst of the others counts of it."""
+    noise = np.zeros((2, 200, 2))
+    noise[0, :, 0], noise[1, :, 1] = 3.0, 4.0
+
+    def replayed(windows, build, values, start=None):
+        out = np.zeros((1, len(windows.start), windows.length, 2))
+        if start is not None:
+            out += np.abs(np.stack([start[0][:, 0] - 10.0, start[1][:, 1] - 20.0], -1))[None, :, None]
+        return out + (0.5 if windows.take == "halved" else 0.0)
+
+    class Draws:
+        standard_normal = staticmethod(lambda shape: np.ones(shape))
+
+    t = made_up(
+        start_noise=noise, position=np.full((200, 2), 10.0), velocity=np.full((200, 2), 20.0), halved=lambda: "halved"
+    )
+    t.misread = lambda rng: t
+    monkeypatch.setattr(compare, "simulate", replayed)
+    monkeypatch.setattr(compare, "replace", lambda windows, take: Windows(take, windows.start, windows.length))
+    windows = [Windows(t, np.arange(10), 5)]
+    floor = noise_floor(windows, Hypothesis(()), np.zeros(0), [np.zeros((10, 5, 2))], np.array([1.0, 2.0]), Draws())
+    np.testing.assert_allclose(floor, np.sqrt([9 + 4 * 0.25 + 1, 16 + 4 * 0.25 + 4]))
+
+
+def test_a_score_is_the_root_of_the_joints_mean_square_and_of_the_given_and_the_corrected_numbers(monkeypatch):
+    t = made_up()
+    windows = [Windows(t, np.array([0, 40]), 10)]
+    monkeypatch.setattr(compare, "draw_windows", lambda takes, seconds, most, rng: windows)
+    monkeypatch.setattr(compare, "well_started", lambda w: w)
+    monkeypatch.setattr(
+        compare, "simulate", lambda w, build, sets: sets[:, None, None, :] * np.ones((1, 2, 10, 1))
+    )  # a parameter is an error of its joint
+    told = []
+    monkeypatch.setattr(compare, "noise_floor", lambda *given: told.append(given[3]) or np.array([0.1, 0.7]))
+    h = SimpleNamespace(nominal=np.array([3.0, 4.0]), build=None)
+    rng = np.random.default_rng(0)
+    found, before, after, _ = score([t], h, np.array([1.0, 2.0]), np.ones(2), rng, np.array([0.2, 0.3]))
+    assert found.per_joint["hip"] == pytest.approx({"before": 3.0, "after": 1.0, "floor": 0.2})
+    assert found.per_joint["knee"] == pytest.approx({"before": 4.0, "after": 2.0, "floor": 0.7})
+    was, left, least = np.sqrt([12.5, 2.5, (0.04 + 0.49) / 2])
+    assert (found.before, found.after, found.floor) == pytest.approx((was, left, least))
+    assert found.share_closed == pytest.approx((was - left) / (was - least))
+    assert (before.tolist(), after.tolist()) == ([[3.0, 4.0]] * 2, [[1.0, 2.0]] * 2)
+    np.testing.assert_array_equal(told[0][0], np.ones((2, 10, 2)) * [1.0, 2.0])  # the floor is of the corrected one
+    worse = score([t], h, np.array([4.0, 6.0]), np.ones(2), rng)[0]
+    assert -1.0 < worse.share_closed < 0.0

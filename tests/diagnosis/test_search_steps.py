@@ -110,6 +110,7 @@ A, B, C, D = (law(name) for name in "abcd")
     ("evidence", "promise", "start", "kept"),
     [
         ({"a": -10.0, "b": -10.5}, {}, "a", "a"),  # less than one is no gain
+        ({"a": -10.0, "b": -10.5}, {"b": 0.0}, "a", "a"),  # whichever is tried last
         ({"a": -10.0, "b": -12.0}, {}, "a", "b"),
         ({"a": -10.0, "b": -30.0, "c": -20.0}, {}, "a", "b"),  # the best of all that gain
         ({"a": -10.0, "b": 0.0, "c": -20.0}, {"b": -99.0}, "a", "c"),  # what promises most may not keep it
@@ -164,6 +165,11 @@ def test_pairs_of_one_joint_are_merged_as_long_as_that_gains_and_pairs_of_two_jo
 def test_a_pair_is_merged_into_an_effect_of_its_own_joint():
     told = Told({"ab": -10.0, "m": -20.0, "": 0.0}, A, B, law("m", joint=1))
     assert names(steps._merge(told, told["ab"])) == "ab"
+
+
+def test_what_two_are_merged_into_is_judged_at_its_own_best_value():
+    told = Told({"ab": -25.0, "l": lambda at: 100 * abs(at["l"]["delay"] - 0.3) - 30.0}, A, B, *grid_of("l", *DELAYS))
+    assert points_of(steps._merge(told, told["ab"]))["l"] == {"delay": pytest.approx(0.3)}
 
 
 def test_a_cause_of_the_whole_robot_takes_the_place_of_all_that_it_excludes():

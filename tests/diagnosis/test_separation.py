@@ -13,7 +13,7 @@ from torchrl_athletic.diagnosis.screen import Bank
 from torchrl_athletic.diagnosis.search import Judge
 from torchrl_athletic.diagnosis.separation import Coefficients, PairProducts, Rivals, every_nth
 from torchrl_athletic.diagnosis.thresholds import PLAN, SEARCH
-from torchrl_athletic.effects import Fingerprint
+from torchrl_athletic.effects import Fingerprint, Parameter
 
 N = 2000
 PHASE = 2 * np.pi * np.arange(N) / 50
@@ -325,3 +325,51 @@ def test_drawn_numbers_scatter_as_the_recordings_allow_about_those_fitted(monkey
     np.testing.assert_array_equal(drawn[0], found.values)
     assert drawn[1:, 2].std() == pytest.approx(1 / np.sqrt(25.0 + found.prior[2]), rel=0.05)
     assert drawn[1:, 2].mean() == pytest.approx(found.values[2], abs=0.02)
+
+
+def test_what_is_left_and_the_floor_are_means_over_the_rows_that_count():
+    """A fifth of the take, of which a tenth counts, has most of the torque and of what smoothing bends."""
+    first = np.arange(N) < N // 5
+    valid = np.stack([~first | (np.arange(N) < N // 50), np.ones(N, dtype=bool)], -1)
+    missing, bias = (np.stack([np.where(first, size, 0.5), np.zeros(N)], -1) for size in (6.0, 3.0))
+    bias[~first] = 0.0
+    idle = np.stack([np.where(np.arange(N) % 2, 2.0, -2.0), np.zeros(N)], -1)
+    take = replace(signals(missing, valid, bias=bias, position=idle), noise=np.zeros(2))
+    judge = Judge(Bank([take], [candidate(Along("idle", (1, 0)))], noise=np.ones(2)))
+    pair = Rivals(judge, [judge.score(judge.bank.atoms)], None)
+    counted = valid[:, 0]
+    assert pair.unnamed[0] == pytest.approx((missing[counted, 0] ** 2).mean())
+    assert pair.floor[0] == pytest.approx(1.0 + (bias[counted, 0] ** 2).mean(), rel=1e-3)
+    assert pair.level[0] == pytest.approx(max(pair.unnamed[0], pair.floor[0]))
+
+
+def test_of_a_fit_each_number_is_one_coefficient_and_a_trim_is_pulled_by_half_its_tolerance():
+    take = motion(SINE, COSINE, 0.5 * SINE + 0.25 * COSINE)
+    two, trim = candidate(Along("two", (1, 0), (0, 1))), candidate(Along("trim", (5, 5), lower=-0.4, upper=0.4), 1)
+    judge = Judge(Bank([take], [two], [trim], noise=np.ones(2)))
+    best = judge.score(judge.bank.atoms[:1])
+    found = Coefficients(best, take)
+    np.testing.assert_allclose(found.values, best.fit.coefficients)
+    np.testing.assert_allclose(found.doubt, [0.0, 0.0, 1 / 0.2**2])
+    assert (found.low.tolist(), found.high.tolist()) == ([-10.0, -10.0, -0.4], [10.0, 10.0, 0.4])
+
+
+def test_of_rivals_with_as_many_numbers_either_may_be_true_and_of_others_the_larger(monkeypatch):
+    """One says of the other's truth that it is 5 apart, the other 2."""
+    monkeypatch.setattr(Rivals, "_evidence", lambda self, products, x, one, other, quiet: (5.0, 2.0)[one] ** 2)
+    for sums, expected in ((((0, 1),), 3.5), (((0, 1), (1, 1)), 5.0)):
+        pair, known, _ = rivals(Along("one", (1, 0)), Along("other", *sums), second=COSINE)
+        assert pair.separations(known) == pytest.approx([expected])
+
+
+def test_a_number_that_the_recordings_do_not_show_is_the_given_models_beside_one_that_they_do():
+    take = motion(SINE, COSINE, 0.5 * SINE)
+    judge = Judge(Bank([take], [candidate(Along("two", (0, 0), (1, 0)))], noise=np.ones(2)))
+    assert Coefficients(judge.score(judge.bank.atoms), take).values == pytest.approx([0.0, 0.5], abs=1e-6)
+
+
+def test_a_small_number_is_changed_by_half_of_what_is_worth_mentioning(monkeypatch):
+    coarse = (Parameter("delay", "s", 0.0, 0.0, 1.0, 0.5),)
+    monkeypatch.setattr(Shifted, "parameters", lambda self, model, address, joint: coarse)
+    found, *_ = late(0.2)
+    assert (found.low[1], found.high[1]) == pytest.approx((-0.25, 0.25))
