@@ -65,3 +65,11 @@ def test_where_files_cannot_be_locked_nothing_half_written_is_taken_for_a_dead_p
     with locked(tmp_path):
         assert len(list(tmp_path.iterdir())) == 1
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_who_is_inside_two_folders_is_inside_both(tmp_path):
+    one, two = tmp_path / "one", tmp_path / "two"
+    with locked(one), locked(two), locked(one):
+        (one / "note").touch()
+    assert one.exists()
+    assert not two.exists()

@@ -15,6 +15,7 @@ from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.replay import join, simulate, take_of, windows_of
 from torchrl_athletic.effects import Backlash, Hysteresis, LoadDependentFriction, ThermalDrift
+from torchrl_athletic.effects.base import BaseMotion
 from torchrl_athletic.effects.plant import Law
 from torchrl_athletic.recordings import Recording, sensor_noise
 from torchrl_athletic.recordings.recording import BEGAN
@@ -636,3 +637,37 @@ def test_the_torque_of_a_position_loop_is_that_of_the_mean_state_until_the_next_
     q, v = ((x[:-1] + x[1:]) / 2 for x in (t.position, t.velocity))
     target = t.commands(0.0).reshape(len(t.time), -1, 1).mean(1)[:-1]
     np.testing.assert_allclose(t.torque[:-1], kp * (target - q) - kd * v)
+
+
+def test_the_step_is_short_for_the_derivative_gain_whatever_the_proportional_one():
+    r = record(pendulum(), smooth_torque(1.0))
+    model = mujoco.MjModel.from_xml_string(pendulum())
+    data, inertia = mujoco.MjData(model), np.zeros((1, 1))
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, inertia)
+    kd = np.array([inertia[0, 0] / model.opt.timestep])  # three times what an explicit step bears well
+    for kp in (1e-3, 1e3):
+        t = take(pendulum(), replace(r, torque_command=None, position_target=r.position, kp=np.array([kp]), kd=kd))
+        assert 0.15 < kd[0] * t.model.opt.timestep / inertia[0, 0] <= 0.3
+        assert t.period == pytest.approx(1 / r.rate)
+
+
+def test_half_the_step_is_that_of_every_piece():
+    whole = record(pendulum(), smooth_torque(4.0))
+    (joined,) = join([take(pendulum(), whole.slice(*ends), period=0.01) for ends in ((0, 150), (200, 400))])
+    half = joined.halved()
+    for before, after in zip((joined, *joined.pieces), (half, *half.pieces), strict=True):
+        assert after.model.opt.timestep == before.model.opt.timestep / 2
+        assert after.period == before.period
+    assert half.commands(0.0).shape == (2 * len(joined.commands(0.0)), 1)
+
+
+def test_a_base_is_misread_by_the_noise_of_each_of_its_axes():
+    t = take(pendulum(), record(pendulum(), smooth_torque(4.0)))
+    assert t.misread(np.random.default_rng(0)) is t
+    count = len(t.time)
+    base, noise = BaseMotion(np.zeros((count, 7)), np.ones((count, 6)), np.zeros((count, 6))), 0.1 * np.arange(6.0)
+    read = replace(t, base=base, base_noise=noise[None]).misread(np.random.default_rng(0)).base
+    np.testing.assert_allclose(read.velocity.std(0), noise, rtol=0.15)
+    np.testing.assert_allclose(read.velocity.mean(0), 1.0, atol=0.1)
+    np.testing.assert_array_equal(read.pose, base.pose)
