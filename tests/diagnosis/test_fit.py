@@ -419,9 +419,9 @@ def test_telling_windows_of_all_takes_join_those_that_were_drawn(monkeypatch):
     monkeypatch.setitem(names, "draw_windows", lambda *_: full)
     monkeypatch.setitem(names, "_actions", lambda *_: (moved, error, None))
     h = SimpleNamespace(terms=("first", "second"))
-    drawn = [Windows("one", np.array([10]), 10)]
+    drawn = [Windows("one", np.array([0]), 10)]
     found = _with_telling(h, ["one", "two"], np.zeros(1), drawn, np.random.default_rng(0))
-    assert {w.take: w.start.tolist() for w in found} == {"one": [10, 20], "two": [0, 10]}
+    assert {w.take: w.start.tolist() for w in found} == {"one": [0, 20], "two": [0, 10]}
     assert _with_telling(SimpleNamespace(terms=()), [], np.zeros(0), drawn, np.random.default_rng(0)) is drawn
 
 

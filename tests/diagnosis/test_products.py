@@ -56,13 +56,14 @@ def test_a_library_meets_columns_of_its_own_joint_alone(grown):
 @pytest.mark.parametrize("held", [0, 3])
 def test_a_gain_is_what_least_squares_gains_where_no_bound_binds(held):
     rng = np.random.default_rng(2)
-    a, groups, y = rng.normal(size=(50, held)), rng.normal(size=(4, 50, 2)), rng.normal(size=50)
+    unlike = np.array([1e-8, 1.0, 1e3])[:held]  # units
+    a, groups, y = rng.normal(size=(50, held)) * unlike, rng.normal(size=(4, 50, 2)), rng.normal(size=50)
     start = np.linalg.lstsq(a, y)[0] if held else np.zeros(0)
     left = y - a @ start
     wide = np.full((4, 2), 1e6)
     told = gains(
         np.einsum("gri,grj->gij", groups, groups), np.einsum("gri,ra->gia", groups, a), a.T @ a,
-        np.einsum("gri,r->gi", groups, left), -wide, wide, (np.full(held, -1e6), np.full(held, 1e6)),
+        np.einsum("gri,r->gi", groups, left), -wide, wide, (np.full(held, -1e12), np.full(held, 1e12)),
     )  # fmt: skip
     for gain, group in zip(told, groups, strict=True):
         both = np.hstack([a, group])
@@ -89,13 +90,13 @@ def test_beside_a_group_the_active_columns_move_as_far_as_each_of_them_may():
     group, y, unit = rng.normal(size=(200, 2)), rng.normal(size=200), np.array([1e-5, 1.0, 1e3])
     active = (rng.normal(size=(200, 3)) + 0.4 * group.sum(1, keepdims=True)) * unit
     left = y - active @ np.linalg.lstsq(active, y)[0]
-    chosen, low, high = np.array([[2.0, -3.0]]), np.array([-9.0, -9.0, -0.05]) / unit, np.array([0.1, 9.0, 9.0]) / unit
-    for down, up in ((low, high), (-high[::-1] * unit[::-1] / unit, -low[::-1] * unit[::-1] / unit)):
-        (told,) = gains(
-            (group.T @ group)[None], (group.T @ active)[None], active.T @ active, (left @ group)[None], chosen, chosen,
-            (down, up),
-        )  # fmt: skip
-        rest = left - group @ chosen[0]
-        move = lsq_linear(active * (1 / unit), rest, (down * unit, up * unit)).x
-        after = rest - (active / unit) @ move
-        assert told == pytest.approx(left @ left - after @ after, rel=1e-4)
+    chosen = np.array([[2.0, -3.0]])
+    rest = left - group @ chosen[0]
+    reach = np.abs(np.linalg.lstsq(active, rest)[0]) * [0.5, 2.0, 0.25]  # the outer two are stopped short
+    (told,) = gains(
+        (group.T @ group)[None], (group.T @ active)[None], active.T @ active, (left @ group)[None], chosen, chosen,
+        (-reach, reach),
+    )  # fmt: skip
+    move = lsq_linear(active / unit, rest, (-reach * unit, reach * unit)).x
+    after = rest - (active / unit) @ move
+    assert told == pytest.approx(left @ left - after @ after, rel=1e-6)

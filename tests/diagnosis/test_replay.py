@@ -503,9 +503,10 @@ def test_takes_of_another_step_or_a_moment_s_length_stay_alone():
 
 def test_takes_with_other_gains_stay_alone():
     r = record(pendulum(), smooth_torque(4.0), kp=np.full(1, 8.0), kd=np.full(1, 0.3))
-    same, other = r.slice(200, 400), replace(r.slice(200, 400), kp=np.full(1, 9.0))
-    takes = [take(pendulum(), part, period=1 / RATE) for part in (r.slice(0, 200), same, other)]
-    assert [t.parts for t in join(takes)] == [(takes[0], takes[1]), (takes[2],)]
+    same = r.slice(200, 400)
+    others = replace(same, kp=np.full(1, 9.0)), replace(same, kd=np.full(1, 0.2))
+    takes = [take(pendulum(), part, period=1 / RATE) for part in (r.slice(0, 200), same, *others)]
+    assert [t.parts for t in join(takes)] == [(takes[0], takes[1]), (takes[2],), (takes[3],)]
 
 
 def test_a_gear_looks_at_the_inertia_of_its_own_piece():
@@ -671,3 +672,40 @@ def test_a_base_is_misread_by_the_noise_of_each_of_its_axes():
     np.testing.assert_allclose(read.velocity.std(0), noise, rtol=0.15)
     np.testing.assert_allclose(read.velocity.mean(0), 1.0, atol=0.1)
     np.testing.assert_array_equal(read.pose, base.pose)
+
+
+@pytest.mark.parametrize("logged", [False, True])
+def test_stamps_that_jitter_make_a_start_as_uncertain_as_the_joint_is_fast(logged):
+    """A reading is off by what the joint moved meanwhile, and a speed by what it gained."""
+    rng = np.random.default_rng(0)
+    time = np.arange(600) / RATE + 2e-4 * rng.normal(size=600)
+    time -= time[0]
+    noise = []
+    for size in (0.2, 0.4):
+        speed = 6 * size * np.cos(6 * time)[:, None] if logged else None
+        r = Recording(time, ("pendulum",), size * np.sin(6 * time)[:, None], speed, torque_command=np.zeros((600, 1)))
+        t = take_of(r, mujoco.MjModel.from_xml_string(pendulum()), np.full(1, 1e-9), np.full(1, 1e-9))
+        noise.append(np.median(t.start_noise, axis=1)[:, 0])
+    np.testing.assert_allclose(noise[1] / noise[0], 2.0, rtol=0.1)
+
+
+def test_a_start_is_known_no_worse_than_one_reading_and_its_speed_less_well():
+    t = take(pendulum(), record(pendulum(), smooth_torque(2.0), noise=1e-3), 1e-3)
+    assert (t.start_noise[0] <= 1e-3 + 1e-12).all()
+    assert (t.start_noise[1] > 3e-3).all()
+
+
+def test_a_base_at_rest_seems_to_move_as_much_as_its_noise_says(monkeypatch):
+    """Of a millimetre, and of a hundredth of a radian about each axis, of which a quaternion has the half."""
+    rng = np.random.default_rng(0)
+    time = np.arange(3000) / RATE
+    half_turn = 0.5 * 1e-2 * rng.normal(size=(3000, 3))
+    pose = np.hstack([1e-3 * rng.normal(size=(3000, 3)), np.ones((3000, 1)), half_turn])
+    monkeypatch.setattr(replay, "pose_of", lambda recording, model: pose)
+    monkeypatch.setattr(replay, "base_noise", lambda recording: (1e-3, 1e-2))
+    base, noise = replay._base_of(SimpleNamespace(time=time), None, time, 0.1, 0.0)
+    inside = slice(100, -100)
+    typical = 1.4826 * np.median(np.abs(base.velocity[inside]), axis=0)
+    np.testing.assert_allclose(typical, np.median(noise[inside], axis=0), rtol=0.4)
+    np.testing.assert_allclose(np.linalg.norm(base.pose[:, 3:], axis=1), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(base.acceleration[inside].mean(0), 0.0, atol=0.05)

@@ -413,3 +413,9 @@ def test_a_combination_is_refined_before_it_grows_since_a_coarse_one_hides_weake
 
     told = Told({"": 0.0, "l": off, "al": of_both}, A, *grid_of("l", *DELAYS))
     assert names(search(told)[0]) == "al"
+
+
+@pytest.mark.usefixtures("steady")
+def test_at_the_end_two_terms_are_merged_into_one_that_explains_as_much():
+    told = Told({"ab": -40.0, "m": -41.0, "a": 0.0, "b": 0.0}, A, B, law("m", excludes="ab"))
+    assert names(steps._polish(told, told["ab"])) == "m"
