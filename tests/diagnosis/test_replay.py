@@ -358,6 +358,7 @@ def test_windows_cover_every_sample_once(samples, seconds, rate):
     w = windows_of(t, seconds)
     covered = w.index.ravel()
     np.testing.assert_array_equal(covered, np.arange(1, len(covered) + 1))
+    assert len(covered)  # a take that is shorter than a window is one
     assert 0 <= len(t.time) - 1 - len(covered) < w.length
     np.testing.assert_array_equal(w.measured[:, 0], t.measured[w.start + 1])
     assert windows_of(t, None).index.ravel().tolist() == list(range(1, len(t.time)))
@@ -709,3 +710,22 @@ def test_a_base_at_rest_seems_to_move_as_much_as_its_noise_says(monkeypatch):
     np.testing.assert_allclose(typical, np.median(noise[inside], axis=0), rtol=0.4)
     np.testing.assert_allclose(np.linalg.norm(base.pose[:, 3:], axis=1), 1.0, rtol=1e-12)
     np.testing.assert_allclose(base.acceleration[inside].mean(0), 0.0, atol=0.05)
+
+
+def test_the_bases_of_joined_pieces_move_one_after_the_other_each_with_its_own_noise():
+    whole, pieces = record(pendulum(), smooth_torque(4.0)), []
+    for size, ends in enumerate(((0, 150), (200, 400)), start=1):
+        t = take(pendulum(), whole.slice(*ends), period=0.01)
+        base = BaseMotion(*(np.full((len(t.time), k), float(size)) for k in (7, 6, 6)))
+        pieces.append(replace(t, base=base, base_noise=np.full((len(t.time), 6), 0.1 * size)))
+    (joined,) = join(pieces)
+    assert joined.base_noise[:, 0].tolist() == [0.1] * len(pieces[0].time) + [0.2] * len(pieces[1].time)
+    np.testing.assert_array_equal(joined.base.velocity, 10 * joined.base_noise)
+
+
+def test_a_window_is_as_long_as_asked_where_one_piece_holds_it_and_shorter_pieces_have_none():
+    whole = record(pendulum(), smooth_torque(5.0))
+    (joined,) = join([take(pendulum(), whole.slice(*ends), period=0.01) for ends in ((0, 120), (200, 420))])
+    first = len(joined.pieces[0].time)
+    windows = windows_of(joined, 0.01 * (first + 20))
+    assert (windows.length, windows.start.tolist()) == (first + 20, [first])
