@@ -105,6 +105,7 @@ def test_the_open_share_is_energy_above_the_floor_that_is_left():
     assert open_share(of(a=(5.0, 5.0, 1.0), b=(5.0, 1.0, 1.0))) == pytest.approx(0.5)
     assert open_share(of(a=(1.05, 1.05, 1.0), b=(100.0, 1.0, 1.0))) < 0.01  # a joint at its floor has no say
     assert open_share(of(a=(1.0, 100.0, 1.0), b=(2.0, 1.0, 1.0))) == 1.0  # one that the correction ruins has
+    assert open_share(of(a=(0.1, 0.1, 1.0), b=(2.0, 1.5, 1.0))) == pytest.approx((1.5**2 - 1) / (2.0**2 - 1))
     assert open_share(of(a=(1.0, 1.0, 1.0))) == 0.0
 
 
@@ -233,7 +234,7 @@ def test_the_floor_is_of_noisy_starts_readings_and_twice_the_step_of_each_joint(
         out = np.zeros((1, len(windows.start), windows.length, 2))
         if start is not None:
             out += np.abs(np.stack([start[0][:, 0] - 10.0, start[1][:, 1] - 20.0], -1))[None, :, None]
-        return out + (0.5 if windows.take == "halved" else 0.0)
+        return out + {"halved": 0.5, "misread": 1.0}[windows.take]
 
     class Draws:
         standard_normal = staticmethod(lambda shape: np.ones(shape))
@@ -241,18 +242,18 @@ def test_the_floor_is_of_noisy_starts_readings_and_twice_the_step_of_each_joint(
     t = made_up(
         start_noise=noise, position=np.full((200, 2), 10.0), velocity=np.full((200, 2), 20.0), halved=lambda: "halved"
     )
-    t.misread = lambda rng: t
+    t.misread = lambda rng: "misread"
     monkeypatch.setattr(compare, "simulate", replayed)
     monkeypatch.setattr(compare, "replace", lambda windows, take: Windows(take, windows.start, windows.length))
     windows = [Windows(t, np.arange(10), 5)]
     floor = noise_floor(windows, Hypothesis(()), np.zeros(0), [np.zeros((10, 5, 2))], np.array([1.0, 2.0]), Draws())
-    np.testing.assert_allclose(floor, np.sqrt([9 + 4 * 0.25 + 1, 16 + 4 * 0.25 + 4]))
+    np.testing.assert_allclose(floor, np.sqrt([(3 + 1) ** 2 + 4 * 0.25 + 1, (4 + 1) ** 2 + 4 * 0.25 + 4]))
 
 
 def test_a_score_is_the_root_of_the_joints_mean_square_and_of_the_given_and_the_corrected_numbers(monkeypatch):
     t = made_up()
     windows = [Windows(t, np.array([0, 40]), 10)]
-    monkeypatch.setattr(compare, "draw_windows", lambda takes, seconds, most, rng: windows)
+    monkeypatch.setattr(compare, "draw_windows", lambda takes, seconds, most, rng: windows if seconds == 0.5 else [])
     monkeypatch.setattr(compare, "well_started", lambda w: w)
     monkeypatch.setattr(
         compare, "simulate", lambda w, build, sets: sets[:, None, None, :] * np.ones((1, 2, 10, 1))
