@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from torchrl.envs.utils import check_env_specs
 from torchrl_athletic.envs import PoseGoal, TorqueEnv, draw_goal, reach_errors, reachable_poses
 from torchrl_athletic.envs.reach import KEYPOINT_LENGTH
 from torchrl_athletic.functional import rotations
-from torchrl_athletic.robots import b2z1, z1
+from torchrl_athletic.robots import b2z1, from_mjcf, z1
 
 POSES = torch.tensor([[0.4, 0.1, 0.3, 1.0, 0.0, 0.0, 0.0], [0.3, -0.2, 0.5, 0.5**0.5, 0.0, 0.0, 0.5**0.5]])
 
@@ -119,9 +121,45 @@ def test_errors_are_taken_at_the_end_of_episodes():
     assert errors["attitude_deg"] == pytest.approx(float(half.rad2deg()), abs=1e-2)  # q and -q are one attitude
 
 
-def test_a_table_of_another_shape_is_refused():
+@pytest.mark.parametrize("shape", [(3, 6), (7,), (0, 7)])
+def test_a_table_of_another_shape_is_refused(shape):
     with pytest.raises(ValueError, match=r"\(M, 7\).*reachable_poses"):
-        PoseGoal(torch.zeros(3, 6))
+        PoseGoal(torch.zeros(shape))
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.02, 3.0])
+def test_angles_are_right_from_none_to_almost_half_a_turn(turn):
+    goal = torch.tensor([0.3, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0]).expand(1, 30, 7)
+    turned = rotations.yaw_quaternion(torch.tensor([turn])).expand(1, 30, 4)
+    after = {"end_effector_position": goal[..., :3], "end_effector_quaternion": turned, "command": goal}
+    found = reach_errors(TensorDict(next=after, batch_size=[1, 30]))["attitude_deg"]
+    assert found == pytest.approx(np.rad2deg(turn), abs=0.1)
+
+
+def test_a_step_shows_the_way_from_where_it_led_to():
+    env = goal_env()
+    shown = env.reset()
+    after = env.step(shown.set("torque", torch.full((2, 7), 20.0)))["next"]
+    torch.testing.assert_close(after["keypoints"][:, 0], after["end_effector_position"])
+    assert (after["end_effector_position"] - shown["end_effector_position"]).abs().max() > 1e-4
+    way = after["goal_observation"][:, :12].reshape(2, 4, 3)
+    torch.testing.assert_close(after["keypoints"] + way, after["goal_keypoints"])
+
+
+LIFT = """<mujoco><worldbody><body><joint name="turn" axis="0 0 1" range="-3 3"/><geom size="0.01"/>
+  <body pos="0 0 1"><joint name="lift" type="slide" axis="0 0 1" range="0.2 0.3"/><geom size="0.01"/>
+  <site name="hand"/></body></body></worldbody><sensor><framepos name="place" objtype="site" objname="hand"/>
+  <framequat name="attitude" objtype="site" objname="hand"/></sensor></mujoco>"""
+
+
+def test_an_arm_that_does_not_begin_with_the_first_joint_reaches_what_its_own_ranges_allow():
+    sensors = {"end_effector_position": ("place",), "end_effector_quaternion": ("attitude",)}
+    lift = from_mjcf(LIFT, kp=1.0, kd=0.0, torque_limit=1.0)
+    lift = replace(lift, joint_groups={"arm": (1,)}, sensors=sensors)
+    poses = reachable_poses(lift, count=20)
+    assert ((poses[:, 2] >= 1.2) & (poses[:, 2] <= 1.3)).all()
+    assert poses[:, 2].unique().numel() == 20
+    torch.testing.assert_close(poses[:, 3:], torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(20, 4))  # it does not turn
 
 
 def test_the_goal_is_drawn_as_three_arrows():

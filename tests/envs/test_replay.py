@@ -15,7 +15,7 @@ from torchrl_athletic.envs.replay import HISTORY, AddedTorque, _start_of
 from torchrl_athletic.functional import actuator_dynamics, rewards
 from torchrl_athletic.identification import Simulator, open_loop
 from torchrl_athletic.networks import uan
-from torchrl_athletic.robots import b2z1, z1
+from torchrl_athletic.robots import b2z1, with_options, z1
 from torchrl_athletic.testing import no_host_sync
 from torchrl_athletic.training import control_step, takes_of, torque_unit
 from torchrl_athletic.transforms import EquivalentTarget, PDControl, TorqueSpeedClip, UANCorrection
@@ -424,12 +424,32 @@ def test_a_correction_is_not_cut_off_with_the_motors_torque():
     assert (plain < 0.5 * 5.0 * torch.tensor(ROBOT.kp)).all()
 
 
+def test_a_shorter_step_earns_less_by_as_much_as_it_is_shorter():
+    quick = with_options(ROBOT, timestep=DT / 4)
+    env = replay_env(quick, TAKES, num_envs=1, by_row=True, starts=torch.tensor([30]))
+    earned = played(env, nothing, 1)["next"]
+    assert earned["privileged"][..., 0].abs().max() < 1e-2
+    for key in ("reward", "joint_reward"):
+        assert 13.0 * DT / 4 < earned[key].max() <= 13.5 * DT / 4 + 1e-6
+
+
+def test_what_goes_into_a_buffer_stays_as_the_policy_chose_it():
+    replayed = own_replay().transform[-1]
+    alone = replayed.clone()
+    step = TensorDict(action=torch.ones(2, 2), sample=torch.tensor([[30], [40]]), batch_size=[2])
+    assert alone.inv(step.clone())["action"].equal(step["action"])
+
+
 def test_takes_that_contradict_themselves_are_refused():
     still = torch.zeros(50, 2)
     with pytest.raises(ValueError, match="sum of the lengths"):
         Takes(still, still, still, (40,))
-    with pytest.raises(ValueError, match="not finite"):
-        Takes(still, still / 0, still, (50,))
+    for flat in (still[:, 0], still.unsqueeze(-1)):
+        with pytest.raises(ValueError, match=r"one shape \(S, J\)"):
+            Takes(flat, flat, flat, (50,))
+    for broken in range(3):
+        with pytest.raises(ValueError, match="not finite"):
+            Takes(*(still / 0 if k == broken else still for k in range(3)), (50,))
     with pytest.raises(ValueError, match="20 to fill"):
         Takes(still[:20], still[:20], still[:20], (20,))
     with pytest.raises(ValueError, match=r"robot\.joint_names"):

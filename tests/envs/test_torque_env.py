@@ -12,7 +12,7 @@ from torchrl.envs import check_env_specs
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.envs import torque_env as module
 from torchrl_athletic.physics import BatchPhysics
-from torchrl_athletic.robots import Terrain, b2z1, z1
+from torchrl_athletic.robots import Robot, Terrain, b2z1, z1
 
 ARM, DOG = z1(), b2z1()
 
@@ -244,3 +244,44 @@ def test_a_base_without_a_free_joint_floats_not():
     assert module._free_joint(model, None) == (None, None)
     with pytest.raises(ValueError, match="no free joint"):
         module._free_joint(ARM.model(), ARM.model().body(ARM.model().joint(ARM.joint_names[0]).bodyid[0]).name)
+
+
+TWO = """<mujoco><worldbody><body name="pole"><geom size="0.1"/></body>
+  <body name="ball" pos="0 0 9"><freejoint/><geom size="0.1"/></body>
+  <body name="base" pos="3 0 9"><freejoint/><geom size="0.1"/><site name="s"/><body pos="0 0 1">
+  <joint name="hip" axis="0 1 0"/><geom size="0.1"/></body></body></worldbody>
+  <sensor><touch name="felt" site="s"/><jointpos name="turned" joint="hip"/></sensor>
+  <keyframe><key name="first"/><key name="second" qpos="0 0 8 1 0 0 0  4 0 7 1 0 0 0  0.5"/></keyframe></mujoco>"""
+
+
+def floating(**changes):
+    """A body that floats beside another one that does, with one joint."""
+    robot = Robot(
+        name="two", joint_names=("hip",), joint_groups={}, default_pose=(0.5,), kp=(1.0,), kd=(0.1,),
+        torque_limit=(1.0,), velocity_limit=(9.0,), position_limit=((-1.0, 1.0),), base="base", sensors={},
+        build=lambda: mujoco.MjSpec.from_string(TWO), keyframe="second", ground=(),
+    )  # fmt: skip
+    return replace(robot, **changes)
+
+
+def test_a_base_is_read_from_its_own_columns_and_starts_at_the_robots_own_keyframe():
+    env = TorqueEnv(floating(), num_envs=1)
+    env.reset()
+    env.physics.qvel[:] = torch.arange(13.0)
+    shown = env._observe(torch.zeros(1, 1))
+    assert shown["base_position"].tolist() == [[4.0, 0.0, 7.0]]
+    assert shown["joint_position"].tolist() == [[0.5]]
+    assert shown["base_linear_velocity"].tolist() == [[6.0, 7.0, 8.0]]
+    assert shown["base_angular_velocity"].tolist() == [[9.0, 10.0, 11.0]]
+
+
+def test_a_body_without_any_joint_floats_not_though_the_last_joint_is_free():
+    bodies = '<body name="pole"><geom size="1"/></body><body pos="9 0 0"><freejoint/><geom size="1"/></body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    with pytest.raises(ValueError, match="no free joint"):
+        module._free_joint(model, "pole")
+
+
+def test_readings_of_which_one_is_no_force_are_not_averaged():
+    env = TorqueEnv(floating(sensors={"both": ("felt", "turned"), "felt": ("felt",)}), every_step=["both", "felt"])
+    assert env.averaged_keys == ("joint_power", "felt")

@@ -1,6 +1,7 @@
 """The paper's pre-training environment: what it shows, what it rewards, when it ends."""
 
 import math
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
+from torchrl.data import Composite, Unbounded
 from torchrl.envs import StepCounter, Transform, check_env_specs
 
-from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, whole_body_env, whole_body_rewards
-from torchrl_athletic.envs.whole_body import ACTION_SCALE, PRIVILEGED, TrackingErrors, fallen
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, phase_inputs, whole_body_env, whole_body_rewards
+from torchrl_athletic.envs.whole_body import ACTION_SCALE, PRIVILEGED, TrackingErrors, _known, _scaling, fallen
 from torchrl_athletic.functional.commands import CommandRanges
 from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.functional.rewards import WBC_SCALES
@@ -453,3 +455,25 @@ def test_a_robot_has_fallen_that_is_low_or_leans_by_more_than_60_degrees():
     height = torch.tensor([[0.24], [0.26], [0.5], [0.5], [0.5]])
     shown = TensorDict(base_height=height, projected_gravity=gravity, batch_size=[5])
     assert fallen(shown).flatten().tolist() == [True, False, False, True, True]
+
+
+def test_a_scale_by_group_is_that_of_the_groups_joints_in_whatever_order_groups_are_told():
+    told = {"gripper": 0.1, "arm": 0.2, "leg": 0.3}
+    for order in (list(told), sorted(told), list(told)[::-1]):
+        scaling = _scaling(ROBOT, None, {group: told[group] for group in order})
+        assert scaling.scale.tolist() == pytest.approx([0.3] * 12 + [0.2] * 6 + [0.1])
+        torch.testing.assert_close(scaling.loc, POSE)
+
+
+def test_entries_within_others_are_found_and_those_that_are_not_there_passed_over():
+    env = SimpleNamespace(full_observation_spec=Composite(tracking=Composite(position=Unbounded(1)), push=Unbounded(1)))
+    assert _known(env, ["push", ("tracking", "position"), "pull"]) == ["push", ("tracking", "position")]
+
+
+def test_the_phase_is_shown_in_each_frame_behind_all_else():
+    env = whole_body_env(ROBOT, num_envs=1, history=3, task_width=5, schedule=throw_phases(), **STILL)
+    for frames, seen in ((None, 3), (1, 1), (2, 2)):
+        places = phase_inputs(env, frames=frames)
+        assert places == [78 * frame + 73 + column for frame in range(seen) for column in range(5)]
+    shown = env.reset()
+    assert shown["observation"][0, phase_inputs(env)[-5:]].equal(shown["task_phase"][0])

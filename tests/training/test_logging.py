@@ -52,6 +52,13 @@ def test_rows_without_a_step_are_numbered(tmp_path):
     assert [row["step"] for row in CSVTable(table.path).rows] == ["0", "1", "2"]
 
 
+def test_a_step_of_zero_is_a_step(tmp_path):
+    table = CSVTable(tmp_path / "progress.csv")
+    for step in (7, 0):
+        table.log_metrics({"reward": 1.0}, step=step)
+    assert [row["step"] for row in CSVTable(table.path).rows] == ["7", "0"]
+
+
 def test_a_first_row_without_numbers_has_a_head_all_the_same(tmp_path):
     table = CSVTable(tmp_path / "progress.csv")
     table.log_metrics({}, step=4)

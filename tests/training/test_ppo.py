@@ -1,8 +1,12 @@
+import itertools
 import re
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
+from tensordict import TensorDict
 from training.tasks import arm_env, arm_learner
 
 from torchrl_athletic.networks import RunningNormalizer, actor, critic
@@ -10,6 +14,8 @@ from torchrl_athletic.physics import CapacityError
 from torchrl_athletic.training import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, NonFiniteError, Processes, iterate, train
 from torchrl_athletic.training.distributed import ALONE
 from torchrl_athletic.training.ppo import collect, estimate_advantage
+
+module = sys.modules["torchrl_athletic.training.ppo"]
 
 
 @pytest.mark.parametrize(
@@ -217,10 +223,11 @@ def test_the_reward_and_what_is_watched_are_reported_by_their_means():
         torch.testing.assert_close(report[key], seen[-1]["next", key].mean())
 
 
-def test_a_batch_of_another_size_than_configured_is_refused():
+@pytest.mark.parametrize("rows", [2, 8])
+def test_a_batch_of_another_size_than_configured_is_refused(rows):
     learner = arm_learner()
     with pytest.raises(ValueError, match=r"num_envs=config\.num_envs"):
-        Learner(arm_env(2), learner.actor, learner.critic, PPO(num_envs=4))
+        Learner(arm_env(rows), learner.actor, learner.critic, PPO(num_envs=4))
 
 
 def test_every_number_of_the_configuration_reaches_the_update():
@@ -252,10 +259,17 @@ def test_a_state_counts_iterations_samples_and_time_and_does_not_change_as_train
     first, second = arm_learner(), arm_learner(seed=1)
     iterate(first)
     first.seconds = 12.5
+    first.stepper.actor_lr.fill_(3e-3)
     state = first.state_dict()["rollout"]["current"]
     stood = {key: value.clone() for key, value in state.items()}
     second.load_state_dict(first.state_dict())
     assert (second.iteration, second.samples, second.seconds) == (1, 48, 12.5)
+    assert float(second.stepper.actor_lr) == pytest.approx(3e-3)
+    for net in ("actor", "critic"):
+        for one, other in zip(*(getattr(learner, net).parameters() for learner in (first, second)), strict=True):
+            assert one.equal(other), net
+    for key, value in stood.items():
+        assert value.equal(second.rollout.current[key]), key
     for value in first.rollout.current.values():
         value.zero_()
     assert stood["joint_position"].any()
@@ -273,7 +287,7 @@ def test_a_number_that_an_update_breaks_stops_the_training():
 
 def test_speed_is_that_of_this_run_however_much_was_done_before(capsys):
     learner = arm_learner()
-    learner.samples, learner.seconds = 10**12, 1.0
+    learner.samples, learner.seconds = 10**12, 1e6
     train(learner, iterations=2, show=[])
     speeds = re.findall(r"samples/s=([\d,]+)", capsys.readouterr().err)
     assert 0 < int(speeds[-1].replace(",", "")) < 10**8
@@ -341,3 +355,110 @@ def test_graphs_are_given_up_before_the_processes_part(monkeypatch):
     learner.processes = Two(0, 2)
     learner.close()
     assert done == ["graphs", "processes"]
+
+
+class Half(Two):
+    """The first of two processes, of which the other one's numbers are the opposite of its own."""
+
+    def gather(self, value):
+        return [value, value + 1 if isinstance(value, int) else value]
+
+    def average_(self, tensors, weight=None):
+        for tensor in tensors:
+            tensor.zero_()
+
+    def moments(self, value):
+        mean, variance, count = ALONE.moments(value)
+        return mean, variance, 2 * count
+
+
+def test_what_is_learnt_and_reported_is_that_of_all_processes(monkeypatch):
+    asked = []
+    monkeypatch.setattr(Half, "copy_from_first_", lambda self, tensors: None)
+    monkeypatch.setattr(module, "standardized", lambda value, processes: asked.append(processes) or value)
+    learner = arm_learner(processes=Half(0, 2))
+    assert not any(iterate(learner).values())
+    assert learner.normalizers["joint_position"].count == learner.samples == 2 * 4 * 6
+    assert asked == [learner.processes]
+
+
+def test_the_update_knows_what_a_rollout_writes_anew_and_how_processes_average(monkeypatch):
+    told, stepper = [], module.SplitOptimizationStepper
+    monkeypatch.setattr(
+        module, "SplitOptimizationStepper", lambda *nets, **rest: told.append(rest) or stepper(*nets, **rest)
+    )
+    monkeypatch.setattr(Two, "copy_from_first_", lambda self, tensors: None)
+    nets = actor(7, 7, in_keys=["joint_position"], hidden=(4,)), critic(7, in_keys=["joint_velocity"], hidden=(4,))
+    for processes in (ALONE, Two(0, 2)):
+        Learner(arm_env(2), *nets, PPO(num_envs=2 * processes.count), processes=processes)
+    assert [each["in_place"] for each in told] == [["joint_position", "joint_velocity"]] * 2
+    assert [each["average"] is not None for each in told] == [False, True]
+
+
+def test_rows_of_what_collects_elsewhere_are_counted_there():
+    nets = actor(7, 7, in_keys=["joint_position"], hidden=(4,)), critic(7, in_keys=["joint_velocity"], hidden=(4,))
+    rollout = SimpleNamespace(num_envs=64)
+    assert Learner(arm_env(1), *nets, PPO(num_envs=64), rollout=rollout).rollout is rollout
+    with pytest.raises(ValueError, match="the environment has 64 rows"):
+        Learner(arm_env(1), *nets, PPO(num_envs=1), rollout=rollout)
+
+
+def test_a_policy_rests_while_its_critic_learns_and_then_begins_at_its_own_rate_once():
+    nets = actor(7, 7, in_keys=["joint_position"], hidden=(4,)), critic(7, in_keys=["joint_position"], hidden=(4,))
+    learner, rates = Learner(arm_env(4), *nets, PPO(num_envs=4, horizon=1, actor_lr=1e-4, critic_first=2)), []
+
+    def update(batch):
+        rates.append(float(learner.stepper.actor_lr))
+        learner.stepper.actor_lr.mul_(2)  # as the divergence tells it
+        return TensorDict(kl=torch.zeros(()))
+
+    learner.stepper.update = update
+    for _ in range(4):
+        iterate(learner)
+    assert rates == pytest.approx([0.0, 0.0, 1e-4, 2e-4])
+
+
+class Second(Processes):
+    """A process after the first one, whose clock ticks once for each look."""
+
+    def of_first(self, make):
+        tick = float(next(self.ticks))
+        return {"error": 2.0, "at": tick} if isinstance(make(), dict) else tick
+
+
+def counting(processes=ALONE):
+    return SimpleNamespace(iteration=0, samples=0, seconds=0.0, processes=processes)
+
+
+def one_more(learner):
+    learner.iteration, learner.samples = learner.iteration + 1, learner.samples + 10
+    return TensorDict(kl=torch.tensor(0.5))
+
+
+def test_all_processes_go_by_what_the_first_one_measures_which_alone_logs_and_shows(capsys):
+    Second.ticks, log = itertools.count(1), Log()
+    metrics = train(
+        counting(Second(1, 2)),
+        iterations=2,
+        evaluate=lambda: {"error": 9.0},
+        evaluate_every=1,
+        logger=log,
+        step=one_more,
+    )
+    assert (metrics["error"], metrics["samples"], metrics["kl"]) == (2.0, 20.0, 0.5)
+    assert metrics["seconds"] == metrics["at"] + 1  # what an evaluation took counts
+    assert not log.rows
+    assert not capsys.readouterr().err
+    done = counting(Second(1, 2))
+    assert train(done, iterations=0, evaluate=lambda: {"error": 9.0}, step=one_more)["error"] == 2.0
+    assert done.iteration == 0
+
+
+@pytest.mark.parametrize("told", [{"iterations": 0}, {"minutes": 0.0}])
+def test_no_time_is_no_training(told):
+    learner = counting()
+
+    def refuse(learner):
+        raise AssertionError("it began")
+
+    assert train(learner, step=refuse, progress=False, **told) == {}

@@ -4,6 +4,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from matplotlib.axes import Axes
 
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances
 from torchrl_athletic.networks import pretrained
+from torchrl_athletic.physics import CapacityError
 from torchrl_athletic.robots import b2z1
 from torchrl_athletic.training import Episodes, examine
 from torchrl_athletic.training import wbc_evaluation as module
@@ -181,3 +183,43 @@ def test_an_action_is_held_as_long_however_fine_the_steps_are():
     for name in ("all randomised", "all randomised, 1 ms steps"):
         condition = conditions[name]
         assert condition.substeps * condition.robot.model().opt.timestep == pytest.approx(0.005), name
+
+
+def test_a_condition_makes_its_environment_of_all_that_it_is_and_of_what_is_told(monkeypatch):
+    chance, made = replace(NO_DISTURBANCES, delay=(1, 3)), []
+
+    def actuated(robot, actuation, **told):
+        made.append((robot, actuation, told))
+        return "driven robot", ["chain"]
+
+    monkeypatch.setattr(module, "with_actuation", actuated)
+    monkeypatch.setattr(module, "whole_body_env", lambda *robot, **told: made.append((*robot, told)))
+    Condition("robot", chance, substeps=5).env(7, actuation="ideal", seed=3, first_row=9, history=2)
+    rows = {"seed": 3, "first_row": 9}
+    assert made == [
+        ("robot", "ideal", {"delay": (1, 3), **rows}),
+        (
+            "driven robot",
+            {"num_envs": 7, "history": 2, "disturbances": chance, "substeps": 5, "chain": ["chain"], **rows},
+        ),
+    ]
+
+
+def test_episodes_whose_contacts_were_left_out_are_not_counted(monkeypatch):
+    def full():
+        raise CapacityError("contacts were left out")
+
+    env = SimpleNamespace(base_env=SimpleNamespace(physics=SimpleNamespace(check=full)))
+    condition = SimpleNamespace(env=lambda rows, **told: env)
+    monkeypatch.setattr(module, "whole_episodes", lambda *told, **label: fell(4))
+    with pytest.raises(CapacityError):
+        module._play(None, condition, 4, 0, 10, 1, None, {})
+
+
+def test_parts_are_joined_row_by_row():
+    joined, whole = module._joined([fell(3), fell(2, first=3)]), fell(5)
+    assert joined.fell.tolist() == whole.fell.tolist()
+    assert joined.steps.tolist() == whole.steps.tolist()
+    assert {name: mean.tolist() for name, mean in joined.means.items()} == {
+        name: mean.tolist() for name, mean in whole.means.items()
+    }
