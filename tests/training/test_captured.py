@@ -150,3 +150,26 @@ def test_a_decimation_is_found_however_deep_it_stands():
     assert isinstance(found[-1], Decimation)
     assert len(found) == 3
     assert module._place_of_decimation(Compose(StepCounter(3))) is None
+
+
+def test_in_groups_an_environment_does_what_it_did_before(monkeypatch):
+    """Nothing is compiled here: the order of transforms and the state that episodes go on from are what is asked."""
+    monkeypatch.setattr(torch, "compile", lambda run, **told: run)
+    grouped, plain = make_env(), make_env()
+    ours, theirs = grouped.reset(), plain.reset()
+    _, ours = control_step(grouped, swing, ours)
+    _, theirs = control_step(plain, swing, theirs)
+    fuse_transforms(grouped)
+    for _ in range(6):
+        (step, ours), (other, theirs) = control_step(grouped, swing, ours), control_step(plain, swing, theirs)
+        for key in other.keys(True, True):
+            assert step[key].equal(other[key]), key
+    assert ours["step_count"].unique().tolist() == [3]
+
+
+def test_without_a_decimation_all_stays_as_it_is():
+    env = TransformedEnv(TorqueEnv(ARM, num_envs=1), Compose(StepCounter(4)))
+    step = env.transform._step
+    fuse_transforms(env)
+    assert env.transform._step == step
+    assert env.reset()["step_count"].item() == 0

@@ -2,6 +2,7 @@ import os
 import shutil
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,9 @@ from training.together import together
 from torchrl_athletic.losses import SplitClipPPOLoss, SplitOptimizationStepper
 from torchrl_athletic.networks import actor, critic
 from torchrl_athletic.training import Checkpoints, CSVTable, Processes, join_processes
-from torchrl_athletic.training.distributed import ALONE
+from torchrl_athletic.training.distributed import ALONE, check_seeds_differ
+
+module = sys.modules["torchrl_athletic.training.distributed"]
 
 
 def agree(ours, theirs, **tolerance):
@@ -175,6 +178,55 @@ def test_seeds_differ_between_processes_and_between_trainings():
     seeds = [process.seed(seed) for process in (first, second) for seed in (7, 8)]
     assert len(set(seeds)) == 4
     assert seeds[:2] == [7, 8]
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """The sixth of eight processes, the second of four on its host, and what it asks for."""
+    asked = []
+    for name, number in {"RANK": 5, "WORLD_SIZE": 8, "LOCAL_RANK": 1, "LOCAL_WORLD_SIZE": 4}.items():
+        monkeypatch.setenv(name, str(number))
+    monkeypatch.setattr(module, "_keep_to_share_of_cpus", lambda *share: asked.append(share))
+    monkeypatch.setattr(torch.cuda, "set_device", asked.append)
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: False)
+    monkeypatch.setattr(torch.distributed, "init_process_group", lambda kind, **where: asked.append((kind, where)))
+    return asked
+
+
+def test_a_process_takes_its_place_among_all_and_its_share_of_its_host(told, monkeypatch):
+    assert join_processes("cpu") == Processes(5, 8, "cpu")
+    assert told == [(1, 4), ("gloo", {})]
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
+    told.clear()
+    assert join_processes("cpu") == Processes(5, 8, "cpu")
+    assert told == [(1, 4)]  # connected before
+
+
+def test_a_process_takes_the_gpu_of_its_number_on_the_host(told, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    assert join_processes("cuda") == Processes(5, 8, "cuda:1")
+    assert told == ["cuda:1", ("cpu:gloo,cuda:nccl", {"device_id": torch.device("cuda:1")})]
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    with pytest.raises(RuntimeError, match="process 1 of this host finds 1 GPUs"):
+        join_processes("cuda")
+
+
+@pytest.mark.parametrize(("count", "shares"), [(2, [{3, 5}, {6, 7, 9}]), (6, [{3, 5, 6, 7, 9}, {3}, {5}])])
+def test_each_cpu_is_someones_and_who_would_have_none_may_use_all(count, shares, monkeypatch):
+    given = []
+    monkeypatch.setattr(os, "sched_getaffinity", lambda which: {9, 7, 3, 5, 6}, raising=False)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda which, cpus: given.append(set(cpus)), raising=False)
+    for number in range(count):
+        module._keep_to_share_of_cpus(number, count)
+    assert given[: len(shares)] == shares
+    assert set().union(*given) == {3, 5, 6, 7, 9}
+
+
+@pytest.mark.parametrize(("seeds", "alike"), [([1, 2, 3], False), ([1, 2, 1], True), ([4, 4, 4], True)])
+def test_two_of_many_that_would_explore_alike_are_found(seeds, alike):
+    processes = type("Seeded", (Processes,), {"gather": lambda self, value: seeds})(0, 3)
+    with pytest.raises(ValueError, match="two alike") if alike else nullcontext():
+        check_seeds_differ(processes)
 
 
 SCRIPT = """

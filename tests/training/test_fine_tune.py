@@ -150,8 +150,19 @@ class Told(dict):
         return lambda *arguments, **told: self.setdefault(name, []).append((arguments, told)) or answer
 
 
-@pytest.mark.parametrize("minutes", [None, 3.0])
-def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examination(tmp_path, monkeypatch, minutes):
+@pytest.mark.parametrize(
+    ("device", "minutes", "num_envs", "expected"),
+    [
+        ("cpu", 3.0, 12, (3.0, 12, 20)),
+        ("cpu", None, None, (10.0, 256, 20)),
+        ("cuda", 3.0, 12, (3.0, 12, 100)),
+        ("cuda", None, None, (15.0, 48, 100)),
+    ],
+)
+def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examination(
+    tmp_path, monkeypatch, device, minutes, num_envs, expected
+):
+    spent, rows, every = expected
     told, policy = Told(), torch.nn.Linear(1, 1)
     learner = SimpleNamespace(actor=policy)
     for name in ("train", "save_wbc", "draw_episode", "write_video", "frame_strip"):
@@ -162,10 +173,10 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     monkeypatch.setattr(module, "whole_rollout", told.of("rollout", TensorDict()))
     monkeypatch.setattr(module, "Checkpoints", told.of("checkpoints", "states"))
     monkeypatch.setattr(torch, "manual_seed", told.of("seed"))
-    ppo = PPO(horizon=7, entropy_coeff=0.25)
+    ppo = PPO(num_envs=48, horizon=7, entropy_coeff=0.25)
     cfg = FineTune(
-        minutes=minutes, iterations=9, seed=6, start="other", actuation="ideal", num_envs=12, ppo=ppo, episodes=5,
-        logger="none", output=tmp_path,
+        device=device, minutes=minutes, iterations=9, seed=6, start="other", actuation="ideal", num_envs=num_envs,
+        ppo=ppo, episodes=5, logger="none", output=tmp_path,
     )  # fmt: skip
     task = {"name": "throw", "known": {"goal": 2.0}, "curves": {}, "look_at": ["hand"], "steps": 500}
     make_env = told.of("env", "world")
@@ -173,18 +184,18 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
 
     assert told["seed"] == [((6,), {})]
     training, *exams, film = told["env"]
-    assert training == ((12,), {"device": "cpu", "seed": 6, "staggered": True})
+    assert training == ((rows,), {"device": device, "seed": 6, "staggered": True})
     assert [(count, told["exam"]) for (count,), told in exams] == [(5, True)] * 2
     assert exams[0] == exams[1]
     assert film[0] == (1,)
     assert film[1]["exam"]
     assert len({training[1]["seed"], exams[0][1]["seed"], film[1]["seed"]}) == 3
     ((world, config), options), = told["learner"]  # fmt: skip
-    assert (world, config) == ("world", replace(ppo, num_envs=12))
-    assert options == {"start": "other", "known": {"goal": 2.0}, "seed": 6, "cuda_graph": False}
+    assert (world, config) == ("world", replace(ppo, num_envs=rows))
+    assert options == {"start": "other", "known": {"goal": 2.0}, "seed": 6, "cuda_graph": device == "cuda"}
     (((trained,), options),) = told["train"]
     assert trained is learner
-    assert (options["minutes"], options["iterations"]) == (minutes or 10.0, 9)
+    assert (options["minutes"], options["iterations"], options["checkpoint_every"]) == (spent, 9, every)
     assert (options["logger"], options["checkpoints"]) == ("log", "states")
     assert told["logger"] == [(("none", tmp_path, "finetune_throw"), {})]
     (((folder,), options),) = told["checkpoints"]
@@ -193,7 +204,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     assert options["made_of"] == same | {"reward": "of world"}
     for (world, _, look_at, steps), _ in told["rollout"]:
         assert (world, look_at, steps) == ("world", ["hand"], 500)
-    assert told["save_wbc"][0][1]["name"] == "throw"
+    assert told["save_wbc"][0][1] == {"name": "throw", "trained_as": str(cfg), "history": 10}
     assert told["draw_episode"] == [(("world", policy, 400), {"annotate": "ball", "follow": "base"})]
     assert told["write_video"][0][0][1:] == (tmp_path / "throw.mp4", 50.0)
 
@@ -207,3 +218,24 @@ def test_a_run_goes_on_with_its_reward_or_not_at_all(env):
 
 def ball_throw_maker(num_envs, exam=False, **told):
     return ball_throw_env(num_envs=num_envs, **told)
+
+
+def test_figures_that_are_no_numbers_are_not_written_down(tmp_path, monkeypatch):
+    told = Told()
+    monkeypatch.setattr(module, "whole_rollout", told.of("rollout", TensorDict()))
+    path = tmp_path / "deep" / "figures.json"
+    judge = lambda episodes: {"far": float("nan")}  # noqa: E731
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        module._examine(FineTune(), told.of("env"), torch.nn.Linear(1, 1), path, [], judge, 3)
+    assert not path.exists()
+
+
+def test_a_controller_that_goes_on_with_a_task_that_adds_nothing_is_deaf_to_phases_too(monkeypatch):
+    told = Told()
+    for name in ("open_inputs", "Learner"):
+        monkeypatch.setattr(module, name, told.of(name))
+    monkeypatch.setattr(module, "phase_inputs", lambda env, frames=None: ["all" if frames is None else frames])
+    known = trunk_of(pretrained("wbc_critic")).mlp[0].in_features
+    shown = {"observation": torch.zeros(4, 770), "privileged": torch.zeros(4, known)}
+    task_learner(SimpleNamespace(observation_spec=shown, ndim=1, action_spec=torch.zeros(4, 19), device="cpu"))
+    assert [arguments[1:] for arguments, _ in told["open_inputs"]] == [(["all"],), ([1], [])]

@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import pytest
 import torch
 from torchrl.envs import Compose, InitTracker, RewardSum, StepCounter, TransformedEnv
@@ -6,7 +8,7 @@ from training.tasks import SEEN, arm_env
 
 from torchrl_athletic.networks import actor
 from torchrl_athletic.training import Rollout, control_step
-from torchrl_athletic.training.rollout import done_rows, start_anew
+from torchrl_athletic.training.rollout import done_rows, reset_key_of, start_anew
 
 
 def entries(tensordict):
@@ -148,3 +150,19 @@ def test_a_rollout_that_is_gone_on_with_has_its_simulation_again():
     found = collected(second)
     for key in ("joint_position", "joint_velocity", ("next", "joint_velocity")):
         torch.testing.assert_close(found[key], wanted[key], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("keys", [[("agents", "_reset")], ["_reset", ("agents", "_reset")], []])
+def test_rows_are_reset_by_one_flag_at_the_root_and_by_no_other(keys):
+    assert reset_key_of(SimpleNamespace(reset_keys=["_reset"])) == "_reset"
+    with pytest.raises(ValueError, match="one flag per row, at the root"):
+        reset_key_of(SimpleNamespace(reset_keys=keys))
+
+
+def test_the_collector_of_torchrl_has_no_state_and_takes_none_over():
+    stock, ours = (Rollout(counting_env(), count_up, horizon=2, collector=collector) for collector in (True, False))
+    assert stock.state_dict() == {}
+    stock.load_state_dict(ours.state_dict())
+    assert stock()["observation"].shape == (3, 2, 1)
+    ours.load_state_dict(stock.state_dict())
+    assert ours()["observation"][0, :, 0].tolist() == [0, 1]

@@ -255,6 +255,32 @@ def test_units_of_torques_are_those_of_the_target_that_would_command_them():
     assert whole["state_unit"] == pytest.approx(torch.cat([each.std(0) for each in seen]).tolist())
 
 
+def test_units_of_targets_are_those_of_joints_that_move_and_torques_those_of_the_servo():
+    torch.manual_seed(0)
+    arm = replace(ROBOT, kp=(50.0, 80.0), kd=(4.0, 9.0), torque_limit=(30.0, 20.0))
+    position, velocity, target = torch.randn(3, 400, 2).unbind()
+    takes = Takes(position, velocity, target, (400,))
+    servo = torch.tensor(arm.kp) * (target - position) - torch.tensor(arm.kd) * velocity
+    servo = torch.stack([servo[:, 0].clamp(-30, 30), servo[:, 1].clamp(-20, 20)], -1)
+    found = units_of(takes, arm, "arm")
+    assert found["unit"] == pytest.approx((float((target - position).std()), float(velocity.std())))
+    assert found["state_unit"] == pytest.approx(torch.cat([v.std(0) for v in (position, velocity, servo)]).tolist())
+    for still in (velocity, position, target):
+        still[:, 1] = 0.0
+    found = units_of(takes, arm, "arm")
+    assert found["unit"] == pytest.approx((float((target - position)[:, 0].std()), float(velocity[:, 0].std())))
+    assert found["state_unit"][1::2] == [pytest.approx(0.01)] * 3  # what stands still is not blown up
+
+
+def test_strength_is_that_of_the_arms_own_motors_wherever_they_stand():
+    arm = replace(z1(), joint_groups={"arm": (1, 2, 4)}, torque_limit=(5.0, 60.0, 30.0, 7.0, 15.0, 9.0, 8.0))
+    moved = torch.rand(100, 7)
+    found = units_of(Takes(moved, moved, 2 * moved, (100,)), arm, "arm")
+    assert found["torque_unit"] == [2.0, 1.0, 0.5]
+    assert found["joints"] == 3
+    assert found["state_unit"][:3] == pytest.approx(moved[:, [1, 2, 4]].std(0).tolist())
+
+
 def test_episodes_do_not_all_end_at_once():
     net = uan()
     left = uan_learner(arm_env(net, 32), net, replace(UAN, num_envs=32)).rollout.current["steps_left"]

@@ -5,11 +5,11 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_athletic.envs import NO_DISTURBANCES, whole_body_env
-from torchrl_athletic.networks import RunningNormalizer, digest_of, pretrained, read_metadata, trunk_of
+from torchrl_athletic.networks import RunningNormalizer, actor, digest_of, pretrained, read_metadata, trunk_of
 from torchrl_athletic.robots import b2z1
 from torchrl_athletic.training import PPO, Rollout, iterate, save_wbc, wbc_learner
 from torchrl_athletic.training.ppo import collect
-from torchrl_athletic.training.wbc import CURVES, WATCHED
+from torchrl_athletic.training.wbc import CURVES, WATCHED, check_sizes, read_wbc
 
 FEW = PPO(num_envs=4, horizon=3, epochs=1, actor_minibatches=2)
 
@@ -113,3 +113,18 @@ def test_what_was_saved_is_gone_on_with(tmp_path):
     (tmp_path / "wbc_critic.npz").unlink()
     with pytest.raises(FileNotFoundError, match=r"wbc_critic\.npz is missing: a policy goes on with its critic"):
         wbc_learner(still_env(history=1), FEW, start=path)
+
+
+@pytest.mark.parametrize(("seen", "made"), [(5, 3), (5, 2), (4, 3)])
+def test_networks_must_take_in_and_give_as_many_numbers_as_asked(seen, made):
+    wanted = {"observation": (actor(5, 3, hidden=(7,)), seen, made)}
+    if (seen, made) == (5, 3):
+        return check_sizes("it", wanted)
+    with pytest.raises(ValueError, match=f"it makes 3 numbers of 5 of 'observation', asked is for {made} of {seen}"):
+        check_sizes("it", wanted)
+
+
+def test_a_policy_that_is_not_there_is_missed_before_anything_is_read(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"mine\.npz is missing.*mine\.npz and mine_critic\.npz"):
+        read_wbc(tmp_path / "mine.npz")
+    assert not any(parameter.requires_grad for net in read_wbc("wbc") for parameter in net.parameters())
