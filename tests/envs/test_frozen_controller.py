@@ -68,3 +68,8 @@ def test_each_number_of_an_action_moves_its_own_command_by_its_own_scale():
 def test_no_gradient_goes_through_the_controller(env):
     told = TensorDict(observation=torch.zeros(2, 770), action=torch.zeros(2, 12, requires_grad=True), batch_size=[2])
     assert not env.transform[-1]._inv_call(told)["action"].requires_grad
+
+
+def test_what_goes_into_a_buffer_stays_as_the_leader_chose_it():
+    step = TensorDict(observation=torch.ones(2, 770), action=torch.ones(2, 12), batch_size=[2])
+    assert FrozenController(pretrained("wbc")).inv(step.clone())["action"].equal(step["action"])

@@ -19,7 +19,7 @@ from torchrl_athletic.envs import (
     throw_summary,
     throw_task,
 )
-from torchrl_athletic.envs.throw import BUCKET, DT, PLACED_AT, STEPS, throw_rewards
+from torchrl_athletic.envs.throw import BUCKET, DT, PLACED_AT, STEPS, AroundReference, throw_rewards
 from torchrl_athletic.functional import rewards
 from torchrl_athletic.functional.ball import GRAVITY
 from torchrl_athletic.networks import uan
@@ -392,3 +392,10 @@ def test_a_summary_counts_failed_throws_as_of_no_length():
     found = throw_summary(TensorDict({**flies, **flags}, [3]))
     assert found == {k: pytest.approx(x) for k, x in zip(found, (2.0, 2**0.5, 1 / 3), strict=True)}
     assert list(found) == ["distance_m", "spread_m", "failed"]
+
+
+def test_what_goes_into_a_buffer_stays_as_the_policy_chose_it():
+    step = TensorDict(
+        action=torch.ones(2, 6), reference=torch.ones(2, 12), task_phase_index=torch.ones(2, 1), batch_size=[2]
+    )
+    assert AroundReference(ROBOT).inv(step.clone())["action"].equal(step["action"])

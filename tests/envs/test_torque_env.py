@@ -285,3 +285,10 @@ def test_a_body_without_any_joint_floats_not_though_the_last_joint_is_free():
 def test_readings_of_which_one_is_no_force_are_not_averaged():
     env = TorqueEnv(floating(sensors={"both": ("felt", "turned"), "felt": ("felt",)}), every_step=["both", "felt"])
     assert env.averaged_keys == ("joint_power", "felt")
+
+
+def test_what_is_shown_does_not_change_with_the_physics_of_single_precision():
+    live = torch.zeros(2)
+    shown = TorqueEnv._copied(live)
+    live += 1.0
+    assert shown.tolist() == [0.0, 0.0]

@@ -62,6 +62,16 @@ def test_one_number_of_a_row_is_enough_and_the_others_do_not_move_the_step():
         check_finite(broken)
 
 
+def test_an_entry_of_one_number_a_step_breaks_at_its_own_step_and_empty_and_whole_ones_break_never():
+    broken = batch()
+    broken["action_log_prob"], broken["nothing"] = torch.zeros(2, 4), torch.zeros(2, 4, 0)
+    broken["count"] = torch.full((2, 4, 1), 2**40)
+    check_finite(broken)
+    broken["action_log_prob"][1, 2:], broken["observation"][0, 3] = torch.nan, torch.nan
+    with pytest.raises(NonFiniteError, match="'action_log_prob' of the batch is nan in row 1 at step 2; then also"):
+        check_finite(broken)
+
+
 def test_without_a_time_the_numbers_that_are_none_are_counted():
     report = TensorDict({"kl": torch.tensor(0.1), "loss": torch.tensor([1.0, torch.inf, 2.0, torch.inf, 3.0])})
     with pytest.raises(NonFiniteError, match="'loss' of the update is inf in 2 of 5 numbers; all else is finite"):

@@ -309,3 +309,67 @@ def test_behind_a_servo_it_sees_the_errors_of_the_target():
     soft = scored(replace(found, heldout=(softer,)), found.nominal, Damped(), robot, "heldout")
     same = scored(found, found.nominal, Softer(), robot, "heldout")
     assert same.after == pytest.approx(soft.after, rel=0.02)  # the newest position error is that of the target
+
+
+def test_a_run_goes_on_in_the_folder_of_its_own_diagnosis_and_arguments(damped, tmp_path):
+    run = {"minutes": 1.0, "rows": 2, "rate": 1e-3, "iterations": None}
+    reseeded = replace(damped, answer=replace(damped.answer, seed=7))
+    fewer = replace(damped, recordings=damped.recordings[:1])
+    friction = Simulation(damped.nominal.model, ("pendulum",), *named_friction(damped.nominal.model))
+    others = [{**run, name: 3} for name in run]
+    folders = [remainder._checkpoints(damped, tmp_path, told).folder for told in (run, *others)]
+    changed = (reseeded, fewer, replace(damped, corrected=friction))
+    folders += [remainder._checkpoints(other, tmp_path, run).folder for other in changed]
+    assert len(set(folders)) == 8
+    assert remainder._checkpoints(damped, tmp_path, dict(run)).folder == folders[0]
+
+
+def named_friction(model):
+    viscous = ONLY_VISCOUS[0]
+    term = Candidate(viscous, 0, "pendulum", viscous.parameters(model, JointAddress.of(model, ("pendulum",)), 0))
+    return Hypothesis((term,)), np.array([0.1])
+
+
+def test_seeds_rates_and_times_reach_the_training_and_what_is_left_out_the_remark(damped, tmp_path, monkeypatch):
+    told = {}
+
+    def noting(name, answer=None):
+        return lambda *arguments, **options: told.setdefault(name, (arguments, options)) and answer
+
+    for name in ("replay_env", "GradientLearner", "train", "_checkpoints", "save_checkpoint"):
+        monkeypatch.setattr(remainder, name, noting(name, name))
+    monkeypatch.setattr(remainder, "DifferentiableTorqueEnv", noting("base", "base"))
+    monkeypatch.setattr(remainder, "scored", lambda diagnosis, *told: diagnosis.answer.fit[told[-1]])
+    monkeypatch.setattr(torch, "manual_seed", noting("seed"))
+    diagnosis = replace(damped, answer=replace(damped.answer, seed=7))
+    learn_remainder(diagnosis, tmp_path, minutes=3.0, rows=5, rate=4e-3, iterations=9, progress=False)
+    assert told["seed"][0] == (7,)
+    replayed = told["replay_env"][1]
+    step = mujoco.MjModel.from_xml_string(pendulum()).opt.timestep
+    assert (replayed["seed"], replayed["base"]) == (7, "base")
+    assert replayed["max_steps"] * step == pytest.approx(0.5)
+    assert told["base"][1] == {"num_envs": 5}
+    assert told["GradientLearner"][1] == {"minutes": 3.0, "rate": 4e-3}
+    assert told["_checkpoints"][0][2] == {"minutes": 3.0, "rows": 5, "rate": 4e-3, "iterations": 9}
+    options = told["train"][1]
+    assert (options["minutes"], options["iterations"], options["checkpoints"]) == (3.0, 9, "_checkpoints")
+
+
+def test_a_score_without_a_net_is_the_diagnosis_own_to_its_noise(damped):
+    """Its draws and what repeats itself in the takes are those of the split."""
+    robot = driven_robot(damped.xml, damped.recordings)
+    for split, given in damped.answer.fit.items():
+        found = scored(damped, damped.corrected, Brake(0.0), robot, split)
+        assert found.before == pytest.approx(given.before, rel=1e-6), split
+        assert found.floor == pytest.approx(given.floor, rel=0.01), split  # a little was adjusted then
+
+
+def test_a_net_sees_what_the_motor_gives_at_last(damped):
+    robot = driven_robot(damped.xml, damped.recordings)
+    model = damped.nominal.model
+    plant = Plant(model, JointAddress.of(model, robot.joint_names), 1)
+    late = lambda now: now.torque  # noqa: E731
+    plant.motor.append(late)
+    WithNet((), (), Brake(0.1), robot).build(plant, np.ones((1, 1)))
+    assert plant.motor[0] is late
+    assert plant.motor[-1] == plant.laws[-1].note
