@@ -386,3 +386,34 @@ def test_a_walking_robot_and_no_time_are_refused():
         DifferentiableTorqueEnv(b2z1())
     with pytest.raises(ValueError, match="minutes is 0"):
         GradientLearner(replayed(uan()), uan(), minutes=0.0)
+
+
+def test_copies_of_a_row_begin_as_the_row_does_but_for_what_is_nudged(monkeypatch):
+    """Also the solver, so that no difference is its own; two rows, so that none is taken for the other."""
+    env = DifferentiableTorqueEnv(robot(), num_envs=2)
+    env.reset()
+    env.physics.qpos[:], env.physics.qvel[:] = torch.tensor([[0.1, 0.2], [0.3, 0.4]]), torch.tensor([[1.0, 2], [3, 4]])
+    env.physics.data("qacc_warmstart")[:] = torch.tensor([[5.0, 6.0], [7.0, 8.0]])
+    monkeypatch.setattr(env.copies, "step", lambda: None)
+    env._nudge_copies(torch.zeros(2, 2))
+    of_row = {"qpos": env.copies.qpos, "qvel": env.copies.qvel, "warm": env.copies.data("qacc_warmstart")}
+    moved = {name: copies.unflatten(0, (2, 6)) for name, copies in of_row.items()}
+    for row in range(2):
+        place, speed = moved["qpos"][row] - env.physics.qpos[row], moved["qvel"][row] - env.physics.qvel[row]
+        one = torch.zeros(6, 2, dtype=place.dtype)
+        one[[0, 1], [0, 1]] = 1e-3
+        torch.testing.assert_close(place, one)
+        torch.testing.assert_close(speed, one.roll(2, 0))
+        assert moved["warm"][row].equal(env.physics.data("qacc_warmstart")[row].expand(6, 2))
+
+
+def test_a_row_that_is_no_number_any_more_has_no_slope():
+    env = DifferentiableTorqueEnv(robot(), num_envs=2)
+    env.reset()
+    env._nudge_copies(torch.zeros(2, 2))
+    env.physics.step()
+    env.copies.qvel[0], env.physics.qvel[1] = torch.nan, torch.inf
+    jacobian = env._jacobian()
+    assert jacobian.isfinite().all()
+    assert not jacobian[1, :, 2:].any()
+    assert jacobian[0, 1:].any()
