@@ -1,6 +1,7 @@
 """One step of the environment is one step of MuJoCo, and what it shows is the state that the step led to."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -292,3 +293,9 @@ def test_what_is_shown_does_not_change_with_the_physics_of_single_precision():
     shown = TorqueEnv._copied(live)
     live += 1.0
     assert shown.tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(("device", "told"), [("cpu", True), ("cuda", False)])
+def test_rows_that_are_done_are_spared_where_that_saves_time(device, told):
+    env = SimpleNamespace(physics=SimpleNamespace(device=torch.device(device)))
+    assert TorqueEnv.supports_partial_step.fget(env) is told
