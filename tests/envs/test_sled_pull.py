@@ -127,7 +127,6 @@ def test_each_term_has_its_phase_and_its_scale():
     own = ("ee_pose_tracking", "velocity", "lateral_drift", "heading_drift", "wrist")
     assert {name: terms[name].phases for name in own} == dict.fromkeys(own, (1,)) | {"ee_pose_tracking": (0,)}
     assert [scales[name] for name in own] == [5.0, -5.0, -1.0, -1.0, -1.0]
-    assert scales["failure"] == -2000.0
 
 
 def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_training(monkeypatch):

@@ -29,9 +29,6 @@ MASS, FRICTION = (20.0, 150.0), (0.1, 0.2)
 friction of 113 N and 230 N of its real carts; it gives no ranges."""
 KNOWN = {"rope_tension": 100.0, "sled_mass": 100.0, "sled_friction": 0.2}
 """What the critic sees besides, and the usual sizes [N, kg, 1]."""
-FAILURE = -2000.0
-"""Scale of a failure, which lasts one step of 0.02 s. At the usual price, 10, a robot that is told to pull a heavy sled
-fast saves as much by a fall: three of four fell."""
 
 
 def sled_pull_env(
@@ -118,7 +115,7 @@ def sled_pull_rewards(
     }
     scales = {"ee_pose_tracking": 5.0, "velocity": -5.0, "lateral_drift": -1.0, "heading_drift": -1.0, "wrist": -1.0}
     shared, shared_scales = auxiliary_rewards(robot, position_key)
-    return terms | shared, scales | shared_scales | {"failure": FAILURE}
+    return terms | shared, scales | shared_scales
 
 
 def sled_drift(step: TensorDictBase) -> tuple[Tensor, Tensor]:
