@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import warnings
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -12,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from torchrl.envs import TransformedEnv
 
-from torchrl_athletic.envs.gymnasium_env import TASKS, GymnasiumVectorEnv
+from torchrl_athletic.envs.gymnasium_env import TASKS, GymnasiumEnv, GymnasiumVectorEnv
 from torchrl_athletic.envs.registration import TASKS as NAMES
 from torchrl_athletic.testing import ToyEnv
 from torchrl_athletic.transforms import GaitClock, ObservationHistory
@@ -172,3 +173,11 @@ def test_zero_is_a_seed_like_any_other(toy, seed):
     kept = envs._shown["gait_phase"]
     envs.reset()  # without one, the streams go on
     assert not envs._shown["gait_phase"].equal(kept)
+
+
+@pytest.mark.parametrize("ends", [(True, False), (False, True), (False, False)])
+def test_a_single_robot_tells_a_fall_from_the_end_of_its_time(ends):
+    env = object.__new__(GymnasiumEnv)
+    terminated, truncated = (np.array([end]) for end in ends)
+    env.rows = SimpleNamespace(step=lambda action: (np.ones((1, 770)), np.ones(1), terminated, truncated, {}))
+    assert env.step(np.zeros(19, np.float32))[2:4] == ends

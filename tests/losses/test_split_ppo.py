@@ -5,7 +5,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
 from torch.distributions import Independent, Normal, kl_divergence
-from torchrl.modules import NormalParamExtractor, OneHotCategorical, ProbabilisticActor, TanhNormal
+from torchrl.modules import IndependentNormal, NormalParamExtractor, OneHotCategorical, ProbabilisticActor, TanhNormal
 from torchrl.objectives import ClipPPOLoss
 
 from torchrl_athletic.losses import SplitClipPPOLoss, clipped_surrogate, gaussian_kl, sampled_kl
@@ -349,3 +349,17 @@ def test_a_mean_of_no_sample_is_zero_and_alike_advantages_say_nothing():
     kept = torch.tensor([[True], [True], [False]])
     found = standardized(torch.tensor([[1.0], [3.0], [torch.nan]]), kept)
     torch.testing.assert_close(found, torch.tensor([[-1.0], [1.0], [0.0]]) / 2**0.5)
+
+
+def test_the_entropy_that_is_reported_is_of_samples_that_count():
+    """The policy is unsure where it counts and sure elsewhere."""
+    wide = nn.Sequential(nn.Linear(STATE, 2 * ACTION), NormalParamExtractor())
+    net = TensorDictModule(wide, in_keys=["observation"], out_keys=["loc", "scale"])
+    policy = ProbabilisticActor(
+        net, in_keys=["loc", "scale"], distribution_class=IndependentNormal, return_log_prob=True
+    )
+    _, value = networks()
+    batch = collected(policy, 40)
+    loss = SplitClipPPOLoss(policy, value)
+    batch["shifted_valid"] = counts = batch["scale"].sum(-1) > batch["scale"].sum(-1).median()
+    torch.testing.assert_close(loss(batch)["entropy"], loss(batch[counts])["entropy"])

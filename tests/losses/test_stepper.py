@@ -356,6 +356,17 @@ def test_networks_that_share_weights_are_refused():
         SplitOptimizationStepper(SplitClipPPOLoss(policy, value))
 
 
+def test_networks_may_share_an_encoder_that_does_not_learn():
+    policy, value = networks()
+    shared = policy[0].module.network.mlp[0].requires_grad_(False)
+    value.module.mlp[0] = shared
+    before, rest = shared.weight.clone(), value.module.mlp[-1].weight.clone()
+    stepper = SplitOptimizationStepper(SplitClipPPOLoss(policy, value), weight_decay=0.1)
+    stepper.update(collected(policy, 16))
+    assert shared.weight.equal(before)
+    assert not value.module.mlp[-1].weight.equal(rest)
+
+
 @pytest.mark.parametrize(
     ("options", "advice"),
     [

@@ -22,7 +22,7 @@ from torchrl_athletic.diagnosis.replay import simulate, windows_of
 from torchrl_athletic.diagnosis.report.shares import energy_shares
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import CATALOGUE, JointAddress, Plant
-from torchrl_athletic.effects.plant import Now
+from torchrl_athletic.effects.plant import Now, Start
 from torchrl_athletic.identification.simulator import load_net
 from torchrl_athletic.recordings import Recording
 from torchrl_athletic.training import remainder, train, uan_gradient
@@ -113,6 +113,20 @@ def test_in_a_finer_simulation_it_sees_the_newest_moment_and_others_a_period_apa
         law.note(now)
     law(now)
     assert seen == [list(range(2, 41, 2))]
+
+
+def test_in_a_finer_simulation_the_history_begins_with_what_was_measured_a_step_apart(damped):
+    """The torque rises by 1 N·m each second, so that it tells how long ago it was."""
+    robot = replace(driven_robot(damped.xml, damped.recordings), kp=(1.0,), kd=(0.0,))
+    (take,) = prepare(damped.recordings[:1], damped.nominal.model).takes
+    model = take.halved().model
+    law = LearnedTorque(Brake(0.0), robot, Plant(model, JointAddress.of(model, robot.joint_names), 1), np.ones((1, 1)))
+    time = np.arange(400) * law.period
+    rows = np.ones((400, 1))
+    law.begin(Start(time, 0 * rows, 0 * rows, time[:, None], np.array([300])))
+    back = np.diff(law.past[0, :, 0, 0])
+    assert law.stride == 2
+    np.testing.assert_allclose(np.abs(back), law.step, rtol=1e-6)
 
 
 @pytest.mark.parametrize("servo", [False, True])

@@ -164,6 +164,7 @@ def test_each_condition_differs_from_the_nominal_one_in_what_it_is_named_after_a
     for height in (2.5, 5):
         heights, _ = field_of(conditions[f"bumps {height:g} cm"].robot.model())
         assert heights.max() == pytest.approx(height / 100, rel=0.01)
+        assert heights.mean() == pytest.approx(height / 200, rel=0.02)  # alike all over the field
         assert conditions[f"bumps {height:g} cm"].disturbances == NO_DISTURBANCES
     options = {name: conditions[f"all randomised, {name}"].robot.model().opt for name in
                ("1 ms steps", "elliptic cones", "100 iterations")}  # fmt: skip

@@ -118,3 +118,16 @@ def test_what_a_transform_further_in_starts_from_is_moved_and_not_forgotten():
     told = start._reset_env_preprocess(TensorDict({"place": qpos, "speed": qvel}, [2]))
     torch.testing.assert_close(told["place"], qpos)
     torch.testing.assert_close(told["speed"], qvel.double())
+
+
+def test_a_start_that_looks_elsewhere_is_tilted_about_the_robots_own_axes():
+    """A roll stays a roll, whatever way the state looked that is moved."""
+    start = InitialState(StartRanges(0.0, 0.0, (0.0,) * 3, (0.4, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3), qpos_key="place")
+    env = TransformedEnv(TorqueEnv(b2z1(), num_envs=5), start)
+    env.reset()
+    qpos = env.base_env.physics.qpos.clone()
+    qpos[:, 3:7] = rotations.yaw_quaternion(torch.full((5, 1), 1.5)).double()
+    tilted = start._reset_env_preprocess(TensorDict({"place": qpos}, [5]))["place"][:, 3:7]
+    gravity = rotations.rotate_inverse(tilted, torch.tensor([[0.0, 0.0, -1.0]]).double().expand(5, 3))
+    assert gravity[:, 1].abs().max() > 0.05
+    assert gravity[:, 0].abs().max() < 1e-6
