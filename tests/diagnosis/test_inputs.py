@@ -200,6 +200,9 @@ def test_what_is_no_recording_may_lie_in_a_folder_but_is_not_named_and_joints_fi
     take(tmp_path / "b.npz", "hip")
     said, usable = checked(replace(asked, heldout=(tmp_path / "b.npz",)))
     assert "knee of the model is not recorded. Record it, or say --lock knee." in said
+    (tmp_path / "slide.xml").write_text(SERVO.replace('name="knee"', 'name="knee" type="slide"'))
+    slides = checked(replace(asked, model=tmp_path / "slide.xml", heldout=(tmp_path / "b.npz",)))[0]
+    assert "knee of the model is not recorded." in slides
     assert "its joints are hip; " in said
     assert not usable
     said, usable = checked(Flags(tmp_path / "robot.xml", (tmp_path / "b.npz",), lock=("knee=0.1",)))

@@ -140,15 +140,28 @@ def test_ctrl_c_keeps_the_trials_that_were_made(monkeypatch):
 )
 def test_the_standard_joints_are_tried_where_nothing_follows(monkeypatch, left, over, evidence, behind):
     work = Started(monkeypatch, left, True, True, over)
+    added = joints_added(monkeypatch, work, evidence)
+    assert [p.behind for p in added] == ([] if behind is None else [behind])
+    assert all(p.joints and p.on_trial for p in added)
+
+
+@pytest.mark.parametrize(("aside", "asked"), [(0.009, False), (0.5, True)])
+def test_the_standard_joints_are_tried_where_only_what_was_fitted_follows(monkeypatch, aside, asked):
+    work = Started(monkeypatch, 0.009, True, True, 9.0)
+    scores = work.begun.trials[0].scores
+    scores["heldout"] = replace(scores["train"], before=aside)
+    assert bool(joints_added(monkeypatch, work, 3.0)) == asked
+
+
+def joints_added(monkeypatch: pytest.MonkeyPatch, work: Started, evidence: float) -> list[Proposal]:
+    """Proposals of the fit of the standard joints."""
     monkeypatch.setattr(stage, "standard_joints_of", lambda given, run: work.begun.trials[0].fitted)
     monkeypatch.setattr(stage, "in_torques", lambda judge, fitted: SimpleNamespace(evidence=evidence))
     monkeypatch.setattr(stage, "_without_small", lambda fitted, given: fitted)
     monkeypatch.setattr(stage, "scored", lambda proposal, fitted, ready: SimpleNamespace(proposal=proposal))
     located = SimpleNamespace(ready=SimpleNamespace(given=None))
     begun = replace(work.begun, proposed=SimpleNamespace(located=located, drive=None))
-    added = [t.proposal for t in _with_joints(begun, SimpleNamespace(late=lambda: False)).trials[1:]]
-    assert [p.behind for p in added] == ([] if behind is None else [behind])
-    assert all(p.joints and p.on_trial for p in added)
+    return [t.proposal for t in _with_joints(begun, SimpleNamespace(late=lambda: False)).trials[1:]]
 
 
 def test_a_fit_in_which_a_mass_is_adjusted_is_not_taken_for_one_in_which_it_is_found():
