@@ -43,6 +43,7 @@ SHOWN = {
         "elevation_deg",
         "azimuth_deg",
         "peak_leg_power_kw",
+        "peak_arm_speed_rad_s",
         "thrown",
         "failed",
     ),

@@ -38,7 +38,8 @@ CURVES = {
     "terminated": "falls and lost balls per step",
 }
 STEPS = 300
-LOOK_AT = ["ball_position", "ball_linear_velocity", "ball_launch_velocity", "ball_away", "start_line", "peak_power"]
+BALL = ["ball_position", "ball_linear_velocity", "ball_launch_velocity", "ball_away"]
+LOOK_AT = [*BALL, "start_line", "peak_power", "joint_velocity"]
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def make_env(
 
 
 def judge(episodes: TensorDict) -> dict[str, float]:
-    """Distance, launch and peak power of the legs. A ball that fell out in the set-up, or never left: 0 m."""
+    """Distance, launch, peaks of the legs' power and the arm's speed. A ball lost in the set-up, or kept: 0 m."""
     shown = TensorDict({key: training.last_of(episodes, key) for key in episodes.keys()}, [len(episodes)])
     away = episodes["ball_away"] & episodes["counts"]
     leaves = away & (away.cumsum(1) == 1) & ~episodes["terminated"]  # a ball that is lost ends its episode
@@ -95,6 +96,7 @@ def judge(episodes: TensorDict) -> dict[str, float]:
         rotations.yaw_quaternion(shown["start_line"][..., 2:]), shown["ball_launch_velocity"]
     ).unbind(-1)
     level = torch.hypot(forward, aside)
+    arm = episodes["joint_velocity"][..., list(nominal().joint_groups["arm"])] * episodes["counts"]
 
     def mean(values: Tensor) -> float:
         return float(values[thrown.squeeze(-1)].mean()) if thrown.any() else 0.0
@@ -106,6 +108,7 @@ def judge(episodes: TensorDict) -> dict[str, float]:
         "elevation_deg": mean(torch.atan2(upward, level).rad2deg()),
         "azimuth_deg": mean(torch.atan2(aside, forward).rad2deg()),
         "peak_leg_power_kw": float(shown["peak_power"].mean()) / 1000,
+        "peak_arm_speed_rad_s": float(arm.abs().amax((1, 2)).mean()),
         "thrown": float(thrown.float().mean()),
         "failed": float(shown["terminated"].float().mean()),
     }

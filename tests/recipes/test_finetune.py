@@ -91,12 +91,16 @@ def test_a_throw_counts_from_where_the_robot_started_and_one_that_was_kept_is_no
     shown["ball_linear_velocity"] = torch.zeros(3, 3, 3)
     shown["ball_launch_velocity"] = torch.tensor([-3.0, 3.0, 3 * 2**0.5]).expand(3, 3, 3)  # ahead is along y
     shown["start_line"] = torch.tensor([2.0, 0.0, math.pi / 2]).expand(3, 3, 3)
+    shown["joint_velocity"] = torch.zeros(3, 3, 19)
+    shown["joint_velocity"][0, 1, 14], shown["joint_velocity"][1, 0, 17] = -5.0, 4.0
+    shown["joint_velocity"][0, 1, 3], shown["joint_velocity"][2, 2, 14] = 20.0, 99.0  # of a leg, and after the end
     shown["terminated"][2, 1], shown["counts"][2, 2] = True, False  # it was lost: its episode ended there
     found = throw.judge(shown)
     assert found["distance_m"] == pytest.approx(1.0)
     assert found["release_speed_m_s"] == pytest.approx(6.0)
     assert (found["elevation_deg"], found["azimuth_deg"]) == (pytest.approx(45.0), pytest.approx(45.0))  # to the left
     assert (found["peak_leg_power_kw"], found["thrown"]) == (pytest.approx(10 / 3), pytest.approx(1 / 3))
+    assert found["peak_arm_speed_rad_s"] == pytest.approx(3.0)  # means of each episode's peak: 5, 4 and 0
 
 
 def test_every_episode_of_an_exam_has_its_deed_in_it():
