@@ -449,3 +449,18 @@ def test_each_epoch_has_an_order_of_its_own_for_the_critic_too(monkeypatch):
     first, second, third, fourth = seen
     assert first | second == third | fourth == set(range(8))
     assert first not in (third, fourth)
+
+
+def test_a_batch_that_carries_gradients_trains_as_one_that_does_not():
+    """What collected it, an encoder say, is not trained through it."""
+    reports = []
+    for carries in (False, True):
+        stepper = make(dtype=torch.float64, epochs=1)
+        batch = collected(stepper.loss.actor_network, 16)
+        source = torch.ones((), dtype=torch.float64, requires_grad=carries)
+        for key in ("observation", "advantage", "value_target"):
+            batch[key] = batch[key] * source
+        reports.append(stepper.update(batch))
+        assert source.grad is None
+    for key, value in reports[0].items():
+        assert torch.equal(value, reports[1][key]), key

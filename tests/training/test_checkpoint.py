@@ -240,3 +240,11 @@ def test_a_run_goes_on_although_its_logger_starts_a_new_one(tmp_path):
     resumed = torch.nn.Linear(2, 1)
     assert Checkpoints(tmp_path).resume(resumed, RunOfItsOwn())
     assert (resumed.weight == saved.weight).all()
+
+
+def test_a_state_from_before_the_first_iteration_is_a_state(tmp_path):
+    saved, again = torch.nn.Linear(2, 1), torch.nn.Linear(2, 1)
+    saved.iteration = 0
+    Checkpoints(tmp_path).save(saved)
+    assert Checkpoints(tmp_path).resume(again)
+    assert again.weight.equal(saved.weight)

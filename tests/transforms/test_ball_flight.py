@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs import Compose, StepCounter, TransformedEnv
@@ -71,3 +72,48 @@ def test_a_ball_that_is_away_is_not_caught_again_and_one_inside_turns_with_its_w
     sideways = torch.tensor([0.8, 0.0, -0.6])  # across the walls that turn
     turning = above * ((turned - axis)[1] @ sideways) / 0.005
     torch.testing.assert_close(after["ball_linear_velocity"][1] @ sideways, turning)
+
+
+@pytest.mark.parametrize(("age", "there"), [(0, False), (58, False), (59, True)])
+def test_a_ball_is_put_where_the_bucket_is_and_as_fast_as_it_and_was_nowhere_before(age: int, there: bool) -> None:
+    """After 0.3 s, in steps of 0.005 s; whatever is remembered of an earlier ball is gone."""
+    flight = BallFlight(0.005, rim=0.05, radius=0.035, placed_at=0.3)
+    axis = torch.tensor([[0.0, 0.0, 1.0]])
+    bucket = {"bucket_position": [[1.0, 2.0, 3.0]], "bucket_linear_velocity": [[4.0, 5.0, 6.0]], "bucket_axis": axis}
+    before = TensorDict(
+        ball_position=torch.full((1, 3), 7.0),
+        ball_linear_velocity=torch.full((1, 3), 7.0),
+        ball_away=[[False]],
+        ball_age=[[age]],
+        ball_launch_velocity=torch.zeros(1, 3),
+        bucket_axis=axis,
+        batch_size=[1],
+    )
+    after = TensorDict(bucket, [1])
+    flight.advance(before, after)
+    assert after["ball_position"].tolist() == [[1.0, 2.0, 3.0] if there else [0.0] * 3]
+    assert after["ball_linear_velocity"].tolist() == [[4.0, 5.0, 6.0] if there else [0.0] * 3]
+    assert not after["ball_away"].any()
+
+
+@pytest.mark.parametrize(("placed_at", "dt", "steps"), [(0.3, 0.1, 3), (1.5, 0.005, 300), (0.29, 0.01, 29)])
+def test_the_ball_comes_at_the_step_next_to_its_time(placed_at: float, dt: float, steps: int) -> None:
+    assert BallFlight(dt, rim=0.05, radius=0.035, placed_at=placed_at).placed == steps
+
+
+@pytest.mark.parametrize("radius", [0.035, 0.1])
+def test_a_ball_that_lands_rests_on_the_ground_with_its_radius(radius: float) -> None:
+    axis = torch.tensor([[0.0, 0.0, 1.0]])
+    before = TensorDict(
+        ball_position=[[1.0, 0.0, radius + 0.001]],
+        ball_linear_velocity=[[0.0, 0.0, -2.0]],
+        ball_away=[[True]],
+        ball_age=[[9]],
+        ball_launch_velocity=torch.zeros(1, 3),
+        bucket_axis=axis,
+        batch_size=[1],
+    )
+    after = TensorDict({"bucket_position": axis, "bucket_linear_velocity": 0 * axis, "bucket_axis": axis}, [1])
+    BallFlight(0.005, rim=0.2, radius=radius, placed_at=0.005).advance(before, after)
+    torch.testing.assert_close(after["ball_position"], torch.tensor([[1.0, 0.0, radius]]))
+    assert after["ball_linear_velocity"].tolist() == [[0.0, 0.0, 0.0]]

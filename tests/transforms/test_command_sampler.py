@@ -153,3 +153,10 @@ def test_a_pose_is_told_from_a_shoulder_and_in_a_frame_of_one_s_own():
     torch.testing.assert_close(distance, goal[:, 3])
     start = commands.goal_to_pose(steps["command_start"][:, 0], torch.tensor(own.shoulder))[:, :3]
     torch.testing.assert_close(start, seen, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("interval", "dt", "steps"), [(0.3, 0.1, 3), (7.0, 0.02, 350), (0.29, 0.01, 29), (0.01, 0.1, 1)]
+)
+def test_goals_last_the_number_of_steps_next_to_their_time(interval: float, dt: float, steps: int) -> None:
+    assert CommandSampler(CommandRanges(interval=interval, duration=(0.01, 0.01)), dt).interval_steps == steps

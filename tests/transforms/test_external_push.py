@@ -230,3 +230,16 @@ def test_the_robot_is_pushed_by_up_to_a_third_of_its_weight_and_less_further_out
     assert most == sorted(most, reverse=True)
     assert {(push.force[0], push.torque[0]) for push in B2Z1_PUSHES} == {(0.0, 0.0)}
     assert [len(push.bodies) for push in B2Z1_PUSHES] == [1, 4, 4, 1]
+
+
+def test_groups_are_equally_likely_and_so_are_the_bodies_of_a_group():
+    """Whatever their number, so that the one base is pushed as often as all of the feet together."""
+    groups = [
+        tuple(f"{group}{body}" for body in range(size)) for group, size in (("a", 1), ("b", 3), ("c", 2), ("d", 1))
+    ]
+    push = ExternalPush([Push(bodies, force=(1.0, 1.0)) for bodies in groups], dt=0.02)
+    unit = torch.rand(20_000, 8, generator=torch.Generator().manual_seed(0))
+    hit = (push._wrench(unit)[..., :3] != 0).any(-1)
+    assert (hit.sum(-1) == 1).all()
+    expected = [1 / 4 / len(bodies) for bodies in groups for _ in bodies]
+    assert hit.float().mean(0).tolist() == pytest.approx(expected, abs=0.01)

@@ -131,3 +131,12 @@ def test_a_start_that_looks_elsewhere_is_tilted_about_the_robots_own_axes():
     gravity = rotations.rotate_inverse(tilted, torch.tensor([[0.0, 0.0, -1.0]]).double().expand(5, 3))
     assert gravity[:, 1].abs().max() > 0.05
     assert gravity[:, 0].abs().max() < 1e-6
+
+
+def test_starts_may_be_higher_and_none_is_in_the_ground():
+    """Heights are drawn to both sides, and what would be below the ground is lifted to it."""
+    free = (0.0,) * 3
+    height = make_env(100, StartRanges(0.0, 0.0, (0.0, 0.0, 0.4), free, free, free)).reset()["base_position"][:, 2]
+    over = height - height.min()
+    assert over.max().item() == pytest.approx(0.4, abs=0.03)
+    assert 0.3 < (over == 0).float().mean() < 0.7

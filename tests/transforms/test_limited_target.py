@@ -57,3 +57,10 @@ def test_a_motor_drawn_weaker_moves_the_target_nearer_and_a_stiffer_drive_too() 
     kp, kd = torch.tensor([[20.0, 40.0]]), torch.tensor([[2.0, 1.5]])
     torque = pd_torque(target, seen["joint_position"], seen["joint_velocity"], kp, kd)
     assert torque.tolist() == [[pytest.approx(4.0 * 0.9), pytest.approx(2.0 * 0.9)]]
+
+
+@pytest.mark.parametrize("missing", ["action", "joint_position"])
+def test_data_that_do_not_tell_how_far_off_a_target_is_are_refused(missing: str) -> None:
+    seen = TensorDict({name: torch.zeros(1, 2) for name in ("action", "joint_position", "joint_velocity")}, [1])
+    with pytest.raises(KeyError, match="cannot tell how far off"):
+        LimitedTarget(20.0, 0.5, 4.0, 10.0).inv(seen.exclude(missing))

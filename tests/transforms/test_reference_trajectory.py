@@ -215,3 +215,20 @@ def test_between_two_samples_and_past_the_last_it_does_what_it_was_asked_to(inte
             expected = table[one] + (at % 1) * (table[other] - table[one]) if interpolate else table[one]
             torch.testing.assert_close(steps["reference"][row, k], expected)
     torch.testing.assert_close(steps["joint_position"][:, 0], steps["reference"][:, 0])
+
+
+@pytest.mark.parametrize(("samples", "last"), [(10, 15), (31, 50), (400, 665), (40_000, 66_665)])
+def test_an_episode_may_start_at_the_step_that_meets_the_last_sample(samples: int, last: int) -> None:
+    """Steps of 0.06 s over samples of 0.1 s, whose quotient is no binary number: no rounding takes the last one."""
+    reference = ReferenceTrajectory({"angle": torch.zeros(samples, 1)}, table_dt=0.1, dt=0.06, random_start=True)
+    assert reference.start_steps.tolist() == [last + 1]
+
+
+@pytest.mark.parametrize("lookahead", [(0,), (0, 2), (0, 1, 3)])
+@pytest.mark.parametrize("flatten", [True, False])
+def test_what_is_shown_is_as_large_as_announced(flatten: bool, lookahead: tuple[int, ...]) -> None:
+    env = environment(2, shortest=9, flatten=flatten, lookahead=lookahead)
+    keys = ["reference"] if flatten else [("reference", "qpos"), ("reference", "qvel")]
+    shown = env.reset()
+    assert [env.observation_spec[key].shape for key in keys] == [shown[key].shape for key in keys]
+    assert sum(shown[key].numel() for key in keys) == 2 * len(lookahead) * 6

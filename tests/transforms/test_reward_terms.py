@@ -9,6 +9,7 @@ from torchrl.envs.utils import check_env_specs
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.functional import rewards
 from torchrl_athletic.robots import z1
+from torchrl_athletic.testing import ToyEnv
 from torchrl_athletic.transforms import ActionHistory, Decimation, InPhase, PDControl, RewardTerms, Term
 
 ROBOT = z1()
@@ -139,3 +140,28 @@ def test_a_term_counts_in_the_phases_that_its_action_was_taken_in():
     after = TensorDict(phase=[[1], [2], [3], [0]], speed=torch.tensor([5.0, 6.0, 7.0, 8.0]), batch_size=[4])
     gain = InPhase([1, 3], lambda one, other: other["speed"] - one["speed"], "phase")
     assert gain(before, after).tolist() == [[0.0], [6.0], [0.0], [8.0]]
+
+
+def test_terms_are_shown_unless_they_are_not_to_be() -> None:
+    for show in (True, False):
+        env = TransformedEnv(ToyEnv(2), RewardTerms({"one": one_each}, {"one": 2.0}, show=show))
+        assert ("reward_terms" in env.rollout(1)["next"].keys()) == show
+
+
+def one_each(before: TensorDict, after: TensorDict) -> torch.Tensor:
+    return torch.ones(2, 1)
+
+
+@pytest.mark.parametrize("scales", [{}, {"a": 1.0, "b": 1.0}, {"b": 1.0}])
+def test_each_term_has_a_scale_and_each_scale_a_term(scales: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="same names"):
+        RewardTerms({"a": one_each}, scales)
+
+
+def test_a_term_keeps_the_constants_that_it_was_given() -> None:
+    """Though whoever gave them goes on writing into the same tensor."""
+    target = torch.tensor([1.0, 0.0])
+    term = Term(rewards.absolute_error, "joint_position", target=target)
+    target += 9.0
+    step = TensorDict(joint_position=[[0.5, 0.0]], batch_size=[1])
+    assert term(step, step).tolist() == [[0.5]]

@@ -259,3 +259,8 @@ def test_a_rope_of_one_s_own_is_as_stiff_and_damps_as_much_as_it_is_told():
     after = TensorDict({key: torch.tensor(value) for key, value in grip.items()}, [1])
     rope.advance(before, after)
     assert after["rope_tension"].item() == pytest.approx(300.0 - 50.0 * 0.25)
+
+
+def test_a_sled_on_ice_and_a_rope_that_does_not_damp_are_none_that_cannot_be():
+    rope = SledRope(DT, friction=(0.0, 0.0), damping=0.0)
+    assert (rope.friction, rope.damping) == ((0.0, 0.0), 0.0)

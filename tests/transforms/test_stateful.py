@@ -1,6 +1,7 @@
 """Chance in one transform tells nothing of chance in another."""
 
 import inspect
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -10,7 +11,15 @@ from torchrl_athletic import transforms
 from torchrl_athletic.functional.commands import CommandRanges
 from torchrl_athletic.functional.phase import sled_phases
 from torchrl_athletic.testing import ToyEnv
-from torchrl_athletic.transforms import EncoderOffset, GaitClock, Push, RandomTransform, StatefulTransform
+from torchrl_athletic.transforms import (
+    ActionHistory,
+    EncoderOffset,
+    GaitClock,
+    Push,
+    RandomTransform,
+    StatefulTransform,
+)
+from torchrl_athletic.transforms.stateful import joint_index, spread
 
 NEEDED = {
     "dt": 0.005,
@@ -31,6 +40,8 @@ NEEDED = {
     "timestep": 0.005,
 }
 """What constructors ask for."""
+MIXED = ([0, 2, 1, 3], [2, 1, 0], [0, 2], [3, 0])
+"""Joints that do not follow one another."""
 KINDS = [
     kind
     for kind in map(vars(transforms).get, transforms.__all__)
@@ -59,3 +70,49 @@ def test_draws_of_two_kinds_of_transforms_with_one_seed_have_nothing_to_do_with_
     drawn = torch.cat((shown["encoder_offset"], shown["gait_cycle"]), -1)
     assert drawn.std(0).min() > 0
     assert torch.corrcoef(drawn.T)[:-1, -1].abs().max() < 0.1
+
+
+@pytest.mark.parametrize("joints", [[0, 1, 2], [1, 2], [3], [0, 2, 1, 3], [2, 1, 0], [0, 2], [3, 0], slice(1, 3), None])
+def test_joints_are_taken_in_the_order_in_which_they_are_given(joints: list[int] | slice | None) -> None:
+    """Those that follow one another are a view, which spares a copy."""
+    value = torch.arange(8.0).reshape(2, 4)
+    taken = value[..., joint_index(StatefulTransform([], []), joints)]
+    expected = value if joints is None else value[:, joints]
+    assert torch.equal(taken, expected)
+    assert (taken.untyped_storage().data_ptr() == value.untyped_storage().data_ptr()) == (joints not in MIXED)
+
+
+@pytest.mark.parametrize(
+    ("mask", "shape", "rows"),
+    [
+        ([[True], [False]], (2, 3), [[True], [False]]),
+        ([[True], [False]], (2,), [True, False]),
+        ([[True], [False]], (2, 1, 4), [[[True]], [[False]]]),
+        ([[True, False], [False, False]], (2,), [True, False]),
+    ],
+)
+def test_a_mask_of_rows_is_spread_over_values_of_any_width(
+    mask: list[list[bool]], shape: tuple[int, ...], rows: list
+) -> None:
+    """Of several flags of a row one is enough."""
+    assert spread(torch.tensor(mask), torch.zeros(shape)).tolist() == rows
+
+
+def test_which_rows_start_is_asked_where_an_environment_has_several_places_for_it() -> None:
+    class Within(GaitClock):
+        parent = SimpleNamespace(reset_keys=["_reset", ("other", "_reset")])
+
+    with pytest.raises(ValueError, match=r"cannot tell which .* Name one"):
+        _ = Within(0.02).reset_key
+    assert Within(0.02, reset_key=("other", "_reset")).reset_key == ("other", "_reset")
+
+
+def test_a_clone_in_another_chain_knows_nothing_of_the_first_one() -> None:
+    """A history of three toy joints, put before a toy that has other actions."""
+    first = TransformedEnv(ToyEnv(2), ActionHistory(2))
+    assert first.observation_spec["action_history"].shape == (2, 2, 3)
+    copied = first.transform.clone()
+    copied.reset_parent()
+    scaled = TransformedEnv(ToyEnv(5), copied)
+    assert scaled.reset()["action_history"].shape == (5, 2, 3)
+    assert first.reset()["action_history"].shape == (2, 2, 3)

@@ -102,3 +102,11 @@ def test_another_seed_draws_other_episodes():
 def test_what_cannot_be_shown_is_refused(arguments, told):
     with pytest.raises(ValueError, match=told):
         TaskPhase(**arguments)
+
+
+def test_numbers_of_phases_are_announced_up_to_the_last_one() -> None:
+    """A one-hot code of the spec would have a place that no phase takes."""
+    env = TransformedEnv(ToyEnv(2), TaskPhase(throw_phases(), 0.02))
+    for key in ("task_phase_index", "task_phase_last"):
+        space = env.observation_spec[key].space
+        assert (int(space.low.max()), int(space.high.max())) == (0, len(throw_phases().phases) - 1)
