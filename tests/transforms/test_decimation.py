@@ -195,3 +195,10 @@ def test_what_an_action_started_from_stays_as_it_was():
     assert not after["joint_position"].equal(kept["joint_position"])
     assert before["joint_position"].equal(kept["joint_position"])
     assert before["action"].equal(kept["action"])
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_only_the_last_step_of_an_action_has_to_show_all(steps):
+    env = TransformedEnv(Recording(2, shortest=9), Decimation(steps))
+    env.step(env.reset().set("action", torch.ones(2, 3)))
+    assert env.base_env.substeps == [True] * (steps - 1) + [False]

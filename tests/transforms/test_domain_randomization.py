@@ -267,3 +267,19 @@ def test_ranges_are_those_of_the_paper_s_table():
         "torque_limit_scale": (0.9, 1.1), "mass_scale": (0.5, 1.5), "com_offset": (-0.02, 0.02),
     }  # fmt: skip
     assert {name: between for name, between in vars(RandomizationRanges()).items() if between is not None} == paper
+
+
+def test_joints_that_are_named_by_number_differ_and_no_others() -> None:
+    randomization = DomainRandomization(_only(joint_friction_scale=(2.0, 3.0)), joints=[2, 4])
+    env = TransformedEnv(TorqueEnv(z1(), num_envs=3, fields=randomization.fields), randomization)
+    env.reset()
+    physics = env.base_env.physics
+    changed = physics.field("dof_frictionloss") != torch.tensor(physics.model.dof_frictionloss)
+    assert changed.nonzero().tolist() == [[row, joint] for row in range(3) for joint in (2, 4)]
+
+
+def test_ground_may_bounce_differently_and_grip_alike() -> None:
+    env = make_env(4, ranges=_only(restitution=(0.0, 0.5)))
+    env.reset()
+    physics = env.base_env.physics
+    assert len(physics.field("geom_solref")[:, physics.model.geom("floor").id, 1].unique()) == 4

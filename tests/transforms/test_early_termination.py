@@ -1,5 +1,7 @@
 """A task's own end of an episode."""
 
+from types import SimpleNamespace
+
 import torch
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
@@ -57,3 +59,14 @@ def test_flags_may_be_named():
     end._step(before, after)
     assert after["truncated"].flatten().tolist() == [True, False]
     assert not (after["done"] | after["terminated"]).any()
+
+
+def test_flags_within_a_group_are_raised_where_they_tell_of_an_end_or_a_failure():
+    class Within(EarlyTermination):
+        parent = SimpleNamespace(done_keys=[("done", name) for name in ("done", "terminated", "truncated")])
+
+    no = torch.zeros(2, 1, dtype=torch.bool)
+    after = TensorDict({"done": {name: no.clone() for name in ("done", "terminated", "truncated")}}, [2])
+    Within(lambda before, after: torch.tensor([[True], [False]]))._step(after, after)
+    raised = [after["done", name].flatten().tolist() for name in ("done", "terminated", "truncated")]
+    assert raised == [[True, False], [True, False], [False, False]]

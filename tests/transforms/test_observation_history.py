@@ -46,8 +46,9 @@ def test_it_equals_catframes_bit_for_bit():
 
 
 def test_a_history_in_place_of_its_source_is_refused():
-    with pytest.raises(ValueError, match="must name one new entry"):
-        ObservationHistory(["a"], 3, ["a"])
+    for sources, names in ((["a"], ["a"]), (["a", "b"], ["c", "a"]), (["a", "b"], ["c"])):
+        with pytest.raises(ValueError, match="must name one new entry"):
+            ObservationHistory(sources, 3, names)
 
 
 def test_a_history_of_nothing_is_refused():
