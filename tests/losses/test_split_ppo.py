@@ -4,12 +4,12 @@ from networks.samples import ACTION, STATE, collected, gradients, move, networks
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
-from torch.distributions import Independent, Normal, kl_divergence
+from torch.distributions import Independent, Laplace, Normal, kl_divergence
 from torchrl.modules import IndependentNormal, NormalParamExtractor, OneHotCategorical, ProbabilisticActor, TanhNormal
 from torchrl.objectives import ClipPPOLoss
 
 from torchrl_athletic.losses import SplitClipPPOLoss, clipped_surrogate, gaussian_kl, sampled_kl
-from torchrl_athletic.losses.split_ppo import explained_variance, masked_mean, standardized
+from torchrl_athletic.losses.split_ppo import divergence, explained_variance, masked_mean, standardized
 
 OPTIONS = [
     {},
@@ -363,3 +363,12 @@ def test_the_entropy_that_is_reported_is_of_samples_that_count():
     loss = SplitClipPPOLoss(policy, value)
     batch["shifted_valid"] = counts = batch["scale"].sum(-1) > batch["scale"].sum(-1).median()
     torch.testing.assert_close(loss(batch)["entropy"], loss(batch[counts])["entropy"])
+
+
+@pytest.mark.parametrize("kinds", [(Laplace, Normal), (Normal, Laplace), (Laplace, Laplace), (None, Normal)])
+def test_a_divergence_is_exact_only_if_both_policies_are_gaussian(kinds: tuple) -> None:
+    """Of any other pair it is estimated from the actions, which is what the ratios tell."""
+    zero, one, log_ratio = torch.zeros(2, 3), torch.ones(2, 3), torch.tensor([[0.5], [-0.5]])
+    old, new = (None if kind is None else kind(zero, one) for kind in kinds)
+    assert torch.equal(divergence(old, new, log_ratio), sampled_kl(log_ratio))
+    assert torch.equal(divergence(Normal(zero, one), Normal(zero, one), log_ratio), torch.zeros(2, 1))
