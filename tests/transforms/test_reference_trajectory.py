@@ -217,10 +217,15 @@ def test_between_two_samples_and_past_the_last_it_does_what_it_was_asked_to(inte
     torch.testing.assert_close(steps["joint_position"][:, 0], steps["reference"][:, 0])
 
 
-@pytest.mark.parametrize(("samples", "last"), [(10, 15), (31, 50), (400, 665), (40_000, 66_665)])
-def test_an_episode_may_start_at_the_step_that_meets_the_last_sample(samples: int, last: int) -> None:
-    """Steps of 0.06 s over samples of 0.1 s, whose quotient is no binary number: no rounding takes the last one."""
-    reference = ReferenceTrajectory({"angle": torch.zeros(samples, 1)}, table_dt=0.1, dt=0.06, random_start=True)
+@pytest.mark.parametrize(
+    ("dt", "table_dt", "samples", "last"),
+    [(0.06, 0.1, 10, 15), (0.06, 0.1, 31, 50), (0.06, 0.1, 40_000, 66_665), (0.07, 0.01, 8, 1), (0.07, 0.01, 701, 100)],
+)
+def test_an_episode_may_start_at_the_step_that_meets_the_last_sample(
+    dt: float, table_dt: float, samples: int, last: int
+) -> None:
+    """Where a quotient is no binary number no rounding takes that step, however long the table."""
+    reference = ReferenceTrajectory({"angle": torch.zeros(samples, 1)}, table_dt, dt, random_start=True)
     assert reference.start_steps.tolist() == [last + 1]
 
 

@@ -134,9 +134,8 @@ class ReferenceTrajectory(RandomTransform):
         self.id_key, self.step_key = keys.id, keys.step
         lengths = self._add_tables(references)
         self._add_shares(probability, len(lengths))
-        steps = (
-            (lengths.double() - 1) / self.samples_per_step + 1e-6
-        ).floor().long() + 1  # that begin within the reference
+        last = ((lengths.double() - 1) / self.samples_per_step + 1e-6).floor().long()
+        steps = last + 1  # that begin within the reference
         self.register_buffer("start_steps", steps, persistent=False)
 
     def _add_tables(self, references: References) -> Tensor:
