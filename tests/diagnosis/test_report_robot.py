@@ -222,3 +222,60 @@ def test_names_are_spread_in_order_within_their_room(wished):
     gaps = np.diff(places)
     assert (gaps >= min(36.0, 230 / max(len(wished) - 1, 1)) - 1e-6).all()
     assert all(18 - 1e-6 <= y <= 248 + 1e-6 for y in places)
+
+
+def one_body(geoms: str, extra: str = "") -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><body><joint axis="0 1 0" name="a"/>{geoms}</body></worldbody>{extra}</mujoco>'
+    )
+
+
+@pytest.mark.parametrize(
+    ("shape", "extent"),
+    [
+        ('type="box" size=".1 .2 .3"', (0.2, 0.4, 0.6)),
+        ('type="ellipsoid" size=".1 .2 .3"', (0.2, 0.4, 0.6)),
+        ('type="cylinder" size=".1 .3"', (0.2, 0.2, 0.6)),
+        ('type="capsule" size=".1 .3"', (0.2, 0.2, 0.8)),
+        ('type="sphere" size=".1"', (0.2, 0.2, 0.2)),
+        ('type="cylinder" size=".1 .3" euler="0 90 0"', (0.6, 0.2, 0.2)),
+    ],
+)
+def test_a_solid_reaches_as_far_as_its_geom(shape, extent):
+    model = one_body(f"<geom {shape}/>")
+    [solid] = solids_of(model, default_pose(model))
+    assert np.ptp(solid.points, axis=0) + 2 * solid.radius == pytest.approx(extent, rel=0.02)
+
+
+@pytest.mark.parametrize("hidden", ['group="3"', 'rgba="1 0 0 0"'])
+def test_what_a_viewer_hides_is_drawn_only_where_nothing_else_is(hidden):
+    seen, unseen = '<geom size=".1"/>', f'<geom size=".2" {hidden}/>'
+    for geoms, radius in ((seen + unseen, 0.1), (unseen + seen, 0.1), (unseen, 0.2)):
+        model = one_body(geoms)
+        assert [s.radius for s in solids_of(model, default_pose(model))] == pytest.approx([radius])
+
+
+def test_without_a_home_the_first_keyframe_is_the_pose():
+    keys = '<keyframe><key name="one" qpos="0.5"/><key name="two" qpos="1"/></keyframe>'
+    assert default_pose(one_body('<geom size=".1"/>', keys)).qpos == pytest.approx([0.5])
+
+
+def test_a_hinge_on_the_world_has_a_bearing_unless_a_base_is_drawn_and_a_slide_its_rail():
+    bare = one_body('<geom size=".1"/>')
+    stand = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom size=".05"/><body><joint axis="0 1 0" name="a"/><geom size=".1"/></body></worldbody>'
+        "</mujoco>"
+    )
+    assert [robot_svg(model, [], {}).count('class="mount"') for model in (bare, stand)] == [1, 0]
+    rail = re.search(r'class="mount" d="M([\d. -]+)L([\d. -]+)"', robot_svg(compiled("carriage"), [], {}))
+    start, end = ([float(v) for v in rail[k].split()] for k in (1, 2))
+    assert np.ptp([start, end], axis=0).max() == pytest.approx(DRAWING[2] - DRAWING[0], abs=1)
+
+
+def test_where_names_are_too_many_the_guilty_joints_are_named_first_then_those_with_the_first_notes():
+    model = compiled("six joints")
+    many = mujoco.MjModel.from_xml_string(chain(["0 1 0"] * 12))
+    notes = {f"joint{k}": "a note" for k in (11, 3, 5, 7, 9, 1, 0, 2)}
+    named = set(re.findall(r'<text class="name[^"]*"[^>]*>(.*?)</text>', robot_svg(many, ["joint8"], notes)))
+    assert named == {"joint8", *list(notes)[: MOST_NAMES - 1]}
+    assert re.findall(r'<text class="name[^"]*"[^>]*>(.*?)</text>', robot_svg(model, [], {})) == []
