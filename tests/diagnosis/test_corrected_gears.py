@@ -191,10 +191,28 @@ def test_keyframes_start_the_motor_where_the_link_is_and_keep_all_else():
     np.testing.assert_allclose(after.key("empty").qpos, after.qpos0)
 
 
+def test_the_motor_turns_about_the_links_own_hinge_and_sensors_of_other_joints_stay_theirs():
+    """Wherever the hinge is in its link, and the link on its parent."""
+    given = ARM.replace('axis="0 1 0" range', 'axis="0.6 0.8 0" pos=".03 -.02 .05" range')
+    given = given.replace('name="tip" axis', 'name="tip" range="-2 2" axis')
+    given = given.replace("<sensor>", '<sensor><jointlimitfrc name="stop" joint="tip"/>')
+    model = mujoco.MjModel.from_xml_string(parted_arm(given))
+    data = mujoco.MjData(model)
+    for j in range(model.njnt):
+        if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE:
+            data.qpos[model.jnt_qposadr[j] :][:7] = 1.0, 2.0, 3.0, 0.5, -0.5, 0.5, 0.5
+    mujoco.mj_kinematics(model, data)
+    motor, link = (model.joint(name).id for name in ("pendulum", "pendulum_link"))
+    np.testing.assert_allclose(data.xanchor[motor], data.xanchor[link], atol=1e-6)
+    np.testing.assert_allclose(data.xaxis[motor], data.xaxis[link], atol=1e-6)
+    assert model.sensor("stop").objid[0] == model.joint("tip").id
+
+
 @pytest.mark.parametrize(
     "more",
     [
         '<equality><joint joint1="pendulum" joint2="tip"/></equality>',
+        '<equality><joint joint1="tip" joint2="pendulum"/></equality>',
         '<tendon><fixed name="cable"><joint joint="pendulum" coef="1"/></fixed></tendon>',
         '<tendon><fixed name="pendulum_gear"><joint joint="tip" coef="1"/></fixed></tendon>',
         '<option><flag equality="disable"/></option>',

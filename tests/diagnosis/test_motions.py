@@ -1,6 +1,7 @@
 """Motions keep what robot and surroundings can take."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -15,6 +16,7 @@ from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.thresholds import PLAN
 from torchrl_athletic.effects import JointAddress
 from torchrl_athletic.effects.effect import torque_scale
+from torchrl_athletic.recordings import Recording
 from torchrl_athletic.recordings.demo import make_recordings, two_link_arm
 
 
@@ -163,6 +165,29 @@ def test_rounded_steps_are_no_faster_than_allowed_and_sweeps_say_their_speed(tak
     sweeps = [m for m in motions(takes, limits, [0], 20.0) if m.kind == "sweep"]
     first = [m.frequency for m in sweeps if m.amplitude == sweeps[0].amplitude]
     assert max(first) == pytest.approx(8 * min(first))  # the quickest and the slowest of three speeds
+
+
+def test_a_sweep_lasts_whole_periods_and_as_long_as_asked_and_is_never_faster_than_it_says(takes):
+    """On the way home, too, which is part of what is meant to be seen at that speed."""
+    sweeps = [m for m in motions(takes, Limits.of(takes), [0, 1], 8.0) if m.kind == "sweep"]
+    assert len({m.frequency for m in sweeps}) > 2
+    for m in sweeps:
+        own = m.wave[:, ("shoulder", "elbow").index(m.joint)]
+        steps = np.abs(np.diff(own)) * PLAN.rate
+        assert steps.max() == pytest.approx(4 * m.amplitude * m.frequency, rel=0.02)
+        seconds = len(own) / PLAN.rate
+        assert 8.0 - 1 / PLAN.rate <= seconds <= 8.0 + 1.5 / m.frequency
+
+
+@pytest.mark.parametrize(("rate", "passed"), [(PLAN.rate, 1.0), (4 * PLAN.rate, 1.0), (0.5 * PLAN.rate, 0.5)])
+def test_the_quickest_mix_is_what_a_log_still_shows_at_its_rate_or_the_plans(rate, passed):
+    """Faster logging of earlier takes does not help, since the plan is sent at its own rate; slower logging harms."""
+    time = np.arange(0.0, 2.0, 1 / rate)
+    still = np.zeros((len(time), 1))
+    take = SimpleNamespace(recording=Recording(time, ("hip",), still, torque_command=still))
+    limits = Limits(np.array([[-1.0, 1.0]]), np.array([5.0]), np.array([1.0]))
+    mixes = [m for m in motions([take], limits, [0], 8.0) if m.kind == "mix"]
+    assert mixes[0].highest == pytest.approx(module.QUICK[0] * passed * module.HALF_POWER * PLAN.rate / 1.2, rel=0.01)
 
 
 def test_a_motor_that_is_weaker_one_way_is_planned_for_as_weak_both_ways():

@@ -3,13 +3,19 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
+from diagnosis.plants import pendulum
 
 from torchrl_athletic.diagnosis import outcome
+from torchrl_athletic.diagnosis.corrected import Simulation, write_json
+from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.motions import Limits
 from torchrl_athletic.diagnosis.outcome import OVERLAYS, Diagnosis, logged_gains
 from torchrl_athletic.diagnosis.result import Answer
+from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.effects import CoulombFriction, JointAddress
 from torchrl_athletic.recordings import Recording
 
 STILL = np.zeros((50, 2))
@@ -134,3 +140,19 @@ def test_the_highest_frequency_that_was_asked_for_limits_the_plan(monkeypatch):
     assert [given[:2] + given[3:] for given in asked] == [((part,), ("finding",), "xml")] * 2
     assert asked[0][2] is None
     assert asked[1][2].frequency == 4.0
+
+
+def test_a_folder_is_read_back_with_the_base_as_it_was_held_and_effects_of_ones_own(tmp_path):
+    """Both simulations hold the base; a catalogue that lacks the effect refuses the file."""
+    xml, own = pendulum(), type("Own", (CoulombFriction,), {"name": "own_friction"})()
+    model = mujoco.MjModel.from_xml_string(xml)
+    parameters = own.parameters(model, JointAddress.of(model, ("pendulum",)), 0)
+    law = Hypothesis((Candidate(own, 0, "pendulum", parameters),))
+    corrected = Simulation(model, ("pendulum",), law, np.arange(1.0, 1 + len(parameters)), "fixed")
+    write_json(tmp_path / "corrected.json", {**corrected.to_json(), "model_xml": xml})
+    write_json(tmp_path / "diagnosis.json", Answer("explained", ("Said.",)).to_json())
+    back = Diagnosis.load(tmp_path, (own,))
+    assert (back.corrected.base, back.nominal.base) == ("fixed", "fixed")
+    assert back.corrected.hypothesis.terms[0].effect is own
+    np.testing.assert_array_equal(back.corrected.values, corrected.values)
+    assert (back.nominal.hypothesis.terms, back.xml, back.answer.summary) == ((), xml, ("Said.",))

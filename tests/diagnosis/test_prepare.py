@@ -9,6 +9,7 @@ from diagnosis.plants import record as swing
 from effects.arm import JOINTS, arm, record
 from scipy.signal import lfilter
 
+from torchrl_athletic.diagnosis import prepare as preparing
 from torchrl_athletic.diagnosis.prepare import (
     PAYLOAD,
     _limit,
@@ -19,7 +20,7 @@ from torchrl_athletic.diagnosis.prepare import (
     drive_signals,
     prepare,
 )
-from torchrl_athletic.effects import ActuationDelay, TorqueScale
+from torchrl_athletic.effects import ActuationDelay, TorqueScale, project_recording
 from torchrl_athletic.effects.signals import KERNEL
 from torchrl_athletic.recordings import Recording, RecordingError
 
@@ -135,11 +136,13 @@ def test_pieces_remember_when_their_take_began_and_what_it_read(takes):
     """A clock that drifts and a reading that rests count from the beginning of the take."""
     (first, _) = takes
     cut = np.r_[0:500, 650:1250]
-    gapped = replace(first, time=first.time[cut], position=first.position[cut], torque_command=first.command[cut])
+    kept = {"position": first.position[cut], "torque_command": first.command[cut], "metadata": {"robot": "arm"}}
+    gapped = replace(first, time=first.time[cut], **kept)
     pieces = [s.recording for s in prepare([gapped], arm()).signals]
     assert [p.began for p in pieces] == [gapped.time[0]] * 2
     for piece in pieces:
         np.testing.assert_array_equal(piece.mean_reading, gapped.mean_reading)
+        assert piece.metadata["robot"] == "arm"
 
 
 def test_a_piece_too_short_to_see_a_motion_in_is_left_out(takes):
@@ -325,3 +328,45 @@ def test_a_take_of_an_experiment_has_the_noise_of_the_earlier_ones():
     assert blind.velocity_noise is None
     assert seeing.velocity_noise.tolist() == [25.0, 25.0]
     assert _with_known_noise(new, 0) == new
+
+
+def test_both_torques_are_smoothed_alike_so_that_nothing_is_bent_into_what_the_drive_misses(takes):
+    (first, _) = takes
+    logged = replace(first, torque_measured=0.8 * first.command, torque_semantics="link_side")
+    prepared = prepare([logged], arm())
+    biased = replace(prepared, signals=tuple(replace(s, bias=np.ones_like(s.bias)) for s in prepared.signals))
+    [s] = drive_signals(biased)
+    assert not s.bias.any()
+    np.testing.assert_allclose(s.required - s.command, s.missing)
+    assert (s.missing * s.command).sum() < 0  # a drive that is weaker than the command lacks torque against it
+
+
+def test_a_mask_stays_with_its_samples_where_those_of_a_lost_base_went_and_nobody_carries_a_robot_twice_alike(
+    takes, monkeypatch
+):
+    first, again = (
+        replace(r, metadata={"repeat_id": "a"}) for r in (takes[0], replace(takes[0], source="carried.npz"))
+    )
+    unfit = np.zeros(first.position.shape, dtype=bool)
+    unfit[600:650, 1] = True
+    kept, masks, repeats = np.r_[40:300, 330 : first.num_samples], [], []
+
+    def without_lost(r):
+        return replace(r, time=r.time[kept], position=r.position[kept], torque_command=r.torque_command[kept])
+
+    def projected(piece, model, noise, velocity_noise, mask, *rest):
+        masks.append((piece.time, mask))
+        return project_recording(piece, model, noise, velocity_noise, mask, *rest)
+
+    monkeypatch.setattr(preparing, "_unfit", lambda quality: unfit)
+    monkeypatch.setattr(preparing, "with_known_base", without_lost)
+    monkeypatch.setattr(preparing, "project_recording", projected)
+    monkeypatch.setattr(preparing, "base_moves", lambda r: r.source == "carried.npz")
+    monkeypatch.setattr(preparing, "pose_of", lambda recording, model: None)
+    monkeypatch.setattr(preparing, "repeat_noise", lambda found: repeats.extend(r.source for r in found))
+    prepare([first, again], arm())
+    assert repeats == ["0.npz"]
+    assert len(masks) >= 2
+    for time, mask in masks:
+        np.testing.assert_array_equal(mask, unfit[np.isin(first.time, time)])
+    assert sum(mask.any() for _, mask in masks) == 2

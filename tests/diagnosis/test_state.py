@@ -213,3 +213,35 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
     assert (said.answer.complete, said.answer.stage) == (not stopped, stopped or "deliver")
     assert said.answer.remarks == (() if stopped else ("remark",))
     assert (said.answer.unexplained_share, said.answer.seed) == (0.25, 7)
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_maps_show_what_the_named_physics_leaves_and_before_any_name_all_that_is_missing(named, monkeypatch):
+    monkeypatch.setattr(stating, "regime_maps", lambda *given: given)
+    known, searched = (
+        SimpleNamespace(target=f"missing, {name}", rows=lambda fit: f"left by {fit}")
+        for name in ("located", "searched")
+    )
+    judge, best = SimpleNamespace(bank=searched), SimpleNamespace(fit="friction")
+    own = Trial(Proposal(judge, best), None, {}, np.zeros((1, 1)), np.zeros(1)) if named else None
+    ready = SimpleNamespace(given=SimpleNamespace(rng=lambda purpose: purpose))
+    found = stating._maps(Decided(SimpleNamespace(ready=ready, bank=known), None, own))
+    assert found == ((searched, "left by friction", "maps") if named else (known, "missing, located", "maps"))
+
+
+def test_another_name_is_that_of_an_effect_that_acts_in_every_take(monkeypatch):
+    """One that some take rules out is no other name for what all of them show."""
+    catalogue = [
+        SimpleNamespace(name=name, applies=lambda take, takes=takes: take in takes)
+        for name, takes in (("everywhere", ("one", "two")), ("once", ("one",)), ("nowhere", ()))
+    ]
+    monkeypatch.setattr(stating, "judge_findings", lambda *given: "findings")
+    monkeypatch.setattr(stating, "with_alternatives", lambda *given: given)
+    given = SimpleNamespace(
+        catalogue=catalogue, joint_names=("hip", "knee", "foot"), recordings=[logged((3.0, 0.0, 1.0))]
+    )
+    located = SimpleNamespace(ready=SimpleNamespace(given=given, train=SimpleNamespace(signals=("one", "two"))))
+    found, names, applying, damped = stating._findings(Decided(located, None, trial(2.0)))
+    assert (found, names, damped) == ("findings", given.joint_names, ["hip", "foot"])
+    assert [effect.name for effect in applying] == ["everywhere"]
+    assert stating._findings(Decided(located)) == ()
