@@ -1,7 +1,10 @@
 """The whole way from a model and recordings to ``diagnosis.json``, on one joint."""
 
 import json
+import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jsonschema
 import mujoco
@@ -12,8 +15,12 @@ from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
 from torchrl_athletic.diagnosis.model import ModelError, load_model
 from torchrl_athletic.diagnosis.report.words import grounds_words
+from torchrl_athletic.diagnosis.resources import OutOfTime
+from torchrl_athletic.diagnosis.stages import Decided, Given, Located, Proposed, Simulated
 from torchrl_athletic.effects import CATALOGUE
-from torchrl_athletic.recordings import RecordingError
+from torchrl_athletic.recordings import Recording, RecordingError
+
+diagnosing = sys.modules["torchrl_athletic.diagnosis.diagnose"]
 
 NUMBER = {"type": "number"}
 SHARE = {"type": "number", "minimum": 0, "maximum": 1}
@@ -225,3 +232,131 @@ def test_recordings_that_cannot_be_used_are_refused_with_the_mend(model, makes, 
 def test_the_measured_torque_can_only_drive_where_it_was_measured():
     with pytest.raises(RecordingError, match="there is no torque_measured"):
         diagnose(MODEL, recordings([0]), drive="measured", catalogue=FEW)
+
+
+def test_what_joins_is_fitted_behind_the_first_takes_and_the_answer_is_of_just_these_inputs(monkeypatch):
+    """Where a take is used makes another diagnosis, though the takes are the same and in the same order."""
+    told = []
+    unfinished = SimpleNamespace(answer=SimpleNamespace(complete=False))
+    monkeypatch.setattr(diagnosing, "_diagnosed", lambda given, *_: told.append(given) or unfinished)
+    monkeypatch.setattr(diagnosing, "room_for_data", lambda memory: memory)
+    thinned = {1.0: "Thinned.", 2.0: ""}
+    monkeypatch.setattr(
+        diagnosing, "within_memory", lambda takes, room: SimpleNamespace(recordings=takes, warning=thinned[room])
+    )
+    time, still = np.arange(10) / 100, np.zeros((10, 2))
+    first = Recording(time, ("upper", "lower"), still, torque_command=still, source="a")
+    turned = Recording(time, ("lower", "upper"), still, torque_command=still, source="b")
+    takes = [first, turned, replace(first, source="c"), replace(turned, source="d")]
+    for fitted, joined, memory in ((1, 1, 1.0), (2, 0, 2.0), (1, 2, 1.0)):
+        aside = takes[fitted + joined :]
+        diagnose(double_pendulum(), takes[:fitted], aside, joined=takes[fitted : fitted + joined], memory=memory)
+    for given, fitted, joined, warnings in zip(told, ("ab", "ab", "abc"), (1, 0, 2), (True, False, True), strict=True):
+        assert "".join(r.source for r in given.recordings) == fitted
+        assert "".join(r.source for r in given.heldout) == "abcd".removeprefix(fitted)
+        assert {r.joint_names for r in (*given.recordings, *given.heldout)} == {("upper", "lower")}
+        assert given.joined == joined
+        assert given.warnings == (("Thinned.",) if warnings else ())
+    assert len({given.inputs for given in told}) == 3
+
+
+def test_what_is_kept_aside_is_seen_in_the_band_of_what_is_fitted(monkeypatch):
+    told = []
+
+    def prepared(takes, model, drive, kernel=None, joined=0, xml=""):
+        told.append((takes, model, drive, kernel, joined, xml))
+        return SimpleNamespace(signals=[SimpleNamespace(kernel=0.25), SimpleNamespace(kernel=0.5)])
+
+    monkeypatch.setattr(diagnosing, "prepare", prepared)
+    given = Given("model", "xml", "m", ("a", "b"), ("c",), (), "measured", joined=1)
+    run = SimpleNamespace(progress=SimpleNamespace(update=lambda share: None))
+    assert diagnosing._prepare(given, run).held is not None
+    assert told == [
+        (("a", "b"), "model", "measured", None, 1, "xml"),
+        (("c",), "model", "measured", 0.25, 0, "xml"),
+    ]
+    assert diagnosing._prepare(replace(given, heldout=()), run).held is None
+
+
+LOCATED = Located("ready", "bank", ())
+SIMULATED = Simulated(Proposed(LOCATED, None, ()))
+DECIDED = Decided(LOCATED)
+
+
+def staged(monkeypatch, stops="", error=KeyboardInterrupt, simulated=SIMULATED):
+    """A run whose stages give what is known, but one that stops. Names of those begun, and the run."""
+    begun = []
+
+    def stage(name, result):
+        def go(*_):
+            if name == stops:
+                raise error
+            return result
+
+        return go
+
+    results = {
+        "_prepare": "ready", "_locate": LOCATED, "propose": SIMULATED.proposed, "simulate": simulated,
+        "decide": DECIDED, "state": "stated", "deliver": "delivered",
+    }  # fmt: skip
+    for name, result in results.items():
+        monkeypatch.setattr(diagnosing, name, stage(name, result))
+    progress = SimpleNamespace(stage=begun.append, update=lambda share: None, now="now")
+    return begun, SimpleNamespace(progress=progress, left=lambda *_: None)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
+@pytest.mark.parametrize(
+    ("stops", "found"),
+    [
+        ("propose", LOCATED),
+        ("simulate", LOCATED),
+        ("decide", SIMULATED),
+        ("state", DECIDED),
+        ("deliver", DECIDED),
+    ],
+)
+def test_a_run_that_is_stopped_states_the_last_of_what_it_found(monkeypatch, stops, error, found):
+    begun, run = staged(monkeypatch, stops, error)
+    monkeypatch.setattr(diagnosing, "_stopped", lambda *given: given)
+    assert diagnosing._diagnosed("given", run, "out") == (found, run, "out")
+    assert begun[-1] == stops
+
+
+def test_before_anything_is_found_a_stop_is_a_stop_and_a_simulation_that_was_stopped_is_not_decided_as_a_whole(
+    monkeypatch,
+):
+    for stage in ("_prepare", "_locate"):
+        _, run = staged(monkeypatch, stage)
+        with pytest.raises(KeyboardInterrupt):
+            diagnosing._diagnosed("given", run, None)
+    monkeypatch.setattr(diagnosing, "_stopped", lambda found, *_: found)
+    cut = replace(SIMULATED, stopped=True)
+    begun, run = staged(monkeypatch, simulated=cut)
+    assert diagnosing._diagnosed("given", run, None) is cut
+    assert begun[-1] == "simulate"
+    begun, run = staged(monkeypatch)
+    assert diagnosing._diagnosed("given", run, None) == "delivered"
+    assert begun == ["prepare", "locate", "propose", "simulate", "decide", "state", "deliver"]
+
+
+@pytest.mark.parametrize("error", [OutOfTime, MemoryError, None])
+@pytest.mark.parametrize("found", [LOCATED, SIMULATED, DECIDED])
+def test_a_stopped_run_without_time_or_memory_to_decide_says_where_the_error_is(monkeypatch, found, error):
+    _, run = staged(monkeypatch)
+    asked = []
+
+    def state(decided, stopped_in):
+        asked.append((decided, stopped_in))
+        if error is not None and len(asked) == 1:
+            raise error
+        return "stated"
+
+    monkeypatch.setattr(diagnosing, "state", state)
+    monkeypatch.setattr(diagnosing, "deliver", lambda *given: given)
+    assert diagnosing._stopped(found, run, "out") == ("stated", "out")
+    decided = [decided for decided, stopped_in in asked if stopped_in == "now"]
+    assert len(decided) == (1 if error is None else 2)
+    assert (decided[0] is DECIDED) is (found is not LOCATED)
+    assert decided[-1].located is LOCATED
+    assert decided[-1].trial is None

@@ -513,3 +513,54 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         ("train", "train noise", [2.5]), ("aside", "aside noise", [2.5]),
     ]  # fmt: skip
     assert begun[0][3] == begun[2][3] != begun[1][3] == begun[3][3]
+
+
+def joint_term(joint, name, *parameters):
+    return SimpleNamespace(
+        where=("hip", "knee", "foot")[joint],
+        joint=joint,
+        effect=SimpleNamespace(name=name),
+        parameters=[Parameter(p, "1", 0.0, 0.0, 9.0, 1.0) for p in parameters],
+    )
+
+
+def test_why_a_number_is_none_is_said_of_its_own_joint_and_of_those_that_share_its_motion_most():
+    """Three columns for two windows are one too many: by size, drag is 0.6 of the gain and 0.8 of slip."""
+    near = solved(free=[True] * 6)
+    near.problem.hypothesis.terms = [
+        joint_term(0, "drag", "drag"),
+        joint_term(1, "gain_mismatch", "kp_scale"),
+        joint_term(2, "slip", "slip"),
+        joint_term(1, "torque_saturation", "limit"),
+        joint_term(2, "torque_saturation", "limit"),
+        joint_term(0, "spring", "spring"),
+    ]
+    columns = np.array([[3.0, 1.0, 0.0, 0.0, 0.0, 0.0], [4.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
+    near.normal = columns[:, :, None] * columns[:, None, :]
+    seen = SimpleNamespace(travel=np.array([0.0, 1.0, 1.0]), asked=np.array([1.0, 2.5, 7.0]))
+    gain = "gain mismatch (kp scale) of knee"
+    assert fitting._doubts(near, seen) == [
+        f"the same motion follows from slip of foot and {gain}",
+        "the same motion follows from drag of hip and slip of foot",
+        f"the same motion follows from drag of hip and {gain}",
+        "never reached: it is at least 2.5 1",
+        "never reached: it is at least 7 1",
+        "hip never moves",
+    ]
+
+
+def test_a_limit_that_was_never_reached_is_at_least_what_its_own_joint_was_asked_for(monkeypatch):
+    monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
+    monkeypatch.setattr(fitting, "_reasons", lambda *_: ["", "never reached", "never moves"])
+    terms = [
+        joint_term(0, "torque_saturation", "limit"),
+        joint_term(1, "torque_saturation", "limit"),
+        joint_term(2, "drag", "drag"),
+    ]
+    near = solved(free=[True] * 3, values=[4.0, 5.0, 6.0], sigma=[0.5] * 3)
+    seen = SimpleNamespace(asked=np.array([1.0, 2.5, 7.0]))
+    told = fitting._parameters(SimpleNamespace(terms=terms), near, near, near.values, np.zeros(3, dtype=bool), seen)
+    assert [t.ci95 for t in told] == [pytest.approx(ends) for ends in ((3.02, 4.98), (2.5, 9.0), (5.02, 6.98))]
+    assert [(t.joint, t.state) for t in told] == [
+        ("hip", "not needed"), ("knee", "not identified"), ("foot", "not identified"),
+    ]  # fmt: skip

@@ -17,10 +17,11 @@ import numpy as np
 import pytest
 from diagnosis.sample import ARM, SAMPLES, Sample, arm, partial, slider, unexplained
 
+from torchrl_athletic.diagnosis.report import page as page_module
 from torchrl_athletic.diagnosis.report import terminal_summary, write_report
 from torchrl_athletic.diagnosis.report.page import render
 from torchrl_athletic.diagnosis.report.words import lead, next_takes, would_change
-from torchrl_athletic.diagnosis.result import Answer, Estimate
+from torchrl_athletic.diagnosis.result import Answer, Estimate, Location, Score
 
 VOID = {"meta", "link", "input", "br", "img", "hr"}
 HEADINGS = {
@@ -495,3 +496,44 @@ def test_the_page_is_dark_for_those_who_like_it_dark(browse, tmp_path):
     _, dark = browse(path, "--blink-settings=preferredColorScheme=0")
     assert dark[5, 5].mean() < 0.2
     assert (dark.mean(axis=-1) > 0.6).mean() > 0.01  # light text on it
+
+
+def test_the_first_picture_has_the_joints_that_err_most_beside_their_floor_and_counts_the_rest(monkeypatch):
+    monkeypatch.setattr(page_module, "MOST_TRACKS", 2)
+    monkeypatch.setattr(page_module, "fit_figure", lambda rows: rows)
+    monkeypatch.setattr(page_module, "svg", lambda figure, name, alt: alt)
+    errors = {"quiet": (9.0, 9.0), "worst": (4.0, 0.5), "bad": (5.0, 1.0)}
+    rows = {
+        joint: {"before": before, "after": 0.5 * before, "floor": floor} for joint, (before, floor) in errors.items()
+    }
+    fit = {split: Score(6.0, 3.0, 2.0, 0.75, rows) for split in ("train", "heldout")}
+    units = dict.fromkeys(errors, "rad")
+    hero = page_module._hero(Answer("explained", (), fit=fit), units)
+    assert (hero["split"], hero["left_out"]) == ("heldout", 1)
+    assert re.findall(r"(\w+) \S+ rad before", str(hero["figure"])) == ["worst", "bad"]
+    assert page_module._hero(Answer("explained", (), fit={"train": fit["train"]}), units)["split"] == "train"
+    assert [row["joint"] for row in page_module._fit_rows(fit["train"], units)] == ["all joints", *errors]
+    one = replace(fit["train"], per_joint={"bad": rows["bad"]})
+    assert [row["joint"] for row in page_module._fit_rows(one, units)] == ["bad"]
+    pooled = page_module._hero(Answer("explained", (), fit={"train": replace(one, per_joint={})}), {})
+    assert pooled["left_out"] == 0
+    assert "all joints 6.00 rad before" in str(pooled["figure"])
+
+
+@pytest.mark.parametrize(("joints", "noted"), [(7, 7), (8, 3)])
+def test_of_many_joints_those_that_matter_get_notes_and_findings_stand_in_their_joints_place(
+    joints, noted, monkeypatch
+):
+    told = []
+    monkeypatch.setattr(page_module, "robot_svg", lambda *given: told.append(given) or "")
+    shares = [0.5, 0.3, 0.03, *[0.02] * (joints - 3)]
+    places = tuple(Location(f"j{k}", "everywhere", share, (0.0, 1.0)) for k, share in enumerate(shares))
+    friction = replace(arm().answer.findings[0], effect="coulomb_friction", joint="j1")
+    answer = Answer("explained", (), locations=places, findings=(friction, replace(friction, joint=None)))
+    page_module._robot(answer, "model")
+    [(model, guilty, notes)] = told
+    assert (model, list(guilty), len(notes)) == ("model", ["j1", None], noted)
+    assert (notes["j0"], notes["j1"], notes["j2"]) == ("50 % of the error", "Coulomb friction", "3 % of the error")
+    page_module._robot(replace(answer, verdict="nothing_missing", findings=()), "model")
+    assert set(told[1][2].values()) == {""}
+    assert page_module._robot(answer, None) is None
