@@ -156,3 +156,11 @@ def test_a_folder_is_read_back_with_the_base_as_it_was_held_and_effects_of_ones_
     assert back.corrected.hypothesis.terms[0].effect is own
     np.testing.assert_array_equal(back.corrected.values, corrected.values)
     assert (back.nominal.hypothesis.terms, back.xml, back.answer.summary) == ((), xml, ("Said.",))
+
+
+def test_the_written_model_takes_the_commands_and_the_gains_that_were_logged(monkeypatch):
+    monkeypatch.setattr(outcome, "written", lambda *given, gains: (*given, gains))
+    gains = {"hip": (30.0, 3.0), "knee": (20.0, 2.0)}
+    for recordings, commands, logged in (((take(), take()), "targets", gains), ((torques(),), "torques", None)):
+        diagnosis = Diagnosis("answer", "given", "corrected", "xml", recordings=recordings)
+        assert diagnosis.mjcf == ("xml", "corrected", commands, logged)

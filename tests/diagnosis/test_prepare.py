@@ -350,12 +350,14 @@ def test_a_mask_stays_with_its_samples_where_those_of_a_lost_base_went_and_nobod
     unfit = np.zeros(first.position.shape, dtype=bool)
     unfit[600:650, 1] = True
     kept, masks, repeats = np.r_[40:300, 330 : first.num_samples], [], []
+    alike = []
 
     def without_lost(r):
         return replace(r, time=r.time[kept], position=r.position[kept], torque_command=r.torque_command[kept])
 
     def projected(piece, model, noise, velocity_noise, mask, *rest):
         masks.append((piece.time, mask))
+        alike.append(rest[-1])
         return project_recording(piece, model, noise, velocity_noise, mask, *rest)
 
     monkeypatch.setattr(preparing, "_unfit", lambda quality: unfit)
@@ -364,8 +366,10 @@ def test_a_mask_stays_with_its_samples_where_those_of_a_lost_base_went_and_nobod
     monkeypatch.setattr(preparing, "base_moves", lambda r: r.source == "carried.npz")
     monkeypatch.setattr(preparing, "pose_of", lambda recording, model: None)
     monkeypatch.setattr(preparing, "repeat_noise", lambda found: repeats.extend(r.source for r in found))
-    prepare([first, again], arm())
+    prepared = prepare([first, again], arm())
     assert repeats == ["0.npz"]
+    for correlation in alike:  # of one sample's noise with the next one's
+        np.testing.assert_array_equal(correlation, prepared.quality[0].noise_correlation)
     assert len(masks) >= 2
     for time, mask in masks:
         np.testing.assert_array_equal(mask, unfit[np.isin(first.time, time)])

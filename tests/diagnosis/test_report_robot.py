@@ -15,6 +15,7 @@ from torchrl_athletic.diagnosis.report.robot import (
     DRAWING,
     HEIGHT,
     MOST_NAMES,
+    _rail,
     default_pose,
     robot_svg,
     solids_of,
@@ -267,9 +268,12 @@ def test_a_hinge_on_the_world_has_a_bearing_unless_a_base_is_drawn_and_a_slide_i
         "</mujoco>"
     )
     assert [robot_svg(model, [], {}).count('class="mount"') for model in (bare, stand)] == [1, 0]
-    rail = re.search(r'class="mount" d="M([\d. -]+)L([\d. -]+)"', robot_svg(compiled("carriage"), [], {}))
-    start, end = ([float(v) for v in rail[k].split()] for k in (1, 2))
-    assert np.ptp([start, end], axis=0).max() == pytest.approx(DRAWING[2] - DRAWING[0], abs=1)
+    model = mujoco.MjModel.from_xml_string(
+        plants.slider().replace("</body>", '<geom type="box" size=".3 .1 .1"/></body>')
+    )
+    data = default_pose(model)
+    ends = _rail(model, data, solids_of(model, data), 0)
+    np.testing.assert_allclose(ends[1] - ends[0], 2 * 0.6 * data.xaxis[0])  # as long as twice the robot
 
 
 def test_where_names_are_too_many_the_guilty_joints_are_named_first_then_those_with_the_first_notes():
@@ -279,3 +283,11 @@ def test_where_names_are_too_many_the_guilty_joints_are_named_first_then_those_w
     named = set(re.findall(r'<text class="name[^"]*"[^>]*>(.*?)</text>', robot_svg(many, ["joint8"], notes)))
     assert named == {"joint8", *list(notes)[: MOST_NAMES - 1]}
     assert re.findall(r'<text class="name[^"]*"[^>]*>(.*?)</text>', robot_svg(model, [], {})) == []
+
+
+def test_a_body_that_is_welded_on_is_a_rod_from_where_it_is():
+    model = one_body(
+        '<geom size=".1"/><body pos="0 0 -0.3"><inertial pos="0 0 -0.1" mass="1" diaginertia=".1 .1 .1"/></body>'
+    )
+    [rod] = [s for s in solids_of(model, default_pose(model)) if len(s.points) == 2]
+    np.testing.assert_allclose(rod.points, [[0, 0, -0.3], [0, 0, -0.4]])
