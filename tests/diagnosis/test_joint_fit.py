@@ -420,6 +420,24 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
     assert len(moved) == 2 * 2 + 2 + 2 + 1  # two that short windows like and two that long ones do are the same here
 
 
+def test_a_number_that_no_window_shows_stays_where_it_is(monkeypatch):
+    """A nothing of a slope, by the difference of two windows, would carry it to its bound, past a stop at 5."""
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0), nominal=(0.0, 0.0))
+
+    def simulate(w, build, values):
+        side = np.where(w.index > 4, 1e-7, -1e-7)[None, :, :, None]
+        x, hidden = values[:, :1, None, None], values[:, 1:, None, None]
+        return (x + side * hidden + 50.0 * (np.abs(hidden) > 5.0)) * np.ones(2)
+
+    monkeypatch.setattr(module, "simulate", simulate)
+    free = np.array([True, True])
+    assert descend(problem, np.array([9.0, 0.0]), free, 3, Deadline()) == pytest.approx([2.0, 0.0], abs=1e-3)
+    near = linearise(problem, np.array([2.0, 0.0]), free)
+    assert near.step(np.array([True, False]), ~free) == pytest.approx([1.0, 0.0], abs=1e-3)
+    home = near.step(np.array([True, False]), np.array([False, True]))
+    assert home[1] == 0.0  # what is held is the given model's, shown or not
+
+
 def test_a_descent_goes_on_from_where_it_is_as_long_as_it_pays(monkeypatch):
     """Its first slope may be given; each other one is taken where the last one ended."""
     monkeypatch.setattr(module, "linearise", lambda problem, x, free: SimpleNamespace(seconds=0.0, values=x))

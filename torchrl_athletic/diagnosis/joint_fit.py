@@ -38,6 +38,8 @@ STEPS = 5
 """Steps by one Jacobian, which each of them mends (Broyden 1965)."""
 DAMPING = (0.0, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Damping of the steps that are tried at once (Levenberg, Marquardt), per the normal equations' diagonal [1]."""
+HIDDEN = 2e-4
+"""Change of a window's error, in typical errors, that a unit of a parameter must make to be moved [1]."""
 FLAT = 1e-3
 """Share of the cost that a step or a Jacobian must save to go on [1]."""
 GRAIN = 0.005
@@ -261,6 +263,8 @@ def _steps(problem: Problem, near: Linearised, deadline: Deadline) -> tuple[Arra
     r = np.concatenate([near.errors * weight, near.pull])
     d = np.concatenate([near.columns * weight[:, None], near.pull_columns])
     begin = cost = float(r @ r)
+    hidden = _hidden(np.diag(d.T @ d), len(problem.weight))
+    low, high = np.where(hidden, x, low), np.where(hidden, x, high)
     for _ in range(STEPS):
         normal, right = d.T @ d, d.T @ r
         size = np.diag(np.diag(normal))
@@ -281,6 +285,15 @@ def _steps(problem: Problem, near: Linearised, deadline: Deadline) -> tuple[Arra
     out = near.values.copy()
     out[free] = np.clip(x * scale, h.bounds[0][free], h.bounds[1][free])
     return out, 1.0 - cost / max(begin, 1e-300)
+
+
+def _hidden(curvature: Array, windows: int) -> Mask:
+    """Parameters that no window shows, by the diagonal of the normal equations: they stay where they are.
+
+    Damping in proportion to what windows say would let a nothing of a slope carry them to their bounds, where they are
+    not hidden any more: an encoder's offset about a vertical axis, to the joint's stop. Shape (P,).
+    """
+    return np.asarray(curvature <= HIDDEN**2 * windows, dtype=np.bool_)
 
 
 def search(
@@ -397,6 +410,8 @@ class Linearised:
         low, high = np.where(held, home, low), np.where(held, home, high)
         share, columns = float(np.mean(windows)), self.pull_columns
         n = self.normal[windows].sum(0) + share * columns.T @ columns
+        hidden = _hidden(np.diag(n), int(windows.sum())) & ~held
+        low, high = np.where(hidden, 0.0, low), np.where(hidden, 0.0, high)
         n = n + RIDGE * np.diag(np.diag(n))
         right = self.right[windows].sum(0) + share * columns.T @ self.pull
         return bounded_least_squares(n, -right, low, high)
