@@ -28,6 +28,8 @@ from torchrl_athletic.diagnosis.joint_fit import (
     problem_of,
     prune,
     search,
+    stated,
+    trusted,
     weighed,
     window_cost,
 )
@@ -438,6 +440,21 @@ def test_a_number_that_no_window_shows_stays_where_it_is(monkeypatch):
     assert home[1] == 0.0  # what is held is the given model's, shown or not
 
 
+@pytest.mark.parametrize(("reach", "ridge"), [(99.0, module.RIDGE), (1.5, 1.0)])
+def test_a_fold_is_told_by_steps_no_longer_than_they_do_the_other_folds_good(monkeypatch, reach, ridge):
+    """Each of two windows asks for a number that is 2 from the solution of both; beyond its reach all is wild."""
+    problem, _ = following(monkeypatch, each_its_own(0.0, 4.0))
+
+    def simulate(w, build, values):
+        x = values[:, None, None, :]
+        return (x + 50.0 * (np.abs(x - 2.0) > reach)) * np.ones((*w.index.shape, 1))
+
+    monkeypatch.setattr(module, "simulate", simulate)
+    near = trusted(linearise(problem, np.array([2.0]), np.array([True])))
+    assert near.ridge == ridge
+    assert stated(near) == pytest.approx((2.0 + 2.0 / (1.0 + ridge)) ** 2, rel=1e-3)
+
+
 def test_a_descent_goes_on_from_where_it_is_as_long_as_it_pays(monkeypatch):
     """Its first slope may be given; each other one is taken where the last one ended."""
     monkeypatch.setattr(module, "linearise", lambda problem, x, free: SimpleNamespace(seconds=0.0, values=x))
@@ -481,6 +498,7 @@ def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
     monkeypatch.setattr(module, "descend", lambda problem, x, *_: x)
     monkeypatch.setattr(module, "stated", lambda near: errors[name(near.problem)])
     monkeypatch.setattr(module, "linearise", lambda problem, x, free: SimpleNamespace(problem=problem))
+    monkeypatch.setattr(module, "trusted", lambda near: near)
 
     def best(*told, joints=2, left=np.inf):
         errors.update(zip(("weighed", "plain", "pooled"), told, strict=True))

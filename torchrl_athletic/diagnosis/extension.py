@@ -25,6 +25,7 @@ from torchrl_athletic.diagnosis.joint_fit import (
     part_of,
     search,
     stated,
+    trusted,
     weighed,
     window_cost,
 )
@@ -274,7 +275,7 @@ def _with(near: Linearised, chosen: Sequence[Offer], prepared: Prepared, deadlin
     h, x = _joined(near, chosen)
     problem = replace(near.problem, hypothesis=h, torques=agreement(h, prepared))
     x = descend(weighed(problem, x), x, _free(h), 2, deadline)
-    return linearise(weighed(problem, x), x, _free(h))
+    return trusted(linearise(weighed(problem, x), x, _free(h)))
 
 
 def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> list[Offer]:
@@ -352,4 +353,4 @@ def _beside(near: Linearised, offer: Offer) -> Linearised:
                 columns[:, at[here]] = near.columns[:, column[there]]
     columns[:, at[free & own]] = new.columns
     nothing = np.zeros((0, int(free.sum())))
-    return Linearised(problem, x, free, new.errors, columns, nothing[:, 0], nothing, new.seconds)
+    return Linearised(problem, x, free, new.errors, columns, nothing[:, 0], nothing, new.seconds, near.ridge)

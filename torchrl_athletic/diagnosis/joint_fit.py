@@ -188,7 +188,7 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
             break
         other = in_units(other, problem.squares(near.errors))
         x = descend(other, near.values, free, 1, deadline, near)
-        found = linearise(weighed(other, x), x, free)
+        found = trusted(linearise(weighed(other, x), x, free))
         if (error := stated(found)) < least:
             best, least = found, error
     return best
@@ -336,7 +336,7 @@ def search(
     progress(0.7)
     x = _best(full, [*ends, *points], 1)[0]
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
-    near = linearise(weighed(full, x), x, free)
+    near = trusted(linearise(weighed(full, x), x, free))
     progress(0.9)
     return more_telling(near, deadline)
 
@@ -376,6 +376,8 @@ class Linearised:
     """Shape (R, P)."""
     seconds: float = 0.0
     """That it took [s]."""
+    ridge: float = RIDGE
+    """Pull of a :meth:`step` towards the solution, per what windows say [1]."""
 
     @cached_property
     def normal(self) -> Array:
@@ -412,7 +414,7 @@ class Linearised:
         n = self.normal[windows].sum(0) + share * columns.T @ columns
         hidden = _hidden(np.diag(n), int(windows.sum())) & ~held
         low, high = np.where(hidden, 0.0, low), np.where(hidden, 0.0, high)
-        n = n + RIDGE * np.diag(np.diag(n))
+        n = n + self.ridge * np.diag(np.diag(n))
         right = self.right[windows].sum(0) + share * columns.T @ self.pull
         return bounded_least_squares(n, -right, low, high)
 
@@ -428,6 +430,29 @@ def linearise(problem: Problem, x: Array, free: Mask) -> Linearised:
     e, pull = problem.errors(values), problem.pull(values)
     columns, pull_columns = ((y[:, 1:] - y[:, :1]) / (sign * step) for y in (e, pull))
     return Linearised(problem, x, free, e[:, 0], columns, pull[:, 0], pull_columns, time.monotonic() - begin)
+
+
+def trusted(near: Linearised) -> Linearised:
+    """With the least ridge by which a step from the solution, asked for by all folds but one, does those folds good.
+
+    Far from the solution a simulation is not linear, so that a long step is no fit of the windows that ask for it, and
+    says nothing of the one that is kept aside.
+    """
+    fold, nothing = folds_of(near.problem), np.zeros(int(near.free.sum()), dtype=bool)
+    for ridge in (RIDGE, *DAMPING[1:]):
+        near = replace(near, ridge=ridge)
+        if all(_does_good(near, fold != k, near.step(fold != k, nothing)) for k in np.unique(fold)):
+            break
+    return near
+
+
+def _does_good(near: Linearised, windows: Mask, x: Array) -> bool:
+    """Whether some windows, weighed as they were, do not follow worse by values (P,) than by the solution."""
+    part = part_of(near.problem, windows)
+    both = np.stack([near.values, x])
+    square = np.stack([near.problem.squares(near.errors)[windows], part.mean_square(x[None])[0]])
+    cost = (part.weight[:, None] * square / part.unit**2).sum((1, 2)) + (part.pull(both) ** 2).sum(0)
+    return bool(cost[1] <= cost[0])
 
 
 def folds_of(problem: Problem, count: int = FOLDS) -> NDArray[np.intp]:
