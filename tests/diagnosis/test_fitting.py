@@ -478,6 +478,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         "prepare": prepare, "score": score, "seen_in": lambda train: "seen", "standard_joints": lambda train, seen: h,
         "starts": note("starts", "starts"), "search": note("search", near), "agreement": lambda h, train: "torques",
         "with_gear": note("gear", near), "extend": note("extend", near), "prune": lambda *_: needed,
+        "best_of": note("best_of", [np.array([1.0, 2.0, 0.25, 0.375])]),
         "weighed": lambda problem, x: (problem, x.tolist()), "descend": note("descend", again.values),
         "linearise": note("linearise", again), "_without_unknown": lambda near, again, needed, *_: (again, needed),
         "vetoed": note("vetoed", [terms[0]]), "veto_sentence": lambda gone, moved: " ".join(moved),
@@ -494,6 +495,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
     fitted = fit("model", takes[:1], takes[1:], extended=extended, seed=3)
     assert told["step"] == ([True] * 3, [False, False, True])
     assert told["descend"][:3] == ((problem, [1.0, 2.0, 0.25, 0.375]), pytest.approx([1.0, 2.0, 0.25, 0.375]), needed)
+    assert [x.tolist() for x in told["best_of"][1]] == [[1.0, 2.0, 0.25, 0.375], [5.0, 5.0, 0.25, 0.375]]
     assert told["search"][1:3] == ("train", "starts")
     assert ("extend" in told, "gear" in told) == (extended, extended)
     assert told["vetoed"][1] is again.values

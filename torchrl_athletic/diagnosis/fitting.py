@@ -17,7 +17,16 @@ from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.extension import extend, with_gear
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.joint_fit import Linearised, descend, linearise, prune, search, weighed, window_cost
+from torchrl_athletic.diagnosis.joint_fit import (
+    Linearised,
+    best_of,
+    descend,
+    linearise,
+    prune,
+    search,
+    weighed,
+    window_cost,
+)
 from torchrl_athletic.diagnosis.memory import free_memory
 from torchrl_athletic.diagnosis.model import Model, load_model
 from torchrl_athletic.diagnosis.prepare import Drive, Prepared, prepare
@@ -190,13 +199,13 @@ def fit(
         free = h.bounds[1] > h.bounds[0]
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
-    y = near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
+    x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
+    y = best_of(near.problem, (y, np.where(needed, x, h.nominal)), 1)[0]
     y = descend(weighed(near.problem, y), y, needed, SLOPES, deadline.part(0.76))
     again = linearise(weighed(near.problem, y), y, needed)
     if deadline.part(0.78).allows(3 * again.seconds):
         again, needed = _without_unknown(near, again, needed, seen, deadline.part(0.8))
         y = again.values
-    x = near.values
 
     progress.stage("score")
     y, needed = _no_worse(h, (y, x), (needed, free), train, seed)

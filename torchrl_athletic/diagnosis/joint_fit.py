@@ -330,11 +330,11 @@ def search(
             half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
             points = [p for q in (problem, few) for p in _mixed(h, q.mean_square(begin), begin, half)]
         ends = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3)) for x in points]
-        points = _best(few, [*ends, *points, *begin[:2]], kept)
+        points = best_of(few, [*ends, *points, *begin[:2]], kept)
         progress((horizon + 1) / 4)
     ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
     progress(0.7)
-    x = _best(full, [*ends, *points], 1)[0]
+    x = best_of(full, [*ends, *points], 1)[0]
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
     near = trusted(linearise(weighed(full, x), x, free))
     progress(0.9)
@@ -348,7 +348,7 @@ def _mixed(h: Hypothesis, square: Array, begin: Array, count: int) -> list[Array
     return [begin[order[rank, joint], np.arange(len(joint))] for rank in range(min(count, len(begin)))]
 
 
-def _best(problem: Problem, points: Sequence[Array], count: int) -> list[Array]:
+def best_of(problem: Problem, points: Sequence[Array], count: int) -> list[Array]:
     """Those of the least robust error, none twice."""
     distinct = list({tuple(x): x for x in points}.values())
     square = problem.mean_square(np.stack(distinct))
