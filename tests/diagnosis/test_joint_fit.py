@@ -287,11 +287,11 @@ def test_of_points_the_best_are_kept_once_each_and_the_torques_have_a_say(monkey
     points = [np.array([x]) for x in (4.0, 1.5, 1.5, 2.5, 0.9)]
     assert [x[0] for x in module.best_of(problem, points, 3)] == [0.9, 1.5, 2.5]
     torques = SimpleNamespace(rows=lambda values: 1e3 * (values[:, 0] - 1.5)[None])
-    assert [x[0] for x in module._best(replace(problem, torques=torques), points, 2)] == [1.5, 0.9]
+    assert [x[0] for x in module.best_of(replace(problem, torques=torques), points, 2)] == [1.5, 0.9]
     points = [np.array([1.1]), np.array([1.5])]  # of 25 and 1 times the least square error, 12.0 and 0.9 robustly
     for size, best in ((20.0, 1.1), (25.0, 1.5)):  # a fiftieth of the torques' squares: 8.0 and 12.5
         told = SimpleNamespace(rows=lambda values, size=size: size * (values[:, 0] < 1.3)[None])
-        assert module._best(replace(problem, torques=told), points, 1)[0] == best
+        assert module.best_of(replace(problem, torques=told), points, 1)[0] == best
 
     assert [x[0] for x in module.best_of(replace(problem, torques=torques), points, 2)] == [1.5, 0.9]
 
