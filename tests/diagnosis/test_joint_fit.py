@@ -293,8 +293,6 @@ def test_of_points_the_best_are_kept_once_each_and_the_torques_have_a_say(monkey
         told = SimpleNamespace(rows=lambda values, size=size: size * (values[:, 0] < 1.3)[None])
         assert module.best_of(replace(problem, torques=told), points, 1)[0] == best
 
-    assert [x[0] for x in module.best_of(replace(problem, torques=torques), points, 2)] == [1.5, 0.9]
-
 
 def test_a_step_solves_for_the_windows_that_are_asked_and_for_their_share_of_the_torques(monkeypatch):
     """By hand: (x - 1)², (x - 3)² of two windows and (x - 5)² of the torques, half of it for one window."""
