@@ -101,7 +101,7 @@ def airbot(data: Path, second: bool = False) -> Robot:
         return Recording(time, names, position, velocity, torque_command=torque, source=name)
 
     fitted, aside = ([take(n) for n in group] for group in (later if second else first))
-    return Robot(xml, fitted, aside, "no" if second else "yes")
+    return Robot(xml, fitted, aside, "yes, held-out part too" if second else "yes")
 
 
 def go1(data: Path) -> Robot:
@@ -140,7 +140,7 @@ def go1(data: Path) -> Robot:
             )  # fmt: skip
             (aside if log["mass"] == 2.0 else fitted).append(recording)
     return Robot(
-        pendulum(0.0), fitted, aside, "no",
+        pendulum(0.0), fitted, aside, "yes, held-out part too",
         model_of=lambda r: mujoco.MjModel.from_xml_string(pendulum(float(r.metadata["payload_kg"]))),
     )  # fmt: skip
 
