@@ -7,6 +7,7 @@ from torchrl_athletic.envs import TorqueEnv, actuation_chain
 from torchrl_athletic.functional import actuation
 from torchrl_athletic.networks import uan
 from torchrl_athletic.robots import z1
+from torchrl_athletic.transforms import ActionDelay
 
 ARM = z1()
 
@@ -65,3 +66,9 @@ def test_delays_are_those_of_the_seed_and_of_the_row_and_hold_the_default_pose_a
 def test_what_is_not_asked_for_is_not_there():
     names = [type(transform).__name__ for transform in actuation_chain(ARM)]
     assert names == ["TorqueSpeedClip", "PDControl", "Decimation"]
+
+
+def test_a_delay_is_part_of_the_chain_wherever_one_can_be_drawn():
+    delays = [[p for p in actuation_chain(ARM, max_delay=most) if isinstance(p, ActionDelay)] for most in (0, 3)]
+    assert delays[0] == []
+    assert [(p.min_steps, p.max_steps) for p in delays[1]] == [(0, 3)]

@@ -106,10 +106,10 @@ def test_a_turned_goal_moves_only_the_points_on_its_axes():
 
 
 def test_errors_are_taken_at_the_end_of_episodes():
-    steps, half = 40, torch.tensor(0.5)
+    steps, half = 50, torch.tensor(0.5)
     goal = torch.tensor([0.3, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0]).expand(3, steps, 7)
     position = goal[..., :3].clone()
-    position[0, :20] += 1.0  # far in the first half, there in the second
+    position[0, :30] += 1.0  # far at first, there at the end
     position[1, :, 0] += 0.02
     position[2, :, 2] -= 0.1
     turned = rotations.yaw_quaternion(half.reshape(1)).expand(3, steps, 4)

@@ -157,7 +157,7 @@ def test_terms_add_up_and_the_ball_is_rewarded_in_its_phase_only(thrown):
 
 def test_moving_forward_and_up_is_good_and_sideways_or_astray_is_bad():
     terms, scales = throw_rewards(ROBOT)
-    reference = torch.zeros(1, 12)
+    reference = torch.cat((torch.zeros(1, 6), torch.ones(1, 6)), -1)  # that of later does not count
     before = TensorDict(task_phase_index=[[1]], throw_failed=[[False]], batch_size=[1])
     after = {"joint_position": torch.zeros(1, 7), "reference": reference, "throw_failed": torch.tensor([[True]])}
 

@@ -177,6 +177,9 @@ def test_the_ground_below_the_base_is_the_mean_of_as_large_a_square_as_one_likes
     below = place[:, 2:] - env.heights(place, None)["base_height"]
     torch.testing.assert_close(below, env.ground.averaged(1.5).height(place[:, :2]))
     assert (below - env.ground.averaged(0.5).height(place[:, :2])).abs().max() > 1e-3
+    feet = place.reshape(25, 2, 3)
+    below = feet[..., 2] - env.heights(place[:25], feet)["foot_height"]
+    torch.testing.assert_close(below, env.ground.height(feet[..., :2]).squeeze(-1))  # every bump is felt by a foot
 
 
 def test_a_push_takes_the_place_of_the_last_one_of_its_name_adds_to_others_and_ends_with_its_episode():

@@ -213,6 +213,20 @@ def test_each_sample_of_a_batch_of_any_shape_has_its_own_losses_and_masks():
     assert (found[0]["loss_entropy"] != 0).equal(batch["shifted_valid"])
 
 
+def test_an_entropy_from_draws_teaches_the_policy_to_spread():
+    """Where tanh bends nothing, doubling the scale adds log 2 to each of three entropies: a slope of 3."""
+    scale = nn.Parameter(torch.tensor(-4.0))
+    head = TensorDictModule(
+        lambda seen: (0.0 * seen[..., :ACTION], scale.exp().expand(*seen.shape[:-1], ACTION)),
+        in_keys=["observation"], out_keys=["loc", "scale"],
+    )  # fmt: skip
+    head.register_parameter("log_scale", scale)
+    policy = ProbabilisticActor(head, in_keys=["loc", "scale"], distribution_class=TanhNormal, return_log_prob=True)
+    loss = SplitClipPPOLoss(policy, samples_mc_entropy=2000, entropy_coeff=1.0, functional=False)
+    found = torch.autograd.grad(loss.loss_actor(collected(policy, 4))["loss_entropy"], scale)[0]
+    assert float(found) == pytest.approx(-3.0, rel=0.05)
+
+
 @pytest.mark.parametrize("size", [1e-2, 1.0, 1e4])
 def test_standardised_advantages_and_explained_variance_know_no_unit(case, size):
     policy, value, batch = case

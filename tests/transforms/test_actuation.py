@@ -142,6 +142,15 @@ def test_without_a_command_before_the_episode_the_first_action_acts_at_once_and_
     assert torch.equal(arrived(base)[2:], given[:4])
 
 
+def test_without_a_command_before_the_episode_drawn_delays_are_kept_once_actions_are_there():
+    base = Recording(8, shortest=9)
+    steps, _ = play(TransformedEnv(base, ActionDelay(3, 1)), make_actions(base, 8))
+    delays = steps["action_delay"][-1].flatten()
+    assert delays.min() < delays.max() == 3
+    late = torch.stack([steps["action"][7 - delay, row] for row, delay in enumerate(delays.tolist())])
+    assert torch.equal(arrived(base)[7], late)
+
+
 def test_within_decimation_the_delay_counts_steps_of_the_physics():
     base = Recording(1, shortest=9)
     env = TransformedEnv(base, Compose(ActionDelay(3, 3, before=[0.0, 0.0, 0.0]), Decimation(4)))
