@@ -175,14 +175,16 @@ def damaged_inside(raw: bytes, kind: str, rng: np.random.Generator) -> bytes:
     """What an archive or a compressed text holds, damaged, and packed well."""
     if kind == "csv.gz":
         text = gzip.decompress(raw)
-        return gzip.compress(damaged(text, text, rng), 1)
+        return gzip.compress(damaged(text, text, rng), 1, mtime=0)  # the same at any time of day
     packed = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(raw)) as archive, zipfile.ZipFile(packed, "w") as new:
         names = archive.namelist()
         chosen = names[rng.integers(0, len(names))]
         for name in names:
             content = archive.read(name)
-            new.writestr(name, damaged(content, archive.read(names[0]), rng) if name == chosen else content)
+            new.writestr(
+                zipfile.ZipInfo(name), damaged(content, archive.read(names[0]), rng) if name == chosen else content
+            )
     return packed.getvalue()
 
 
