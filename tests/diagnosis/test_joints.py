@@ -17,7 +17,7 @@ from torchrl_athletic.diagnosis.stages import Given
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, JointAddress
 
 
-def fit():
+def fit(catalogue=tuple(CATALOGUE)):
     """Three numbers with intervals of unlike widths, of which the last one is what every model is a little wrong in."""
     model, names = mujoco.MjModel.from_xml_string(pendulum()), ("pendulum",)
     address = JointAddress.of(model, names)
@@ -32,7 +32,7 @@ def fit():
         JointParameter(c.where, c.effect.name, p.name, p.unit, p.nominal, v, (v - w / 2, v + w / 2), "identified")
         for (c, p), v, w in zip(place, values, widths, strict=True)
     ]
-    given = Given(model, "", "", (), (), tuple(CATALOGUE), seed=3)
+    given = Given(model, "", "", (), (), catalogue, seed=3)
     found = SimpleNamespace(corrected=Simulation(model, names, h, values), parameters=said[::-1])
     return _with_draws(found, given), h, values, widths
 
@@ -52,6 +52,8 @@ def test_what_is_no_effect_of_the_catalogue_is_a_trim():
     trim, *terms = h.terms
     assert drawn.hypothesis.trims == (trim,)
     assert drawn.hypothesis.terms == tuple(terms)
+    drawn, h, _, _ = fit((*CATALOGUE, trim.effect))  # whoever wants it named gets a name
+    assert (drawn.hypothesis.trims, drawn.hypothesis.terms) == ((), h.terms)
 
 
 def test_a_fit_comes_back_from_a_checkpoint_as_it_was():

@@ -127,9 +127,11 @@ def test_the_band_of_a_share_is_of_95_percent():
     count = int(block[-1]) + 1
     of_elbow = rng().permutation(count) < count // 2
     bank = bank_of(np.where(of_elbow[block][:, None] == [False, True], 1000.0 * own, 0.0))
-    for joint in joints_and_regimes(locate(bank, rng()))[0]:
-        assert joint.share_of_error == pytest.approx(0.5, abs=0.1)
-        assert np.ptp(joint.ci95) == pytest.approx(2 * 1.96 * 0.5 / np.sqrt(count), rel=0.25)
+    drawn = [joints_and_regimes(locate(bank, np.random.default_rng(seed)))[0] for seed in range(8)]
+    for joint in (0, 1):
+        found = [joints[joint] for joints in drawn]
+        assert found[0].share_of_error == pytest.approx(0.5, abs=0.1)
+        assert np.mean([np.ptp(f.ci95) for f in found]) == pytest.approx(2 * 1.96 * 0.5 / np.sqrt(count), rel=0.1)
 
 
 def test_below_the_noise_there_is_nothing_to_locate_and_masked_rows_count_for_nothing():
