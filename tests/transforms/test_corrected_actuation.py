@@ -342,3 +342,11 @@ def test_a_link_weighs_what_it_weighs_without_those_that_hang_on_it():
     for joint in range(2):
         body = model.body(model.jnt_bodyid[joint])
         assert _in_model(model, "link_mass", model.joint(joint).name, (0.1,)) == (0.1, body.mass[0])
+
+
+def test_a_centre_of_mass_counts_by_its_distance_from_the_axis():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="one" axis="0 1 0" pos="0.1 0 0"/>'
+        '<inertial pos="0.4 0.2 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>'
+    )
+    assert _in_model(model, "link_com", "one", (0.3,)) == pytest.approx((0.3, 0.3))

@@ -283,3 +283,15 @@ def test_ground_may_bounce_differently_and_grip_alike() -> None:
     env.reset()
     physics = env.base_env.physics
     assert len(physics.field("geom_solref")[:, physics.model.geom("floor").id, 1].unique()) == 4
+
+
+def test_a_walking_robot_s_joints_change_and_its_base_does_not():
+    """The base's six degrees of freedom stand before the joints'."""
+    alone = dict.fromkeys(vars(RandomizationRanges())) | {"armature_scale": (2.0, 2.0)}
+    env = make_env(2, ranges=RandomizationRanges(**alone), joints="leg")
+    env.reset()
+    physics = env.base_env.physics
+    given = torch.tensor(physics.model.dof_armature)
+    expected = given.clone()
+    expected[6:18] *= 2.0
+    torch.testing.assert_close(physics.field("dof_armature"), expected.expand(2, -1).to(physics.dtype))
