@@ -16,7 +16,7 @@ from torchrl_athletic.diagnosis.prepare import prepare, refuse_stance
 from torchrl_athletic.diagnosis.replay import simulate, take_of, windows_of
 from torchrl_athletic.diagnosis.thresholds import PLAN
 from torchrl_athletic.effects import CATALOGUE
-from torchrl_athletic.recordings import RecordingError
+from torchrl_athletic.recordings import Recording, RecordingError
 
 FEW = tuple(
     e for e in CATALOGUE if e.name in ("coulomb_friction", "viscous_friction", "reflected_inertia", "torque_scale")
@@ -149,6 +149,24 @@ def test_a_robot_that_stands_is_refused():
         refuse_stance(low, ROBOT)
     refuse_stance(take, ROBOT)
     refuse_stance(without_base(take).with_base_held((0.0, 0.0, 0.0)), ROBOT)  # a gantry over another floor
+
+
+def test_legs_that_touch_each_other_in_the_air_do_not_stand():
+    leg = '<body pos="0 {y} 0"><joint name="{name}" axis="1 0 0"/><geom size="0.11" pos="0 0 -0.3"/></body>'
+    legs = leg.format(y=0.1, name="left") + leg.format(y=-0.1, name="right")
+    drives = '<motor joint="left"/><motor joint="right"/>'
+    touching = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 5"><freejoint/><geom size="0.05"/>{legs}'
+        f"</body></worldbody><actuator>{drives}</actuator></mujoco>"
+    )
+    time = np.arange(100) / 100.0
+    place = np.stack([0.1 * np.sin(9.0 * time), 0 * time, 5.0 + 0 * time], 1)
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (100, 1))
+    rest = np.zeros((100, 2))
+    take = Recording(time, ("left", "right"), rest, torque_command=rest, base_position=place, base_orientation=upright)
+    refuse_stance(take, touching)
+    with pytest.raises(RecordingError, match="touches the world"):
+        refuse_stance(replace(take, base_position=place - [0.0, 0.0, 4.9]), touching)
 
 
 def test_when_a_robot_first_stands_is_told_though_not_every_sample_is_looked_at(monkeypatch):
