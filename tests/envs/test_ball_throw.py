@@ -15,7 +15,7 @@ from torchrl_athletic.envs.throw import BUCKET
 from torchrl_athletic.envs.whole_body import PRIVILEGED
 from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.robots import b2z1, with_bucket
-from torchrl_athletic.transforms import BallFlight, Decimation, StartRanges
+from torchrl_athletic.transforms import BallFlight, Decimation, OverspeedBrake, StartRanges, UANCorrection
 
 ROBOT = with_bucket(b2z1(), BUCKET)
 PHASES = throw_phases(stay_probability=0.0, settle_probability=0.0)
@@ -51,6 +51,19 @@ def test_the_policy_sees_what_the_controller_sees_and_the_critic_the_ball():
 def test_the_ball_runs_at_the_rate_of_the_physics():
     kinds = [type(part) for part in ball_throw_env(ROBOT, num_envs=1).transform]
     assert kinds.index(BallFlight) < kinds.index(Decimation)
+
+
+def test_the_arm_s_motors_brake_next_to_the_joints_where_the_body_swings_them_too_fast():
+    parts = list(ball_throw_env(ROBOT, num_envs=1).transform)
+    kinds = [type(part) for part in parts]
+    assert kinds.index(OverspeedBrake) < kinds.index(UANCorrection)  # the last on the way to the joint
+    brake = parts[kinds.index(OverspeedBrake)]
+    assert brake.torque_limit.tolist() == pytest.approx(ROBOT.torque_limit[12:18])
+    assert brake.velocity_limit.tolist() == pytest.approx(ROBOT.velocity_limit[12:18])
+    fast = TensorDict(torque=torch.zeros(1, 19), joint_velocity=torch.full((1, 19), 40.0), batch_size=[1])
+    torque = brake.inv(fast)["torque"][0]
+    assert (torque[12:18] < 0).all()
+    assert not torque[[*range(12), 18]].any()
 
 
 def test_the_motion_holds_the_ball_from_1_5_s_on_and_throws_it_forward_in_its_phase(played):
@@ -158,7 +171,7 @@ def test_the_environment_below_is_told_all_that_the_task_was(told):
     assert told.items() >= {**GIVEN, "robot": ROBOT, "schedule": PHASES, "disturbances": OFF}.items()
     assert told["commands"] == [("other", ROBOT, PHASES)]
     assert told["privileged"] == (*PRIVILEGED, *KNOWN)
-    flight, peak = told["objects"]
+    _, flight, peak = told["objects"]
     assert (flight.dt, flight.rim, flight.radius) == (0.005, BUCKET.rim, BUCKET.ball_radius)
     assert (flight.placed, flight.phase, peak.joints) == (300, 0, "leg")
     assert [type(part).__name__ for part in told["extra"]] == ["StartLine", "EarlyTermination"]

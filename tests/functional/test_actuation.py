@@ -5,7 +5,13 @@ import math
 import pytest
 import torch
 
-from torchrl_athletic.functional.actuation import clip_torque_speed, pd_torque, power_scale, torque_speed_limits
+from torchrl_athletic.functional.actuation import (
+    brake_overspeed,
+    clip_torque_speed,
+    pd_torque,
+    power_scale,
+    torque_speed_limits,
+)
 
 LIMIT, FASTEST = torch.tensor(30.0), torch.tensor(10.0)
 
@@ -70,6 +76,23 @@ def test_a_motor_is_the_same_in_both_directions():
 def test_what_a_motor_pushes_falls_linearly_with_speed_and_what_it_brakes_with_does_not(velocity, most):
     asked = torch.tensor([1000.0])
     assert clip_torque_speed(asked, torch.tensor([velocity]), LIMIT, FASTEST).item() == pytest.approx(most)
+
+
+def test_a_motor_up_to_its_fastest_is_not_braked_and_faster_it_takes_power_in():
+    torque, velocity = grid()
+    braked, faster = brake_overspeed(torque, velocity, LIMIT, FASTEST), velocity.abs() > FASTEST
+    assert torch.equal(braked[~faster], torque[~faster])
+    assert ((braked * velocity)[faster] < 0).all()
+    assert torch.equal(brake_overspeed(-torque, -velocity, LIMIT, FASTEST), -braked)
+
+
+@pytest.mark.parametrize(
+    ("asked", "velocity", "left"),
+    [(30.0, 15.0, -15.0), (-10.0, 15.0, -15.0), (-20.0, 15.0, -20.0), (30.0, 20.0, -30.0), (0.0, 35.0, -30.0)],
+)
+def test_the_line_of_torque_over_speed_goes_on_below_zero_to_the_torque_at_standstill(asked, velocity, left):
+    there = brake_overspeed(torch.tensor([asked]), torch.tensor([velocity]), LIMIT, FASTEST)
+    assert there.item() == pytest.approx(left)
 
 
 def test_power_stays_in_bounds_and_the_torques_keep_their_proportions():

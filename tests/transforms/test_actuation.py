@@ -8,12 +8,13 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.envs import Compose, SerialEnv, TransformedEnv
 
-from torchrl_athletic.functional.actuation import pd_torque, torque_speed_limits, uan_features
+from torchrl_athletic.functional.actuation import brake_overspeed, pd_torque, torque_speed_limits, uan_features
 from torchrl_athletic.testing import ToyEnv, TransformContract, make_actions, play
 from torchrl_athletic.transforms import (
     ActionDelay,
     Decimation,
     EquivalentTarget,
+    OverspeedBrake,
     PDControl,
     PowerClip,
     TorqueSpeedClip,
@@ -87,6 +88,19 @@ def test_torques_that_reach_the_motors_are_within_what_their_speed_allows():
     low, high = torque_speed_limits(steps["joint_velocity"], limit, fastest)
     assert ((low <= arrived(base)) & (arrived(base) <= high)).all()
     assert (arrived(base) != steps["torque"]).any()
+
+
+@pytest.mark.parametrize("joints", [None, [0, 2], "neighbours"])
+def test_joints_of_the_group_that_turn_too_fast_are_braked_by_their_own_motors(joints):
+    base = Recording(4, action="torque", joints=3)
+    group = list(base.joint_groups.get(joints, joints) if isinstance(joints, str) else joints or [0, 1, 2])
+    limit, fastest = torch.tensor([0.5, 1.0, 2.0])[group], torch.tensor([0.01, 0.02, 0.03])[group]
+    steps, _ = play(TransformedEnv(base, OverspeedBrake(limit, fastest, joints)), make_actions(base, 12))
+    asked, velocity = steps["torque"], steps["joint_velocity"]
+    expected = asked.clone()
+    expected[..., group] = brake_overspeed(asked[..., group], velocity[..., group], limit, fastest)
+    assert torch.equal(arrived(base), expected)
+    assert (arrived(base) != asked)[..., group].any((0, 1)).all()
 
 
 @pytest.mark.parametrize("joints", [None, [0, 2], [1, 2], "apart", "neighbours"])

@@ -12,6 +12,7 @@ from torchrl.envs import TransformedEnv
 
 from torchrl_athletic.envs.task_parts import (
     PHYSICS_DT,
+    arm_brake,
     auxiliary_rewards,
     off_reference,
     position_key_of,
@@ -56,7 +57,8 @@ def ball_throw_env(
     """The task, around the environment of the pre-training: same inputs, same actions, same disturbances.
 
     The ball's flight is computed beside the simulation (:mod:`torchrl_athletic.functional.ball`); its weight is the
-    bucket's. An episode whose ball is lost in the set-up ends.
+    bucket's. An episode whose ball is lost in the set-up ends. The arm's motors brake where the body swings their
+    joints faster than they can turn (:class:`~torchrl_athletic.transforms.OverspeedBrake`): the paper leaves that open.
 
     Args:
         robot: That holds :data:`BUCKET`; None takes that of the pre-training, with it.
@@ -90,7 +92,7 @@ def ball_throw_env(
         terms=ball_throw_rewards(robot, schedule, position_key_of(chance.encoder_offset)),
         disturbances=chance,
         privileged=(*PRIVILEGED, *KNOWN),
-        objects=[flight, PeakPower("leg")],
+        objects=[arm_brake(robot), flight, PeakPower("leg")],
         extra=[StartLine(), EarlyTermination(lambda before, after: _lost(before, after, set_up))],
         max_steps=max_steps,
         seed=seed,

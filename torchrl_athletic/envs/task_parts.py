@@ -15,7 +15,7 @@ from torchrl_athletic.envs.whole_body_rewards import GAIT, TRACKING, hand_tracki
 from torchrl_athletic.functional import rewards
 from torchrl_athletic.functional.phase import PhaseSchedule
 from torchrl_athletic.robots import Motion, Robot, motion_tables, read_motion
-from torchrl_athletic.transforms import InPhase, ReferenceKeys, ReferenceTrajectory, RewardTerm, Term
+from torchrl_athletic.transforms import InPhase, OverspeedBrake, ReferenceKeys, ReferenceTrajectory, RewardTerm, Term
 
 POLICY_DT, PHYSICS_DT = 0.02, 0.005
 """Duration of a policy's step and of a step of the physics [s]."""
@@ -98,6 +98,12 @@ def bent_wrist(phases: list[int], robot: Robot, position_key: NestedKey) -> InPh
     """Sum of the squares of the wrist's joints [rad²], which are 0 where it is straight."""
     joints = torch.tensor([robot.joint_names.index(name) for name in WRIST])
     return InPhase(phases, Term(_square_of, position_key, joints=joints))
+
+
+def arm_brake(robot: Robot) -> OverspeedBrake:
+    """The arm's motors brake where the body turns its joints faster than they can turn themselves."""
+    joints = robot.joint_groups["arm"]
+    return OverspeedBrake([robot.torque_limit[j] for j in joints], [robot.velocity_limit[j] for j in joints], joints)
 
 
 def change_of(phases: list[int], key: NestedKey) -> InPhase:

@@ -71,6 +71,38 @@ def clip_torque_speed(torque: Tensor, velocity: Tensor, torque_limit: Tensor, ve
     return torch.clamp(torque, low, high)
 
 
+def brake_overspeed(torque: Tensor, velocity: Tensor, torque_limit: Tensor, velocity_limit: Tensor) -> Tensor:
+    r"""Torque of a motor that something else turns faster than it can turn without load.
+
+    .. math:: \mathrm{sign}(\dot q)\,\tau \le \tau_{max}\,(1 - \min(|\dot q| / \dot q_{max}, 2))
+        \quad\text{where } |\dot q| > \dot q_{max}
+
+    The line of torque over speed goes on below zero: the motor's own voltage is then above that of its supply and
+    drives a current back into it. :func:`torque_speed_limits` ends at zero, as printed in the paper. At twice the speed
+    the motor brakes with the torque that it has at standstill, and with no more beyond.
+
+    Args:
+        torque: Asked for [N·m]. Shape (*B, J).
+        velocity: Of the joint [rad/s]. Shape (*B, J).
+        torque_limit: At standstill [N·m]. Shape (J,) or (*B, J).
+        velocity_limit: Without load [rad/s]. Shape (J,) or (*B, J).
+
+    Returns:
+        [N·m]. Shape (*B, J).
+
+    Source:
+        Hughes and Drury 2019, Electric Motors and Drives, chapter 3: above its no-load speed a motor generates.
+
+    Example:
+        >>> speed = torch.tensor([-15.0, 5.0, 10.0, 15.0, 30.0])
+        >>> brake_overspeed(torch.zeros(5), speed, torch.tensor(30.0), torch.tensor(10.0)).tolist()
+        [15.0, 0.0, 0.0, -15.0, -30.0]
+    """
+    beyond = (velocity.abs() / velocity_limit - 1).clamp(0, 1)
+    way = velocity.sign()
+    return torch.where(beyond > 0, way * torch.minimum(way * torque, -torque_limit * beyond), torque)
+
+
 def power_scale(torque: Tensor, velocity: Tensor, max_power: Tensor | float) -> Tensor:
     r"""Factor that keeps the power of a group of joints within what its supply gives.
 

@@ -8,6 +8,7 @@ from torchrl_athletic.transforms.action_history import ActionHistory
 from torchrl_athletic.transforms.actuation import (
     ActionDelay,
     EquivalentTarget,
+    OverspeedBrake,
     PDControl,
     PowerClip,
     TorqueSpeedClip,
@@ -59,6 +60,7 @@ __all__ = [
     "InitialState",
     "LimitedTarget",
     "ObservationHistory",
+    "OverspeedBrake",
     "PDControl",
     "PeakPower",
     "PoseError",

@@ -227,6 +227,52 @@ class TorqueSpeedClip(_Torque):
         return tensordict
 
 
+class OverspeedBrake(_Torque):
+    """A motor brakes where something else turns it faster than it can (:func:`~.functional.actuation.brake_overspeed`).
+
+    It belongs next to the joint, before all that makes torques in Compose. :class:`TorqueSpeedClip`, as in the paper,
+    leaves such a motor without torque, so that a body which swings may whip an arm at any speed.
+
+    Args:
+        torque_limit: At standstill, of the group [N·m]. Shape (J,) or ().
+        velocity_limit: Without load, of the group [rad/s]. Shape (J,) or ().
+        joints: The group.
+        torque_key: What is braked [N·m]. Shape (*B, J).
+        velocity_key: [rad/s]. Shape (*B, J).
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> brake = OverspeedBrake(torque_limit=30.0, velocity_limit=10.0, joints=[1])
+        >>> brake.inv(TensorDict(torque=[[5.0, 5.0]], joint_velocity=[[15.0, 15.0]], batch_size=[1]))["torque"]
+        tensor([[  5., -15.]])
+    """
+
+    torque_limit: Tensor
+    velocity_limit: Tensor
+
+    def __init__(
+        self,
+        torque_limit: PerJoint,
+        velocity_limit: PerJoint,
+        joints: Joints = None,
+        *,
+        torque_key: NestedKey = "torque",
+        velocity_key: NestedKey = "joint_velocity",
+    ) -> None:
+        super().__init__(torque_key)
+        self.register_buffer("torque_limit", _per_joint(torque_limit))
+        self.register_buffer("velocity_limit", _per_joint(velocity_limit))
+        self.joints, self.velocity_key = joints, velocity_key
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        index = joint_index(self, self.joints)
+        torque, velocity = tensordict.get(self.torque_key).clone(), tensordict.get(self.velocity_key)[..., index]
+        torque[..., index] = actuation.brake_overspeed(
+            torque[..., index], velocity, self.torque_limit, self.velocity_limit
+        )
+        return tensordict.set(self.torque_key, torque)
+
+
 class PowerClip(_Torque):
     """Scale the torques of a group of joints so that its power stays in bounds.
 
