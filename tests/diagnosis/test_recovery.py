@@ -79,9 +79,20 @@ def test_on_an_arm_the_joint_is_right_too(effect, joint):
 
 @pytest.mark.slow  # its law is simulated step by step
 def test_friction_that_depends_on_the_direction_is_named_with_all_four_levels():
+    """How dry friction is shared between both ways is told from a centre of mass off by 3 mm by its interval alone."""
     robot = pendulum()
     secret = random_effect(robot, "asymmetric_friction", "pendulum", SEED)
-    assert_named(answer_to(robot, secret, duration=6.0), secret)
+    answer, true = answer_to(robot, secret, duration=6.0), dict(secret.parameters)
+    assert [(f.effect, f.joint) for f in answer.findings] == [(secret.name, secret.joint)]
+    found = answer.findings[0].parameters
+    for side in ("positive", "negative"):
+        assert found[f"viscous_{side}"].value == pytest.approx(true[f"viscous_{side}"], rel=0.1)
+    for name, value in true.items():
+        low, high = found[name].ci95
+        assert low <= value <= high
+    dry = found["coulomb_positive"].value + found["coulomb_negative"].value
+    assert dry == pytest.approx(true["coulomb_positive"] + true["coulomb_negative"], rel=0.05)
+    assert answer.fit["heldout"].share_closed > 0.9
 
 
 @pytest.mark.slow  # a position loop is simulated step by step
