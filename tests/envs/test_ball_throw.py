@@ -13,6 +13,7 @@ from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, ball_throw_dist
 from torchrl_athletic.envs.ball_throw import KNOWN
 from torchrl_athletic.envs.throw import BUCKET
 from torchrl_athletic.envs.whole_body import PRIVILEGED
+from torchrl_athletic.functional.ball import GRAVITY
 from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.robots import b2z1, with_bucket
 from torchrl_athletic.transforms import BallFlight, Decimation, OverspeedBrake, StartRanges, UANCorrection
@@ -207,3 +208,25 @@ def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_train
     assert robot.model().opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
     assert (told["schedule"], told["disturbances"]) == (throw_phases(), Disturbances())
     assert [told[name] for name in ("num_envs", "max_steps", "seed", "first_row")] == [4096, 300, 0, 0]
+
+
+def test_a_ball_is_down_when_its_underside_is():
+    """It falls for half a second, at 2 m/s to the left of the world, where the robot looked."""
+    down = BUCKET.ball_radius + GRAVITY * 0.5**2 / 2
+    flies = TensorDict(
+        ball_position=[[3.0, 1.0, down]],
+        ball_linear_velocity=[[0.0, 2.0, 0.0]],
+        ball_away=[[True]],
+        start_line=[[3.0, 0.0, math.pi / 2]],
+        batch_size=[1],
+    )
+    assert ball_throw_distance(flies).item() == pytest.approx(2.0, abs=1e-4)
+
+
+def test_what_the_critic_is_new_to_is_as_large_as_it_is_said_to_be(played):
+    """Flags and axes are 1 at most; the hand throws at some 5 m/s, and so the ball flies."""
+    shown = played["next"]
+    assert shown["bucket_axis"].norm(dim=-1).max() == pytest.approx(KNOWN["bucket_axis"], rel=1e-3)
+    assert shown["ball_away"].max() == KNOWN["ball_away"]
+    for key in ("ball_launch_velocity", "bucket_linear_velocity"):
+        assert 0.4 < shown[key].norm(dim=-1).max() / KNOWN[key] < 2.5, key

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, dumbbell_snatch_env, dumbbell_snatch_rewards
-from torchrl_athletic.envs.dumbbell_snatch import KNOWN, hand_height
+from torchrl_athletic.envs.dumbbell_snatch import KNOWN, MASS, hand_height
 from torchrl_athletic.envs.whole_body import PRIVILEGED
 from torchrl_athletic.functional.phase import Phase, PhaseSchedule, snatch_phases
 from torchrl_athletic.robots import Dumbbell, b2z1
@@ -128,3 +128,8 @@ def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_train
     assert (told["schedule"], told["disturbances"]) == (snatch_phases(), Disturbances())
     assert [told[name] for name in ("num_envs", "max_steps", "seed", "first_row")] == [4096, 500, 0, 0]
     assert told["extra"][0].mass == (0.0, 10.0)
+
+
+def test_usual_sizes_are_those_of_the_middle_dumbbell_and_of_the_heaviest_one_s_weight():
+    assert KNOWN["added_mass"] == KNOWN["load_mass"] == sum(MASS) / 2
+    assert KNOWN["hand_force"] == pytest.approx(9.81 * MASS[1], rel=0.05)

@@ -73,3 +73,14 @@ def test_no_gradient_goes_through_the_controller(env):
 def test_what_goes_into_a_buffer_stays_as_the_leader_chose_it():
     step = TensorDict(observation=torch.ones(2, 770), action=torch.ones(2, 12), batch_size=[2])
     assert FrozenController(pretrained("wbc")).inv(step.clone())["action"].equal(step["action"])
+
+
+def test_the_controller_acts_on_what_it_is_led_to_see_whatever_the_entries_are_called(monkeypatch):
+    monkeypatch.setattr(FrozenController, "parent", "an environment")
+    names = {"observation_key": "seen", "action_key": "steer"}
+    leader = FrozenController(lambda seen: seen.set("loc", 2.0 * seen["seen"]), **names)
+    torch.manual_seed(0)
+    step = TensorDict(seen=torch.randn(3, 200), steer=torch.randn(3, 12), batch_size=[3])
+    wanted = 2.0 * leader.lead(step["seen"], step["steer"])
+    assert leader._inv_call(step.clone())["steer"].equal(wanted)
+    assert not wanted.equal(2.0 * step["seen"])

@@ -513,3 +513,19 @@ def test_what_no_recording_tells_starts_as_the_robot_stands():
     np.testing.assert_array_equal(start.qpos, key.qpos)
     np.testing.assert_array_equal(start.qvel, key.qvel)
     assert start.qpos[2] > 0.3
+
+
+def test_a_correction_may_be_added_to_any_entry_and_a_replay_made_on_any_device(monkeypatch):
+    add = AddedTorque([1], 2.0, torque_key="effort", correction_key="lacking")
+    step = TensorDict(effort=torch.tensor([[1.0, 2.0]]), lacking=torch.tensor([[0.5]]), batch_size=[1])
+    assert add.inv(step)["effort"].tolist() == [[1.0, 3.0]]
+    made = []
+
+    def refuse(robot, **told):
+        made.append((robot.sensors, told))
+        raise NotImplementedError
+
+    monkeypatch.setattr("torchrl_athletic.envs.replay.TorqueEnv", refuse)
+    with pytest.raises(NotImplementedError):
+        replay_env(z1(), TAKES, num_envs=3, device="cuda:1")
+    assert made == [({}, {"num_envs": 3, "device": "cuda:1"})]  # nothing is read but joints

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, sled_drift, sled_pull_env, sled_pull_rewards
-from torchrl_athletic.envs.sled_pull import KNOWN
+from torchrl_athletic.envs.sled_pull import FRICTION, KNOWN, MASS
 from torchrl_athletic.envs.whole_body import PRIVILEGED
 from torchrl_athletic.functional.commands import CommandRanges, sled_commands
 from torchrl_athletic.functional.phase import sled_phases
@@ -142,3 +142,10 @@ def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_train
     assert [told[name] for name in ("num_envs", "max_steps", "seed", "first_row")] == [4096, 1000, 0, 0]
     assert told["commands"][0].ranges == sled_commands()
     assert (told["objects"][0].mass, told["objects"][0].friction) == ((20.0, 150.0), (0.1, 0.2))
+
+
+def test_usual_sizes_lie_within_what_is_drawn_and_the_rope_pulls_as_hard_as_such_a_sled_rubs():
+    assert MASS[0] < KNOWN["sled_mass"] < MASS[1]
+    assert FRICTION[0] <= KNOWN["sled_friction"] <= FRICTION[1]
+    rubs = [9.81 * least * KNOWN["sled_mass"] for least in FRICTION]
+    assert rubs[0] <= KNOWN["rope_tension"] * 1.05 <= rubs[1]

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.envs import Compose, TransformedEnv, check_env_specs
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import Compose, Transform, TransformedEnv, check_env_specs
 
 from torchrl_athletic.envs import (
     ThrowFailure,
@@ -399,3 +400,39 @@ def test_what_goes_into_a_buffer_stays_as_the_policy_chose_it():
         action=torch.ones(2, 6), reference=torch.ones(2, 12), task_phase_index=torch.ones(2, 1), batch_size=[2]
     )
     assert AroundReference(ROBOT).inv(step.clone())["action"].equal(step["action"])
+
+
+class Asking(Transform):
+    """A part that asks for a field of the model."""
+
+    def __init__(self, field):
+        super().__init__()
+        self.fields = (field,)
+
+
+def test_the_simulation_is_made_where_it_is_asked_for_with_all_fields_that_any_part_changes(monkeypatch):
+    made = []
+
+    def refuse(robot, **told):
+        made.append(told)
+        raise NotImplementedError
+
+    monkeypatch.setattr("torchrl_athletic.envs.throw.TorqueEnv", refuse)
+    parts = {name: [Asking(field)] for name, field in (("sensing", "b"), ("chain", "c"), ("extra", "a"))}
+    with pytest.raises(NotImplementedError):
+        throw_env(ROBOT, num_envs=3, device="cuda:1", **parts)
+    [told] = made
+    assert (told["num_envs"], told["device"], told["fields"]) == (3, "cuda:1", ["a", "b", "c"])
+
+
+def test_an_action_is_added_to_the_reference_whatever_their_entries_are_called(monkeypatch):
+    monkeypatch.setattr(AroundReference, "parent", "an environment")
+    names = {"action_key": "steer", "reference_key": "course", "phase_key": "part"}
+    around = AroundReference(ROBOT, 0.5, **names)
+    phases = torch.tensor([[0], [1], [2]])
+    step = TensorDict(steer=torch.ones(3, 6), course=torch.arange(12.0).repeat(3, 1), part=phases, batch_size=[3])
+    target = around._inv_call(step)["steer"]
+    assert target[:, 0].tolist() == [0.5, 1.0, 0.5]
+    assert (target[:, 5] - target[:, 0]).tolist() == [5.0] * 3
+    spec = Composite(full_action_spec=Composite(steer=Unbounded(7)))
+    assert around.transform_input_spec(spec)["full_action_spec"]["steer"].shape == (6,)

@@ -302,3 +302,34 @@ def test_what_is_shown_does_not_change_with_the_physics_of_single_precision():
 def test_rows_that_are_done_are_spared_where_that_saves_time(device, told):
     env = SimpleNamespace(physics=SimpleNamespace(device=torch.device(device)))
     assert TorqueEnv.supports_partial_step.fget(env) is told
+
+
+@pytest.mark.parametrize(
+    ("every_step", "sensors", "substep", "wanted"),
+    [
+        ((), {}, False, False),
+        ((), {"felt": ("felt",)}, False, False),
+        ((), {"turned": ("turned",), "felt": ("felt",)}, False, True),
+        (("felt",), {"turned": ("turned",), "felt": ("felt",)}, True, False),
+        (("felt", "turned"), {"turned": ("turned",), "felt": ("felt",)}, True, True),
+    ],
+)
+def test_sensors_are_refreshed_where_one_that_is_shown_is_not_computed_by_the_step(
+    every_step, sensors, substep, wanted, monkeypatch
+):
+    """It takes time: between the steps of an action only those count that are shown there."""
+    env, told = TorqueEnv(floating(sensors=sensors), every_step=every_step), []
+    step = env.physics.step
+    monkeypatch.setattr(env.physics, "step", lambda *count, refresh, envs: told.append(refresh) or step(*count))
+    shown = TensorDict(torque=torch.zeros(1, 1), batch_size=[1])
+    env._step(shown.set("_substep", torch.zeros(1, 1)) if substep else shown)
+    assert told == [wanted]
+
+
+def test_fields_that_differ_between_robots_are_made_on_either_device(monkeypatch):
+    assert "body_mass" in TorqueEnv(ARM, num_envs=2, fields=["body_mass"]).physics.fields
+    made = []
+    monkeypatch.setattr("torchrl_athletic.physics.WarpPhysics", lambda model, count, **told: made.append((count, told)))
+    module.make_physics(ARM, 3, "cuda:1", ["body_mass"])
+    told = {"device": torch.device("cuda:1"), "fields": ["body_mass"], "joint_names": ARM.joint_names}
+    assert made == [(3, told)]

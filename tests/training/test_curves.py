@@ -94,3 +94,18 @@ def test_smoothing_takes_the_share_that_it_says_half_before_and_half_after():
     np.testing.assert_allclose(found[40:61], 1.0)
     assert smoothed(np.arange(100.0), 0.2)[0] == pytest.approx(5.0)
     assert smoothed(np.arange(100.0), 0.2)[-1] == pytest.approx(94.0)
+
+
+def test_a_line_is_the_mean_over_a_fiftieth_of_the_run_and_its_axis_says_over_what(tmp_path, monkeypatch):
+    """Of 150 rows three: one that stands out is a third as high and three wide."""
+    table = CSVTable(tmp_path / "one.csv")
+    table.rows = [{"step": str(k), "seconds": str(k), "error": str(3.0 * (k == 75))} for k in range(150)]
+    table.columns = ["step", "seconds", "error"]
+    table._write()
+    lines, labels = [], []
+    monkeypatch.setattr(Axes, "plot", lambda axis, x, y, **_: lines.append(y))
+    monkeypatch.setattr(Axes, "set_xlabel", lambda axis, label, **_: labels.append(label))
+    path = draw_curves({"one": table.path}, {"error": "how far"}, tmp_path / "deep" / "c.png", against="seconds")
+    assert path.exists()
+    assert labels == ["seconds"]
+    np.testing.assert_allclose(lines[0], np.isin(np.arange(150), (74, 75, 76)))

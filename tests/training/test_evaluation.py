@@ -117,3 +117,18 @@ def test_a_mean_of_an_entry_in_a_group_is_named_by_its_whole_path():
     env.append_transform(RenameTransform(["age"], [("told", "age")], create_copy=True))
     episodes = whole_episodes(env, Falling(), [("told", "age")], steps=10)
     assert list(episodes.means) == ["told/age"]
+
+
+@pytest.mark.parametrize("play_whole", [whole_episodes, whole_rollout])
+def test_a_bar_is_shown_under_its_label_or_none_at_all(play_whole, capsys):
+    for label, shown in ((None, False), ("falls", True)):
+        play_whole(TransformedEnv(ToyEnv(num_envs=2), Counting()), Falling(), ["age"], steps=2, progress=label)
+        assert ("falls" in capsys.readouterr().err) is shown
+
+
+def test_a_rollout_of_whole_episodes_keeps_which_steps_were_falls_beside_what_was_asked_for():
+    """Rows of even number fail at their ends, after 2 and 3 steps."""
+    episodes = whole_rollout(TransformedEnv(ToyEnv(num_envs=5), Counting()), Falling(), ["age"], steps=10)
+    assert set(episodes.keys()) == {"age", "counts", "terminated"}
+    falls = episodes["terminated"] & episodes["counts"]
+    assert falls.sum((1, 2)).tolist() == [0, 1, 0, 1, 0]

@@ -160,12 +160,13 @@ class Told(dict):
     ],
 )
 def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examination(
-    tmp_path, monkeypatch, device, minutes, num_envs, expected
+    tmp_path, monkeypatch, capsys, device, minutes, num_envs, expected
 ):
     spent, rows, every = expected
     told, policy = Told(), torch.nn.Linear(1, 1)
     learner = SimpleNamespace(actor=policy)
-    for name in ("train", "save_wbc", "draw_episode", "write_video", "frame_strip"):
+    (tmp_path / "progress.csv").touch()
+    for name in ("train", "save_wbc", "draw_curves", "draw_episode", "write_video", "frame_strip"):
         monkeypatch.setattr(module, name, told.of(name))
     monkeypatch.setattr(module, "task_learner", told.of("learner", learner))
     monkeypatch.setattr(module, "_task_of", lambda env: {"reward": f"of {env}"})
@@ -178,9 +179,9 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
         device=device, minutes=minutes, iterations=9, seed=6, start="other", actuation="ideal", num_envs=num_envs,
         ppo=ppo, episodes=5, logger="none", output=tmp_path,
     )  # fmt: skip
-    task = {"name": "throw", "known": {"goal": 2.0}, "curves": {}, "look_at": ["hand"], "steps": 500}
+    task = {"name": "throw", "known": {"goal": 2.0}, "curves": {"kl": "how far"}, "look_at": ["hand"], "steps": 500}
     make_env = told.of("env", "world")
-    fine_tune(cfg, make_env, judge=lambda episodes: {"far": 1.0}, annotate="ball", **task)
+    fine_tune(cfg, make_env, judge=lambda episodes: {"far": float(len(told["rollout"]))}, annotate="ball", **task)
 
     assert told["seed"] == [((6,), {})]
     training, *exams, film = told["env"]
@@ -207,6 +208,10 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     assert told["save_wbc"][0][1] == {"name": "throw", "trained_as": str(cfg), "history": 10}
     assert told["draw_episode"] == [(("world", policy, 400), {"annotate": "ball", "follow": "base"})]
     assert told["write_video"][0][0][1:] == (tmp_path / "throw.mp4", 50.0)
+    assert told["frame_strip"][0][0][1:] == (6, tmp_path / "throw.png")
+    curves = {"throw": tmp_path / "progress.csv"}, {"kl": "how far"}, tmp_path / "curves.png"
+    assert told["draw_curves"] == [(curves, {})]
+    assert "far         1 -> 2\n" in capsys.readouterr().out
 
 
 def test_a_run_goes_on_with_its_reward_or_not_at_all(env):
@@ -237,5 +242,15 @@ def test_a_controller_that_goes_on_with_a_task_that_adds_nothing_is_deaf_to_phas
     monkeypatch.setattr(module, "phase_inputs", lambda env, frames=None: ["all" if frames is None else frames])
     known = trunk_of(pretrained("wbc_critic")).mlp[0].in_features
     shown = {"observation": torch.zeros(4, 770), "privileged": torch.zeros(4, known)}
-    task_learner(SimpleNamespace(observation_spec=shown, ndim=1, action_spec=torch.zeros(4, 19), device="cpu"))
+    env = SimpleNamespace(observation_spec=shown, ndim=1, action_spec=torch.zeros(4, 19), device="cpu")
+    task_learner(env, seed=6, cuda_graph=True)
+    ((_, options),) = told["Learner"]
+    assert options == {"watch": WATCHED, "seed": 6, "cuda_graph": True}
     assert [arguments[1:] for arguments, _ in told["open_inputs"]] == [(["all"],), ([1], [])]
+
+
+def test_one_that_begins_anew_is_told_the_configuration_its_seed_and_where_to_record(monkeypatch):
+    told = Told()
+    monkeypatch.setattr(module, "wbc_learner", told.of("anew", "learner"))
+    assert task_learner("env", SMALL, start=None, known=KNOWN, seed=6, cuda_graph=True) == "learner"
+    assert told["anew"] == [(("env", SMALL), {"seed": 6, "cuda_graph": True})]

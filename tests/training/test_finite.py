@@ -87,3 +87,24 @@ def test_a_network_gone_bad_stops_the_training_before_it_learns_from_it():
     with pytest.raises(NonFiniteError, match="'loc' of the batch is nan"):
         iterate(learner)
     assert all((one == other).all() for one, other in zip(before, learner.critic.parameters(), strict=True))
+
+
+def test_of_numbers_made_at_one_time_each_is_named_before_what_is_made_of_it():
+    order = ["observation", "loc", "scale", "action", "action_log_prob", "reward", "advantage", "value_target"]
+    broken = TensorDict({key: torch.full((1, 1), torch.nan) for key in reversed(order)}, [1, 1])
+    for key in order:
+        with pytest.raises(NonFiniteError, match=f"^'{key}' of the batch"):
+            check_finite(broken)
+        broken[key].zero_()
+    check_finite(broken)
+
+
+def test_of_several_rows_the_number_is_that_of_the_row_that_is_named():
+    broken = batch()
+    broken["observation"][0, 1], broken["observation"][1, 1] = torch.inf, torch.nan
+    with pytest.raises(NonFiniteError, match="is inf in row 0 and 1 other rows at step 1"):
+        check_finite(broken)
+
+
+def test_where_nothing_is_a_fraction_nothing_is_no_number():
+    check_finite(TensorDict(count=torch.ones(2, 3, dtype=torch.int64), batch_size=[2, 3]))

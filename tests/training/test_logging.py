@@ -125,3 +125,17 @@ def test_small_numbers_are_written_as_they_are(tmp_path):
     table = CSVTable(tmp_path / "progress.csv")
     table.log_metrics({"actor_lr": 1.25e-5}, step=1)
     assert table.path.read_text().split()[1] == "1,1.25e-05"
+
+
+def test_wandb_is_told_the_run_its_folder_and_to_stay_offline(tmp_path, monkeypatch):
+    told = {}
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: name)
+    monkeypatch.setattr("torchrl.record.loggers.wandb.WandbLogger", lambda **options: told.update(options))
+    make_logger("wandb", tmp_path, "reach")
+    assert (told["exp_name"], told["log_dir"]) == ("reach", str(tmp_path))
+    assert (told["offline"], told["mode"]) == (True, "offline")
+
+
+def test_a_table_lies_in_the_folder_of_the_run_where_curves_are_drawn_of(tmp_path):
+    make_logger("csv", tmp_path / "run").log_metrics({"reward": 1.0})
+    assert (tmp_path / "run" / "progress.csv").exists()

@@ -462,3 +462,15 @@ def test_no_time_is_no_training(told):
         raise AssertionError("it began")
 
     assert train(learner, step=refuse, progress=False, **told) == {}
+
+
+@pytest.mark.parametrize("cuda_graph", [False, True])
+def test_what_the_critic_reads_and_what_is_watched_of_the_step_after_is_collected_and_no_more(monkeypatch, cuda_graph):
+    told = {}
+    monkeypatch.setattr(module, "SplitOptimizationStepper", lambda *nets, **rest: told.update(rest))
+    nets = actor(7, 7, in_keys=["joint_position"], hidden=(4,)), critic(7, in_keys=["joint_velocity"], hidden=(4,))
+    config = PPO(num_envs=2, horizon=3)
+    rollout = Learner(arm_env(2), *nets, config, watch=["joint_power"], cuda_graph=cuda_graph).rollout
+    assert type(rollout) is (module.CapturedRollout if cuda_graph else module.Rollout)
+    assert (rollout.keys, rollout.horizon) == (["joint_velocity", ("next", "joint_power")], 3)
+    assert told["cuda_graph"] is cuda_graph

@@ -355,18 +355,30 @@ def test_seeds_rates_and_times_reach_the_training_and_what_is_left_out_the_remar
     monkeypatch.setattr(remainder, "DifferentiableTorqueEnv", noting("base", "base"))
     monkeypatch.setattr(remainder, "scored", lambda diagnosis, *told: diagnosis.answer.fit[told[-1]])
     monkeypatch.setattr(torch, "manual_seed", noting("seed"))
-    diagnosis = replace(damped, answer=replace(damped.answer, seed=7))
-    learn_remainder(diagnosis, tmp_path, minutes=3.0, rows=5, rate=4e-3, iterations=9, progress=False)
+    address = JointAddress.of(damped.nominal.model, ("pendulum",))
+    [effect] = (e for e in CATALOGUE if e.name == "load_dependent_friction")
+    term = Candidate(effect, 0, "pendulum", effect.parameters(damped.nominal.model, address, 0))
+    usual = np.array([parameter.nominal for parameter in term.parameters])
+    loaded = Simulation(damped.nominal.model, ("pendulum",), Hypothesis((term,)), usual)
+    answer = replace(damped.answer, seed=7, remarks=("said before",))
+    diagnosis = replace(damped, answer=answer, corrected=loaded)
+    found = learn_remainder(diagnosis, tmp_path, minutes=3.0, rows=5, rate=4e-3, iterations=9, progress=False)
+    assert found.answer.remarks[:-1] == ("said before",)
+    assert found.answer.remarks[-1].startswith("A UAN in place of load dependent friction of pendulum")
+    scores = {f"{split}_uan": score for split, score in damped.answer.fit.items()}
+    assert found.answer.fit == {**damped.answer.fit, **scores}
+    assert told["save_checkpoint"][0][1] == {"hidden": [32, 32], "history": 20}
     assert told["seed"][0] == (7,)
     replayed = told["replay_env"][1]
     step = mujoco.MjModel.from_xml_string(pendulum()).opt.timestep
-    assert (replayed["seed"], replayed["base"]) == (7, "base")
+    assert (replayed["seed"], replayed["base"], replayed["unit"].tolist()) == (7, "base", [1.0])
     assert replayed["max_steps"] * step == pytest.approx(0.5)
     assert told["base"][1] == {"num_envs": 5}
     assert told["GradientLearner"][1] == {"minutes": 3.0, "rate": 4e-3}
     assert told["_checkpoints"][0][2] == {"minutes": 3.0, "rows": 5, "rate": 4e-3, "iterations": 9}
     options = told["train"][1]
     assert (options["minutes"], options["iterations"], options["checkpoints"]) == (3.0, 9, "_checkpoints")
+    assert (options["progress"], options["show"]) == (False, ["train_mse"])
 
 
 def test_a_score_without_a_net_is_the_diagnosis_own_to_its_noise(damped):
@@ -387,3 +399,18 @@ def test_a_net_sees_what_the_motor_gives_at_last(damped):
     WithNet((), (), Brake(0.1), robot).build(plant, np.ones((1, 1)))
     assert plant.motor[0] is late
     assert plant.motor[-1] == plant.laws[-1].note
+
+
+@pytest.mark.parametrize("driven", ["position", "torque"])
+def test_commands_reach_the_corrected_joints_as_the_robots_own_motors_would_act_on_them(driven, monkeypatch):
+    told = {}
+    monkeypatch.setattr(remainder, "CorrectedActuation", lambda found, **options: told.update(options) or found)
+    robot = replace(driven_robot(THREE, [SimpleNamespace(kp=None, kd=None)]), kp=(3.0, 4.0, 5.0), kd=(0.3, 0.4, 0.5))
+    law, *behind = remainder.chain_of(SimpleNamespace(to_json=lambda: "found"), robot, driven)
+    servo = {"kp": robot.kp, "kd": robot.kd} if driven == "position" else {"kp": None, "kd": None}
+    limits = {"timestep": 0.005, "joint_names": robot.joint_names, "torque_limit": (10.0, 20.0, 30.0)}
+    assert (law, told) == ("found", servo | limits)
+    assert [type(part).__name__ for part in behind] == ([] if driven == "position" else ["EquivalentTarget"])
+    for part in behind:
+        assert part.kp.tolist() == [3.0, 4.0, 5.0]
+        assert part.kd.tolist() == pytest.approx([0.3, 0.4, 0.5])

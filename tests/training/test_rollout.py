@@ -2,13 +2,14 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from tensordict.nn import TensorDictModule
 from torchrl.envs import Compose, InitTracker, RewardSum, StepCounter, TransformedEnv
 from torchrl.testing.mocking_classes import CountingEnv, NestedCountingEnv
 from training.tasks import SEEN, arm_env
 
 from torchrl_athletic.networks import actor
 from torchrl_athletic.training import Rollout, control_step
-from torchrl_athletic.training.rollout import done_rows, reset_key_of, start_anew
+from torchrl_athletic.training.rollout import done_rows, kept_keys, reset_key_of, start_anew
 
 
 def entries(tensordict):
@@ -166,3 +167,21 @@ def test_the_collector_of_torchrl_has_no_state_and_takes_none_over():
     assert stock()["observation"].shape == (3, 2, 1)
     ours.load_state_dict(stock.state_dict())
     assert ours()["observation"][0, :, 0].tolist() == [0, 1]
+
+
+def test_what_the_policy_sees_next_holds_neither_its_action_nor_whom_to_reset():
+    env = counting_env()
+    current = env.reset()
+    for _ in range(6):  # over the end of an episode
+        current = control_step(env, count_up, current)[1]
+        assert not {"action", "next", "reward", "_reset"} & set(current.keys())
+
+
+@pytest.mark.parametrize("act", [count_up, TensorDictModule(torch.nn.Identity(), ["observation"], ["action"])])
+def test_what_was_done_and_what_is_asked_for_of_the_step_after_is_kept_of_any_policy(act):
+    """An entry may be called ``next`` and be none of what a step led to."""
+    keys = [("told", "next"), ("next", "step_count")]
+    kept = kept_keys(counting_env(), act, keys)
+    assert {"action", ("told", "next"), ("next", "told", "next"), ("next", "step_count")} <= set(kept)
+    assert "step_count" not in kept
+    assert {"done", ("next", "done"), ("next", "reward")} <= set(kept)

@@ -31,6 +31,7 @@ from torchrl_athletic.training import (
     with_gains_of,
 )
 from torchrl_athletic.training.uan import joint_rows
+from torchrl_athletic.transforms import RandomizationRanges
 
 module = sys.modules["torchrl_athletic.training.uan"]
 ROBOT = robot()
@@ -334,3 +335,103 @@ def test_a_critic_sees_errors_in_the_nets_units_and_how_far_the_simulation_is_of
     assert unit.tolist() == pytest.approx([0.3] * HISTORY + [8.0] * HISTORY + [0.05, 2.0])
     assert left[0] == 1
     assert 1 <= left[1] <= 40
+
+
+@pytest.mark.parametrize("credit", ["arm", "joint"])
+def test_whoever_is_credited_the_learner_is_told_its_seed_its_processes_and_the_critics_layers(monkeypatch, credit):
+    told, two, config = {}, SimpleNamespace(count=2), replace(UAN, num_envs=2, horizon=7)
+
+    def learner(env, policy, critic, config, **options):
+        told.update(options, critic=critic, config=config)
+        return SimpleNamespace(rollout=SimpleNamespace(current={"steps_left": torch.ones(2, 1, dtype=torch.int64)}))
+
+    monkeypatch.setattr(module, "Learner", learner)
+    monkeypatch.setattr(module, "JointRollout", lambda env, policy, horizon: (env, horizon))
+    env = SimpleNamespace(observation_spec={"observation": torch.zeros(2, 6, 2 * HISTORY)}, device="cpu")
+    uan_learner(env, uan(), config, credit=credit, hidden=(5, 4), seed=6, cuda_graph=True, processes=two)
+    assert (told["seed"], told["cuda_graph"], told["config"]) == (6, True, config)
+    assert told["processes"] is two
+    layers = [layer.out_features for layer in told["critic"].modules() if isinstance(layer, torch.nn.Linear)]
+    assert layers == [5, 4, 1]
+    assert told.get("rollout") == (None if credit == "arm" else (env, 7))
+
+
+def test_a_critic_of_joints_is_told_which_one_it_values():
+    value = module._JointValue(torch.ones(3), 3, [], None)
+    layer = value.mlp[-1]
+    with torch.no_grad():
+        layer.weight.copy_(torch.tensor([[0.0, 0.0, 0.0, 1.0, 10.0, 100.0]]))
+        layer.bias.zero_()
+    found = value(torch.randn(3, 2), torch.randn(3, 1), torch.tensor([[2], [0], [1]]))
+    assert found.flatten().tolist() == [100.0, 1.0, 10.0]
+
+
+@pytest.mark.parametrize("torques", [False, True])
+def test_windows_are_replayed_from_their_first_moments_by_what_drove_them(monkeypatch, torques):
+    asked = {}
+    monkeypatch.setattr(module, "replay_env", lambda robot, takes, **told: asked.update(told) or "env")
+    monkeypatch.setattr(module, "Validation", lambda *told: told)
+    windows = [recorded(Simulator("real", ROBOT), commands(50, seed=k), torques) for k in (0, 1, 2)]
+    net = uan(torque_unit=[2.0, 0.5])
+    found = validation_of(Simulator("s", ROBOT), windows, net, "cuda:1")
+    assert found == ("env", net, 50 - HISTORY)
+    assert asked["starts"].tolist() == [HISTORY - 1 + 50 * k for k in (0, 1, 2)]
+    assert asked["unit"].tolist() == [2.0, 0.5]
+    assert (asked["num_envs"], asked["max_steps"], asked["by_row"]) == (3, 50 - HISTORY, True)
+    assert asked["device"] == "cuda:1"
+    kinds = [type(part).__name__ for part in asked["chain"]]
+    assert kinds == ["UANCorrection", "TorqueSpeedClip", "EquivalentTarget" if torques else "PDControl"]
+
+
+def test_robots_that_a_simulator_draws_are_not_drawn_where_a_net_is_trained():
+    takes = takes_of([take(100)], ROBOT)
+    drawn = Simulator("random", ROBOT, randomization=RandomizationRanges(friction=None, restitution=None))
+    for simulator in (drawn, Simulator("plain", ROBOT)):
+        kinds = [type(part).__name__ for part in module.chain_with(simulator, uan(), takes)]
+        assert kinds == ["UANCorrection", "TorqueSpeedClip", "PDControl"]
+
+
+@pytest.mark.parametrize("rate", [200.0, 400.0])
+def test_a_window_may_lie_anywhere_and_all_beside_it_but_scraps_is_trained_on(rate):
+    """Of twice its length, from the first sample on to the last; a scrap is too short for a step behind a history."""
+    length, first = round(0.05 * rate) + HISTORY, set()
+    took = swinging(rate=rate).slice(0, 2 * length)
+    for seed in range(300):
+        pieces, (window,) = set_aside([took], seconds=0.05, seed=seed)
+        start = int(np.searchsorted(took.time, window.time[0]))
+        first.add(start)
+        assert window.num_samples == length
+        beside = [part for part in (took.time[:start], took.time[start + length :]) if len(part) > 2 * HISTORY]
+        assert [piece.time.tolist() for piece in pieces] == [part.tolist() for part in beside]
+    assert first >= {0, length}
+    with pytest.raises(RecordingError, match=r"no take lasts 0\.1 s"):
+        set_aside([took.slice(0, 2 * length - 1)], seconds=0.05)
+
+
+def test_as_many_windows_are_set_aside_as_make_up_the_share_and_one_at_least():
+    took = swinging(rate=200.0)
+    for share, count in ((0.1, 1), (0.5, 3), (0.75, 5)):
+        assert len(set_aside([took], share=share, seconds=0.05)[1]) == count
+
+
+def test_gains_may_be_off_by_rounding_and_no_more_and_takes_without_any_are_passed_over():
+    arm = z1()
+    assert takes_of([swinging(kp=[128.06, 64.0])], arm).lengths == (200,)
+    with pytest.raises(RecordingError, match="replayed torques would be others"):
+        takes_of([swinging(kp=[129.0, 64.0])], arm)
+    still = np.zeros((200, 7))
+    bare = Recording(np.arange(200) * 0.005, arm.joint_names, still, torque_command=still)
+    assert with_gains_of(arm, [bare, swinging(kp=[100.0, 50.0])]).kp[:2] == (50.0, 100.0)
+    with pytest.raises(RecordingError, match="none of z1's"):
+        with_gains_of(arm, [swinging(names=("elbow", "joint1"))])
+
+
+def test_rows_of_joints_are_written_where_an_update_reads_them(monkeypatch):
+    batches = iter([TensorDict(seen=torch.full((2, 3), value), batch_size=[2, 3]) for value in (1.0, 2.0)])
+    monkeypatch.setattr(module.CapturedRollout, "__call__", lambda rollout: next(batches))
+    monkeypatch.setattr(module, "joint_rows", lambda batch: batch)
+    rollout = object.__new__(module.JointRollout)
+    rollout._rows = None
+    first = rollout()["seen"]
+    assert rollout()["seen"].data_ptr() == first.data_ptr()
+    assert first.unique().tolist() == [2.0]

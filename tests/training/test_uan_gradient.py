@@ -417,3 +417,22 @@ def test_a_row_that_is_no_number_any_more_has_no_slope():
     assert jacobian.isfinite().all()
     assert not jacobian[1, :, 2:].any()
     assert jacobian[0, 1:].any()
+
+
+def test_a_gradient_that_is_twenty_times_as_long_as_usual_has_exploded(monkeypatch):
+    """Here every window's is as long as the last one's. Windows and rates go by the iterations, if they are told."""
+    learner = learner_of(uan(), iterations=8, outlier=1e3)
+    learner.windows, weight = (1,), next(learner.net.parameters())
+    length = 1e4 * 2 * 0.01
+
+    def scripted(env, policy, following):
+        after = {"privileged": weight.flatten()[0].expand(2, 1, 2), "terminated": torch.zeros(2, 1, dtype=torch.bool)}
+        return TensorDict(next=TensorDict({**after, "reward": torch.zeros(2, 1)}, [2]), batch_size=[2]), following
+
+    monkeypatch.setattr("torchrl_athletic.training.uan_gradient.control_step", scripted)
+    for times, caution in ((19.0, 1.0), (21.0, 0.5)):
+        torch.nn.init.constant_(weight, 0.01)
+        learner.usual = length / times
+        assert float(descend(learner)["grad_norm"]) == pytest.approx(length, rel=1e-3)
+        assert learner.caution == caution
+    assert (learner.share, learner.outlier) == (2 / 8, 1e3)

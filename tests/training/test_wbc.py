@@ -1,5 +1,8 @@
 """What a whole-body controller's training begins with: a new pair of networks, or the shipped one."""
 
+import sys
+from types import SimpleNamespace
+
 import pytest
 import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -11,6 +14,7 @@ from torchrl_athletic.training import PPO, Rollout, iterate, save_wbc, wbc_learn
 from torchrl_athletic.training.ppo import collect
 from torchrl_athletic.training.wbc import CURVES, WATCHED, check_sizes, read_wbc
 
+module = sys.modules["torchrl_athletic.training.wbc"]
 FEW = PPO(num_envs=4, horizon=3, epochs=1, actor_minibatches=2)
 
 
@@ -128,3 +132,19 @@ def test_a_policy_that_is_not_there_is_missed_before_anything_is_read(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"mine\.npz is missing.*mine\.npz and mine_critic\.npz"):
         read_wbc(tmp_path / "mine.npz")
     assert not any(parameter.requires_grad for net in read_wbc("wbc") for parameter in net.parameters())
+
+
+@pytest.mark.parametrize("collects", [False, True])
+def test_both_networks_go_to_the_device_and_all_else_that_is_told_to_the_learner(monkeypatch, collects):
+    told = {}
+    monkeypatch.setattr(module, "Learner", lambda *parts, **rest: told.update(rest, parts=parts))
+    shown = {"observation": torch.zeros(4, 7), "privileged": torch.zeros(4, 9)}
+    env = SimpleNamespace(observation_spec=shown, action_spec=torch.zeros(4, 3), device="meta")
+    rollout = SimpleNamespace(env="another")
+    collect_by = (lambda policy, keys: rollout) if collects else None
+    wbc_learner(env, FEW, hidden=(5,), cuda_graph=True, processes="two", collect_by=collect_by)
+    assert (told["cuda_graph"], told["processes"], told["rollout"]) == (True, "two", rollout if collects else None)
+    steps, *networks, config = told["parts"]
+    assert (steps, config) == ("another" if collects else env, FEW)
+    for network in networks:
+        assert {tensor.device.type for tensor in (*network.parameters(), *network.buffers())} == {"meta"}

@@ -9,11 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances
 from torchrl_athletic.networks import pretrained
 from torchrl_athletic.physics import CapacityError
-from torchrl_athletic.robots import b2z1
+from torchrl_athletic.robots import Terrain, b2z1
 from torchrl_athletic.training import Episodes, examine
 from torchrl_athletic.training import wbc_evaluation as module
 from torchrl_athletic.training.wbc_evaluation import ERRORS, Condition
@@ -170,6 +171,14 @@ def test_each_condition_differs_from_the_nominal_one_in_what_it_is_named_after_a
                ("1 ms steps", "elliptic cones", "100 iterations")}  # fmt: skip
     assert options["1 ms steps"].timestep == pytest.approx(0.001)
     assert options["elliptic cones"].cone != plain.opt.cone == options["1 ms steps"].cone
+    trained_on, practised = field_of(trained.robot.model())[0], b2z1(terrain=Terrain()).model()
+    assert np.abs(trained_on - field_of(practised)[0]).max() > 1e-3  # nor its bumps
+    for name in options:
+        condition = conditions[f"all randomised, {name}"]
+        assert condition.disturbances == Disturbances()
+        np.testing.assert_array_equal(field_of(condition.robot.model())[0], trained_on)
+    for name in ("slope 5°", "bumps 5 cm", "all randomised"):
+        assert conditions[name].robot.model().opt.cone == plain.opt.cone, name
     assert (options["100 iterations"].iterations, options["100 iterations"].ls_iterations) == (100, 50)
 
 
@@ -224,3 +233,25 @@ def test_parts_are_joined_row_by_row():
     assert {name: mean.tolist() for name, mean in joined.means.items()} == {
         name: mean.tolist() for name, mean in whole.means.items()
     }
+
+
+@pytest.mark.parametrize(("progress", "label"), [(True, "flat"), (False, None)])
+def test_the_bar_of_a_condition_bears_its_name(progress, label, monkeypatch, tmp_path):
+    shown = []
+    env = SimpleNamespace(base_env=SimpleNamespace(physics=SimpleNamespace(check=lambda: None)))
+    monkeypatch.setattr(module, "whole_episodes", lambda *told, progress: shown.append(progress) or fell(2))
+    condition = SimpleNamespace(env=lambda rows, **told: env)
+    examine(pretrained("wbc"), {"flat": condition}, tmp_path / "t.json", episodes=2, progress=progress)
+    assert shown == [label]
+
+
+def test_each_row_of_the_picture_bears_its_conditions_name_and_each_panel_its_title(monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *path, **told: drawn.append(figure))
+    results = {name: dict.fromkeys(("falls", *ERRORS), (0.5, 0.4, 0.6)) for name in ("flat", "rough", "steep")}
+    module.draw_conditions(results, tmp_path / "c.png")
+    axes = drawn[0].axes
+    assert [label.get_text() for label in axes[0].get_yticklabels()] == ["steep", "rough", "flat"]  # from below
+    shown = [ERRORS[name] for name in ("position", "attitude", "velocity", "yaw_rate")]
+    assert [axis.get_title() for axis in axes] == ["falls [%]", *shown]
+    assert all(axis.get_xlim()[0] == 0 for axis in axes)
