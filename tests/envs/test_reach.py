@@ -206,3 +206,23 @@ def test_far_away_the_near_sight_is_full_and_the_goal_itself_is_shown_behind():
     assert near.max() == 1
     torch.testing.assert_close(place, far[:, :3])
     torch.testing.assert_close(turn, rotations.two_columns(far[:, 3:]))
+
+
+def test_goals_are_those_of_the_seed_and_of_the_row():
+    env = TorqueEnv(z1(), num_envs=1)
+    table = torch.arange(7000.0).reshape(1000, 7)
+    key = torch.arange(3)
+    shown = env.reset().expand(3)
+
+    def drawn(**told):
+        goal = PoseGoal(table, **told)
+        return goal.draw(goal.upcoming(shown), shown)["command"][:, 0]
+
+    whole, part, other = drawn(seed=4), drawn(seed=4, first_row=1), drawn(seed=5)
+    assert whole.unique().numel() == len(key)
+    assert part[:2].equal(whole[1:])
+    assert not other.equal(whole)
+
+
+def test_a_degree_of_attitude_counts_as_five_millimetres():
+    assert KEYPOINT_LENGTH * np.deg2rad(1.0) == pytest.approx(5e-3, rel=0.1)

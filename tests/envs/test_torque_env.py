@@ -329,7 +329,13 @@ def test_sensors_are_refreshed_where_one_that_is_shown_is_not_computed_by_the_st
 def test_fields_that_differ_between_robots_are_made_on_either_device(monkeypatch):
     assert "body_mass" in TorqueEnv(ARM, num_envs=2, fields=["body_mass"]).physics.fields
     made = []
-    monkeypatch.setattr("torchrl_athletic.physics.WarpPhysics", lambda model, count, **told: made.append((count, told)))
-    module.make_physics(ARM, 3, "cuda:1", ["body_mass"])
+
+    def refuse(model, count, **told):
+        made.append((count, told))
+        raise NotImplementedError
+
+    monkeypatch.setattr("torchrl_athletic.physics.WarpPhysics", refuse)
+    with pytest.raises(NotImplementedError):
+        TorqueEnv(ARM, num_envs=3, device="cuda:1", fields=["body_mass"])
     told = {"device": torch.device("cuda:1"), "fields": ["body_mass"], "joint_names": ARM.joint_names}
     assert made == [(3, told)]

@@ -128,6 +128,11 @@ def test_offset_and_scale_can_be_one_s_own_and_a_group_left_out_is_named():
         whole_body_env(ROBOT, num_envs=1, action_scale={"leg": 0.25}, **STILL)
 
 
+def test_actions_are_scaled_as_the_shipped_controllers_were_when_it_was_trained():
+    """By Portela et al. for legs and arm; a gripper is no part of their task and hardly moves."""
+    assert ACTION_SCALE == {"leg": 0.25, "arm": 0.5, "gripper": 0.1}
+
+
 def test_a_new_actor_starts_at_the_default_pose():
     env = whole_body_env(num_envs=8)
     policy = actor(770, 19, gain=0.01)

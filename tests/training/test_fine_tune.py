@@ -203,8 +203,9 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     assert folder == tmp_path / "checkpoints"
     same = {"seed": "6", "start": "other", "actuation": "ideal", "task": "throw", "ppo": str(config)}
     assert options["made_of"] == same | {"reward": "of world"}
-    for (world, _, look_at, steps), _ in told["rollout"]:
+    for (world, played, look_at, steps), _ in told["rollout"]:
         assert (world, look_at, steps) == ("world", ["hand"], 500)
+        assert played is not policy  # which may be part of what a graph has recorded
     assert told["save_wbc"][0][1] == {"name": "throw", "trained_as": str(cfg), "history": 10}
     assert told["draw_episode"] == [(("world", policy, 400), {"annotate": "ball", "follow": "base"})]
     assert told["write_video"][0][0][1:] == (tmp_path / "throw.mp4", 50.0)

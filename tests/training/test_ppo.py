@@ -474,3 +474,14 @@ def test_what_the_critic_reads_and_what_is_watched_of_the_step_after_is_collecte
     assert type(rollout) is (module.CapturedRollout if cuda_graph else module.Rollout)
     assert (rollout.keys, rollout.horizon) == (["joint_velocity", ("next", "joint_power")], 3)
     assert told["cuda_graph"] is cuda_graph
+
+
+@pytest.mark.parametrize(("rank", "told"), [(0, True), (1, False)])
+def test_a_run_that_goes_on_says_once_from_where_and_its_bar_begins_there(rank, told, capsys):
+    learner = SimpleNamespace(iteration=0, samples=0, seconds=0.0, processes=Processes(rank, 1))
+    states = SimpleNamespace(resume=lambda learner, log: one_more(learner) is not None, save=lambda learner, log: None)
+    train(learner, iterations=2, checkpoints=states, step=one_more)
+    shown = capsys.readouterr()
+    assert ("going on after iteration 1" in shown.out + shown.err) is told
+    assert (" 50%|" in shown.err) is told
+    assert "  0%|" not in shown.err

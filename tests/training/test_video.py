@@ -13,7 +13,14 @@ from training.tasks import SEEN, arm_env
 
 from torchrl_athletic.networks import actor
 from torchrl_athletic.training import record_video
-from torchrl_athletic.training.video import _centre_and_distance, draw_episode, frame_strip, renderer, write_video
+from torchrl_athletic.training.video import (
+    _centre_and_distance,
+    _gl_context,
+    draw_episode,
+    frame_strip,
+    renderer,
+    write_video,
+)
 
 
 def policy():
@@ -166,3 +173,23 @@ def test_other_endings_and_environments_without_physics_are_refused(tmp_path):
     env = TransformedEnv(CountingEnv(), StepCounter())
     with pytest.raises(ValueError, match="no MuJoCo physics"):
         record_video(env, policy(), tmp_path / "a.gif")
+
+
+def test_the_first_way_to_draw_that_works_is_taken_and_what_needs_no_screen_is_tried_first(monkeypatch):
+    asked = []
+
+    def module(name):
+        asked.append(name)
+        if name != "mujoco.osmesa":
+            raise ImportError(f"{name} is not here")
+        return SimpleNamespace(GLContext=lambda width, height: (name, width, height))
+
+    monkeypatch.setattr("importlib.import_module", module)
+    assert _gl_context(64, 48) == ("mujoco.osmesa", 64, 48)
+    assert asked == ["mujoco.egl", "mujoco.osmesa"]
+
+
+def test_a_gif_is_a_gif_also_where_there_is_ffmpeg(tmp_path, monkeypatch):
+    monkeypatch.setattr("matplotlib.animation.writers.is_available", lambda name: True)
+    path = write_video([np.zeros((8, 8, 3), np.uint8)] * 2, tmp_path / "deep" / "a.gif", frame_rate=50.0)
+    assert path.read_bytes().startswith(b"GIF")
