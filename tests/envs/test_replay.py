@@ -1,7 +1,9 @@
 """Replays start where the robot was, do what it was told, and tell how far the simulation comes from what it did."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -529,3 +531,14 @@ def test_a_correction_may_be_added_to_any_entry_and_a_replay_made_on_any_device(
     with pytest.raises(NotImplementedError):
         replay_env(z1(), TAKES, num_envs=3, device="cuda:1")
     assert made == [({}, {"num_envs": 3, "device": "cuda:1"})]  # nothing is read but joints
+
+
+KEYS = """<mujoco><worldbody><body><joint name="hinge"/><geom size="1"/></body></worldbody>
+  <keyframe><key name="first" qpos="1"/><key name="second" qpos="2" qvel="3"/></keyframe></mujoco>"""
+
+
+def test_it_starts_at_the_robots_own_keyframe():
+    physics = SimpleNamespace(model=mujoco.MjModel.from_xml_string(KEYS), dtype=torch.float64, device="cpu")
+    robot = SimpleNamespace(joint_names=("hinge",), keyframe="second")
+    start = _start_of(SimpleNamespace(physics=physics, robot=robot))
+    assert (start.qpos.tolist(), start.qvel.tolist()) == ([2.0], [3.0])

@@ -1,5 +1,6 @@
 """The throw: what is shown, what is rewarded, what counts, and where the ball goes."""
 
+from dataclasses import replace
 from functools import partial
 
 import mujoco
@@ -8,7 +9,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.data import Composite, Unbounded
-from torchrl.envs import Compose, Transform, TransformedEnv, check_env_specs
+from torchrl.envs import Compose, Transform, TransformedEnv, UnaryTransform, check_env_specs
 
 from torchrl_athletic.envs import (
     ThrowFailure,
@@ -23,6 +24,7 @@ from torchrl_athletic.envs import (
 from torchrl_athletic.envs.throw import BUCKET, DT, PLACED_AT, STEPS, AroundReference, throw_rewards
 from torchrl_athletic.functional import rewards
 from torchrl_athletic.functional.ball import GRAVITY
+from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.networks import uan
 from torchrl_athletic.robots import Bucket, with_bucket, z1
 from torchrl_athletic.testing import no_host_sync
@@ -34,6 +36,7 @@ from torchrl_athletic.transforms import (
     EncoderOffset,
     RandomizationRanges,
     StartRanges,
+    TaskPhase,
 )
 
 ROBOT = with_bucket(z1(), BUCKET)
@@ -204,9 +207,9 @@ def test_the_action_is_added_to_the_reference_and_counts_in_full_in_the_throw():
     torch.testing.assert_close(beside, (0.025 + 0.075 * throw).expand_as(beside))
 
 
-def fails(position=ROBOT.default_pose, height=0.5, away=False, phase=0, **options):
+def fails(position=ROBOT.default_pose, height=0.5, away=False, phase=0, robot=ROBOT, **options):
     """Whether a step with such an end fails, and whether it ends the episode."""
-    transform = ThrowFailure(ROBOT, **options)
+    transform = ThrowFailure(robot, **options)
     before = TensorDict(task_phase_index=[[phase]], throw_failed=[[False]], batch_size=[1])
     flag = torch.zeros(1, 1, dtype=torch.bool)
     after = TensorDict(
@@ -436,3 +439,24 @@ def test_an_action_is_added_to_the_reference_whatever_their_entries_are_called(m
     assert (target[:, 5] - target[:, 0]).tolist() == [5.0] * 3
     spec = Composite(full_action_spec=Composite(steer=Unbounded(7)))
     assert around.transform_input_spec(spec)["full_action_spec"]["steer"].shape == (6,)
+
+
+def test_an_arm_that_does_not_begin_with_the_first_joint_is_thrown_with_and_judged_by_its_own_joints():
+    robot = replace(ROBOT, joint_groups={"arm": tuple(range(1, 7))})
+    pose, limits = torch.tensor(robot.default_pose), torch.tensor(robot.position_limit)
+    torch.testing.assert_close(throw_reference(robot)[0], pose[1:])
+    parts = throw_task(robot)
+    counted = torch.arange(7.0).expand(2, 3, 7)
+    shown = [part._fn(counted) for part in parts if isinstance(part, UnaryTransform)]
+    assert [each[0].flatten()[-6:].tolist() for each in shown] == [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]] * 3
+    assert [each.shape for each in shown] == [(2, 3, 6), (2, 3, 6), (2, 6)]
+    [failure] = (part for part in parts if isinstance(part, ThrowFailure))
+    torch.testing.assert_close(failure.limits, limits[1:] + torch.tensor([-0.01, 0.01]))
+    for joint, beyond in ((0, False), (6, True)):
+        assert fails(pose + 99.0 * (torch.arange(7) == joint), robot=robot)[0] is beyond
+    terms, _ = throw_rewards(robot)
+    before = TensorDict(task_phase_index=[[0]], batch_size=[1])
+    after = TensorDict(joint_position=torch.arange(7.0)[None], reference=torch.arange(1.0, 13.0)[None], batch_size=[1])
+    assert terms["reference"](before, after).item() == 0.0
+    [phases] = (part for part in parts if isinstance(part, TaskPhase))
+    assert phases.schedule == throw_phases(stay_probability=0.0, settle_probability=0.0)

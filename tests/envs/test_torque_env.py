@@ -138,7 +138,16 @@ def test_a_simulation_that_diverges_ends_its_episode_and_no_other(terminate):
     env.reset()
     env.physics.qvel[1] = 1e12
     shown = env.step(TensorDict(torque=torch.zeros(2, 7), batch_size=[2]))["next"]
-    assert shown["terminated"].tolist() == [[False], [True]]
+    assert shown["terminated"].tolist() == shown["done"].tolist() == [[False], [True]]
+    assert not shown["truncated"].any()  # a value is not carried on from there
+
+
+def test_between_the_steps_of_an_action_nobody_asks_whether_the_episode_has_failed():
+    """Nothing is shown there to tell it by."""
+    env = TorqueEnv(ARM, terminate=lambda shown: shown["end_effector_position"][..., 2:] > -9.0)
+    step = TensorDict(torque=torch.zeros(1, 7), batch_size=[1])
+    assert env._step(step)["terminated"].all()
+    assert not env._step(step.set("_substep", torch.zeros(1, 1)))["terminated"].any()
 
 
 def test_groups_name_columns_of_the_joints():

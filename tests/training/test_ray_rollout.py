@@ -1,11 +1,13 @@
 import os
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import torch
 from torchrl.envs import StepCounter, TransformedEnv
+from torchrl.envs.utils import ExplorationType
 from training.tasks import SEEN, Repeat, arm_env, repeat_learner
 
 from torchrl_athletic.networks import RunningNormalizer, actor
@@ -285,3 +287,33 @@ def test_without_ray_the_way_to_get_it_is_told(monkeypatch):
 def test_nothing_to_collect_is_refused(options, advice):
     with pytest.raises(ValueError, match=advice):
         RayRollout(repeat_env, repeat_learner(ROWS).actor, 0 if options["workers"] * options["rows"] else 1, **options)
+
+
+def test_each_worker_takes_one_cpu_and_explores_by_a_copy_of_the_policy_with_a_seed_of_its_own(monkeypatch):
+    monkeypatch.delenv("RAY_USAGE_STATS_ENABLED", raising=False)
+    rollout, ray = started(monkeypatch, keys=["observation"], seed=4, device="meta")
+    assert os.environ["RAY_USAGE_STATS_ENABLED"] == "0"
+    told = ray.asked["options"]
+    assert (told["sync"], told["remote_configs"]) == (True, {"num_cpus": 1, "num_gpus": 0})
+    assert told["exploration_type"] is ExplorationType.RANDOM
+    made = [(repeat_env, ROWS, worker, rollout._seed(worker)) for worker in range(3)]
+    assert [make.args for make in ray.asked["make"]] == made
+    assert ray.asked["policy"] is not rollout.policy
+    assert rollout.device == "meta"
+    step = repeat_env(2, 0).rollout(1)[:, 0]
+    kept = told["collector_kwargs"]["postproc"](step).keys(True, True)
+    assert {"observation", "action", ("next", "observation"), ("next", "reward"), ("next", "done")} <= set(kept)
+    assert "step_count" not in kept
+    _, ray = started(monkeypatch)
+    assert ray.asked["options"]["collector_kwargs"]["postproc"] is None  # all is asked for
+
+
+@pytest.mark.parametrize(("running", "shut"), [(False, ["ray"]), (True, [])])
+def test_a_cluster_that_is_too_small_is_left_as_it_was_found(running, shut, monkeypatch):
+    for found in (3.0, 2.0):
+        monkeypatch.setattr(Workers, "cluster_resources", lambda ray, found=found: {"CPU": found})
+        seen = []
+        monkeypatch.setattr(Workers, "shutdown", lambda ray, seen=seen: seen.append("ray"))
+        with pytest.raises(ValueError, match="3 workers but 2 CPUs") if found < 3 else nullcontext():
+            started(monkeypatch, running)
+    assert seen == shut
