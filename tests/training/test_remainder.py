@@ -379,6 +379,12 @@ def test_seeds_rates_and_times_reach_the_training_and_what_is_left_out_the_remar
     options = told["train"][1]
     assert (options["minutes"], options["iterations"], options["checkpoints"]) == (3.0, 9, "_checkpoints")
     assert (options["progress"], options["show"]) == (False, ["train_mse"])
+    told.clear()  # without takes kept aside, and nowhere to write to
+    alone = replace(answer, fit={"train": answer.fit["train"]})
+    found = learn_remainder(replace(diagnosis, heldout=(), answer=alone), progress=False)
+    assert found.answer.fit.keys() == {"train", "train_uan"}
+    assert told["train"][1]["checkpoints"] is None
+    assert "save_checkpoint" not in told
 
 
 def test_a_score_without_a_net_is_the_diagnosis_own_to_its_noise(damped):
