@@ -28,6 +28,7 @@ from torchrl_athletic.transforms import (
     ExternalPush,
     InitialState,
     PDControl,
+    PoseError,
     PowerClip,
     RandomizationRanges,
     RandomTransform,
@@ -68,6 +69,7 @@ def test_without_arguments_it_is_the_paper_s_pre_training():
     assert parts[ExternalPush].pushes == B2Z1_PUSHES
     assert (parts[PowerClip].max_power, parts[StepCounter].max_steps, parts[TaskPhase].width) == (300.0, 1000, 4)
     assert "terrain" in env.base_env.robot.ground
+    assert env.base_env.physics.model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
     assert whole_body_env.__kwdefaults__["num_envs"] == 4096
     td = env.reset()
     assert td["observation"].shape == (3, 770)
@@ -482,3 +484,27 @@ def test_the_phase_is_shown_in_each_frame_behind_all_else():
         assert places == [78 * frame + 73 + column for frame in range(seen) for column in range(5)]
     shown = env.reset()
     assert shown["observation"][0, phase_inputs(env)[-5:]].equal(shown["task_phase"][0])
+
+
+def test_parts_that_are_given_keep_their_order_and_get_their_fields_and_a_net_is_found_by_its_name(monkeypatch):
+    made, asked = [], []
+
+    def refuse(base, parts):
+        made.append((base, list(parts)))
+        raise NotImplementedError
+
+    monkeypatch.setattr("torchrl_athletic.envs.whole_body.TransformedEnv", refuse)
+    monkeypatch.setattr("torchrl_athletic.envs.whole_body.TorqueEnv", lambda robot, **told: told)
+    monkeypatch.setattr("torchrl_athletic.envs.whole_body.pretrained", lambda name: asked.append(name) or uan())
+    steer = [Watcher("first"), Watcher("second")]
+    chain = [Watcher("dof_frictionloss"), PDControl(ROBOT.kp, ROBOT.kd)]
+    for told in ({"chain": chain}, {"net": "mine"}):
+        with pytest.raises(NotImplementedError):
+            whole_body_env(ROBOT, num_envs=2, commands=steer, disturbances=NO_DISTURBANCES, **told)
+    (base, parts), (_, netted) = made
+    assert [part.fields for part in parts if part in steer] == [("first",), ("second",)]
+    assert base["fields"] == ["dof_frictionloss"]
+    [error] = (part for part in parts if isinstance(part, PoseError))
+    assert error.frame_height == CommandRanges().frame_height == 0.5
+    assert asked == ["mine"]
+    assert any(isinstance(part, UANCorrection) for part in netted)

@@ -105,7 +105,7 @@ def test_a_line_is_the_mean_over_a_fiftieth_of_the_run_and_its_axis_says_over_wh
     lines, labels = [], []
     monkeypatch.setattr(Axes, "plot", lambda axis, x, y, **_: lines.append(y))
     monkeypatch.setattr(Axes, "set_xlabel", lambda axis, label, **_: labels.append(label))
-    path = draw_curves({"one": table.path}, {"error": "how far"}, tmp_path / "deep" / "c.png", against="seconds")
+    path = draw_curves({"one": table.path}, {"error": "how far"}, tmp_path / "a" / "b" / "c.png", against="seconds")
     assert path.exists()
     assert labels == ["seconds"]
     np.testing.assert_allclose(lines[0], np.isin(np.arange(150), (74, 75, 76)))

@@ -229,7 +229,7 @@ def ball_throw_maker(num_envs, exam=False, **told):
 def test_figures_that_are_no_numbers_are_not_written_down(tmp_path, monkeypatch):
     told = Told()
     monkeypatch.setattr(module, "whole_rollout", told.of("rollout", TensorDict()))
-    path = tmp_path / "deep" / "figures.json"
+    path = tmp_path / "deep" / "down" / "figures.json"
     judge = lambda episodes: {"far": float("nan")}  # noqa: E731
     with pytest.raises(ValueError, match="not JSON compliant"):
         module._examine(FineTune(), told.of("env"), torch.nn.Linear(1, 1), path, [], judge, 3)

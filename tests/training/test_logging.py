@@ -7,7 +7,7 @@ from torchrl_athletic.training import CSVTable, make_logger
 
 
 def test_a_table_has_a_row_per_step_and_columns_for_what_comes_later(tmp_path):
-    table = CSVTable(tmp_path / "run" / "progress.csv")
+    table = CSVTable(tmp_path / "run" / "one" / "progress.csv")
     table.log_metrics({"reward": 1.0}, step=5)
     table.log_metrics({"reward": 2.0}, step=6)
     assert table.path.read_text().split() == ["step,reward", "5,1.0", "6,2.0"]

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs import RenameTransform
 from training.tasks import arm_env, arm_learner
 
 from torchrl_athletic.networks import RunningNormalizer, actor, critic
@@ -485,3 +486,13 @@ def test_a_run_that_goes_on_says_once_from_where_and_its_bar_begins_there(rank, 
     assert ("going on after iteration 1" in shown.out + shown.err) is told
     assert (" 50%|" in shown.err) is told
     assert "  0%|" not in shown.err
+
+
+@pytest.mark.parametrize("watch", ["told", ("told", "speed")])
+def test_what_is_watched_in_a_group_is_reported_by_its_whole_path(watch):
+    """Two groups may have an entry of one name."""
+    env = arm_env(4)
+    env.append_transform(RenameTransform(["joint_velocity"], [("told", "speed")], create_copy=True))
+    report = iterate(arm_learner(env=env, watch=[watch]))
+    assert {"reward", "told/speed"} <= set(report.keys())
+    assert "speed" not in report.keys()

@@ -2,6 +2,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torchrl.envs import Compose, InitTracker, RewardSum, StepCounter, TransformedEnv
 from torchrl.testing.mocking_classes import CountingEnv, NestedCountingEnv
@@ -185,3 +186,28 @@ def test_what_was_done_and_what_is_asked_for_of_the_step_after_is_kept_of_any_po
     assert {"action", ("told", "next"), ("next", "told", "next"), ("next", "step_count")} <= set(kept)
     assert "step_count" not in kept
     assert {"done", ("next", "done"), ("next", "reward")} <= set(kept)
+
+
+def test_an_environment_that_shows_whom_it_reset_does_not_make_the_policy_see_that():
+    flags = {name: torch.tensor([[True], [False]]) for name in ("done", "terminated")}
+    shown = TensorDict(seen=torch.tensor([[5.0], [6.0]]), **flags, batch_size=[2])
+    fresh = {"seen": torch.zeros(2, 1), **{name: torch.zeros(2, 1, dtype=torch.bool) for name in flags}}
+    env = SimpleNamespace(
+        done_keys=["done", "terminated"],
+        reset_keys=["_reset"],
+        batch_size=[2],
+        device=None,
+        _reset=lambda reset: reset.clone().update(fresh),
+    )
+    renewed = start_anew(env, shown)
+    assert set(renewed.keys()) == {"seen", *flags}
+    assert renewed["seen"].flatten().tolist() == [0.0, 6.0]
+
+
+def test_a_state_stays_as_it_was_taken():
+    rollout = Rollout(counting_env(), count_up, horizon=2)
+    rollout()
+    state = rollout.state_dict()["current"]
+    for value in rollout.current.values():
+        value.zero_()
+    assert state["observation"].flatten().tolist() == [2, 2, 2]

@@ -133,7 +133,7 @@ def test_ffmpeg_is_told_width_before_height_and_the_rate_and_given_every_frame(t
 
 def test_a_strip_shows_frames_evenly_from_the_first_to_the_last_side_by_side(tmp_path):
     frames = [np.full((4, 3, 3), shade, np.uint8) for shade in range(0, 90, 10)]
-    with Image.open(frame_strip(frames, 3, tmp_path / "s" / "strip.png")) as picture:
+    with Image.open(frame_strip(frames, 3, tmp_path / "r" / "s" / "strip.png")) as picture:
         shown = np.asarray(picture)
     assert shown.shape == (4, 9, 3)
     assert shown[0, ::3, 0].tolist() == [0, 40, 80]
@@ -191,5 +191,5 @@ def test_the_first_way_to_draw_that_works_is_taken_and_what_needs_no_screen_is_t
 
 def test_a_gif_is_a_gif_also_where_there_is_ffmpeg(tmp_path, monkeypatch):
     monkeypatch.setattr("matplotlib.animation.writers.is_available", lambda name: True)
-    path = write_video([np.zeros((8, 8, 3), np.uint8)] * 2, tmp_path / "deep" / "a.gif", frame_rate=50.0)
+    path = write_video([np.zeros((8, 8, 3), np.uint8)] * 2, tmp_path / "b" / "c" / "a.gif", frame_rate=50.0)
     assert path.read_bytes().startswith(b"GIF")

@@ -74,7 +74,7 @@ def played(monkeypatch):
 
 
 def test_an_examination_goes_on_where_it_stood_and_keeps_what_every_condition_came_to(played, tmp_path):
-    policy, table = pretrained("wbc"), tmp_path / "t" / "table.json"
+    policy, table = pretrained("wbc"), tmp_path / "t" / "u" / "table.json"
     told = {"episodes": 7, "steps": 11, "batch": 3, "seed": 4, "actuation": "ideal", "progress": False, "history": 10}
     with pytest.raises(KeyboardInterrupt):
         examine(policy, {"one": "first", "two": "breaks"}, table, **told)
@@ -121,8 +121,8 @@ def test_table_and_picture_tell_each_conditions_own_numbers(tmp_path, monkeypatc
     drawn = []
     plot = Axes.plot
     monkeypatch.setattr(Axes, "plot", lambda axis, *data, **look: drawn.append(data) or plot(axis, *data, **look))
-    module.draw_conditions(results, tmp_path / "p" / "conditions.png")
-    assert (tmp_path / "p" / "conditions.png").exists()
+    module.draw_conditions(results, tmp_path / "p" / "q" / "conditions.png")
+    assert (tmp_path / "p" / "q" / "conditions.png").exists()
     (line, heights), (mean, height, _) = drawn[:2]  # falls of the last one, which is drawn lowest
     assert (line, heights, height) == (pytest.approx([4.0, 22.0]), [0, 0], 0)
     assert mean == pytest.approx(8.0)
