@@ -226,3 +226,12 @@ def test_goals_are_those_of_the_seed_and_of_the_row():
 
 def test_a_degree_of_attitude_counts_as_five_millimetres():
     assert KEYPOINT_LENGTH * np.deg2rad(1.0) == pytest.approx(5e-3, rel=0.1)
+
+
+def test_near_the_default_is_near_the_robots_own_keyframe():
+    keys = '<keyframe><key name="low" qpos="0 0.21"/><key name="high" qpos="0 0.28"/></keyframe></mujoco>'
+    lift = from_mjcf(LIFT.replace("</mujoco>", keys), kp=1.0, kd=0.0, torque_limit=1.0)
+    sensors = {"end_effector_position": ("place",), "end_effector_quaternion": ("attitude",)}
+    lift = replace(lift, joint_groups={"arm": (0, 1)}, sensors=sensors, keyframe="high")
+    height = reachable_poses(lift, count=20, spread=0.01)[:, 2]
+    assert ((height >= 1.27) & (height <= 1.29)).all()

@@ -261,9 +261,10 @@ def test_a_base_without_a_free_joint_floats_not():
 
 TWO = """<mujoco><worldbody><body name="pole"><geom size="0.1"/></body>
   <body name="ball" pos="0 0 9"><freejoint/><geom size="0.1"/></body>
-  <body name="base" pos="3 0 9"><freejoint/><geom size="0.1"/><site name="s"/><body pos="0 0 1">
-  <joint name="hip" axis="0 1 0"/><geom size="0.1"/></body></body></worldbody>
-  <sensor><touch name="felt" site="s"/><jointpos name="turned" joint="hip"/></sensor>
+  <body name="base" pos="3 0 9"><freejoint/><geom size="0.1"/><site name="s"/><site name="top" pos="0 0 1"/>
+  <body pos="0 0 1"><joint name="hip" axis="0 1 0"/><geom size="0.1"/></body></body></worldbody>
+  <sensor><touch name="felt" site="s"/><jointpos name="turned" joint="hip"/>
+  <framepos name="where" objtype="site" objname="top"/></sensor>
   <keyframe><key name="first"/><key name="second" qpos="0 0 8 1 0 0 0  4 0 7 1 0 0 0  0.5"/></keyframe></mujoco>"""
 
 
@@ -348,3 +349,11 @@ def test_fields_that_differ_between_robots_are_made_on_either_device(monkeypatch
         TorqueEnv(ARM, num_envs=3, device="cuda:1", fields=["body_mass"])
     told = {"device": torch.device("cuda:1"), "fields": ["body_mass"], "joint_names": ARM.joint_names}
     assert made == [(3, told)]
+
+
+def test_a_sensor_of_the_base_goes_before_what_is_computed_and_the_rest_is_computed():
+    env = TorqueEnv(floating(sensors={"base_position": ("where",)}))
+    shown = env.reset()
+    assert shown["base_position"].tolist() == [[4.0, 0.0, 8.0]]
+    assert shown["base_quaternion"].tolist() == [[1.0, 0.0, 0.0, 0.0]]
+    assert shown["projected_gravity"].tolist() == [[0.0, 0.0, -1.0]]

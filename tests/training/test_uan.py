@@ -394,18 +394,18 @@ def test_robots_that_a_simulator_draws_are_not_drawn_where_a_net_is_trained():
 @pytest.mark.parametrize("rate", [200.0, 400.0])
 def test_a_window_may_lie_anywhere_and_all_beside_it_but_scraps_is_trained_on(rate):
     """Of twice its length, from the first sample on to the last; a scrap is too short for a step behind a history."""
-    length, first = round(0.05 * rate) + HISTORY, set()
+    length, first = round(0.15 * rate) + HISTORY, set()
     took = swinging(rate=rate).slice(0, 2 * length)
     for seed in range(300):
-        pieces, (window,) = set_aside([took], seconds=0.05, seed=seed)
+        pieces, (window,) = set_aside([took], seconds=0.15, seed=seed)
         start = int(np.searchsorted(took.time, window.time[0]))
         first.add(start)
         assert window.num_samples == length
         beside = [part for part in (took.time[:start], took.time[start + length :]) if len(part) > 2 * HISTORY]
         assert [piece.time.tolist() for piece in pieces] == [part.tolist() for part in beside]
     assert first >= {0, length}
-    with pytest.raises(RecordingError, match=r"no take lasts 0\.1 s"):
-        set_aside([took.slice(0, 2 * length - 1)], seconds=0.05)
+    with pytest.raises(RecordingError, match=r"no take lasts 0\.3 s"):
+        set_aside([took.slice(0, 2 * length - 1)], seconds=0.15)
 
 
 def test_as_many_windows_are_set_aside_as_make_up_the_share_and_one_at_least():
