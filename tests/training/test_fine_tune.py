@@ -136,6 +136,7 @@ def test_it_leaves_policy_curves_and_figures_and_goes_on(tmp_path):
     assert len(seen) == 2
     assert (tmp_path / "curves.png").stat().st_size > 5000
     assert read_network(tmp_path / "throw.npz").in_keys == ["observation"]
+    assert not (tmp_path / "throw.png").exists()  # no video was asked for
     fine_tune(replace(cfg, iterations=3), ball_throw_maker, judge=judge, **told)
     assert [row["step"] for row in CSVTable(tmp_path / "progress.csv").rows] == ["1", "2", "3"]
     assert len(seen) == 3  # what came before is known
@@ -198,12 +199,14 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     assert trained is learner
     assert (options["minutes"], options["iterations"], options["checkpoint_every"]) == (spent, 9, every)
     assert (options["logger"], options["checkpoints"]) == ("log", "states")
+    assert options["show"] == ["reward", "kl"]
     assert told["logger"] == [(("none", tmp_path, "finetune_throw"), {})]
     (((folder,), options),) = told["checkpoints"]
     assert folder == tmp_path / "checkpoints"
     same = {"seed": "6", "start": "other", "actuation": "ideal", "task": "throw", "ppo": str(config)}
     assert options["made_of"] == same | {"reward": "of world"}
-    for (world, played, look_at, steps), _ in told["rollout"]:
+    for (world, played, look_at, steps), options in told["rollout"]:
+        assert options == {"progress": "5 episodes"}
         assert (world, look_at, steps) == ("world", ["hand"], 500)
         assert played is not policy  # which may be part of what a graph has recorded
     assert told["save_wbc"][0][1] == {"name": "throw", "trained_as": str(cfg), "history": 10}

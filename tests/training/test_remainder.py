@@ -355,6 +355,7 @@ def test_seeds_rates_and_times_reach_the_training_and_what_is_left_out_the_remar
     monkeypatch.setattr(remainder, "DifferentiableTorqueEnv", noting("base", "base"))
     monkeypatch.setattr(remainder, "scored", lambda diagnosis, *told: diagnosis.answer.fit[told[-1]])
     monkeypatch.setattr(torch, "manual_seed", noting("seed"))
+    monkeypatch.setattr(remainder, "corrected_xml", noting("xml", damped.xml))
     address = JointAddress.of(damped.nominal.model, ("pendulum",))
     [effect] = (e for e in CATALOGUE if e.name == "load_dependent_friction")
     term = Candidate(effect, 0, "pendulum", effect.parameters(damped.nominal.model, address, 0))
@@ -369,6 +370,8 @@ def test_seeds_rates_and_times_reach_the_training_and_what_is_left_out_the_remar
     assert found.answer.fit == {**damped.answer.fit, **scores}
     assert told["save_checkpoint"][0][1] == {"hidden": [32, 32], "history": 20}
     assert told["seed"][0] == (7,)
+    (xml, named), options = told["xml"]
+    assert (xml, named.hypothesis.terms, options) == (damped.xml, (), {"drive": False})  # the chain is the drive
     replayed = told["replay_env"][1]
     step = mujoco.MjModel.from_xml_string(pendulum()).opt.timestep
     assert (replayed["seed"], replayed["base"], replayed["unit"].tolist()) == (7, "base", [1.0])
@@ -411,7 +414,9 @@ def test_a_net_sees_what_the_motor_gives_at_last(damped):
 def test_commands_reach_the_corrected_joints_as_the_robots_own_motors_would_act_on_them(driven, monkeypatch):
     told = {}
     monkeypatch.setattr(remainder, "CorrectedActuation", lambda found, **options: told.update(options) or found)
-    robot = replace(driven_robot(THREE, [SimpleNamespace(kp=None, kd=None)]), kp=(3.0, 4.0, 5.0), kd=(0.3, 0.4, 0.5))
+    bare = driven_robot(THREE, [SimpleNamespace(kp=None, kd=None)])
+    assert (bare.kp, bare.kd) == ((1.0,) * 3, (0.0,) * 3)  # a torque is the error of position, whatever the velocity
+    robot = replace(bare, kp=(3.0, 4.0, 5.0), kd=(0.3, 0.4, 0.5))
     law, *behind = remainder.chain_of(SimpleNamespace(to_json=lambda: "found"), robot, driven)
     servo = {"kp": robot.kp, "kd": robot.kd} if driven == "position" else {"kp": None, "kd": None}
     limits = {"timestep": 0.005, "joint_names": robot.joint_names, "torque_limit": (10.0, 20.0, 30.0)}

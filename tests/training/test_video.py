@@ -128,6 +128,7 @@ def test_ffmpeg_is_told_width_before_height_and_the_rate_and_given_every_frame(t
     assert (after["-s"], after["-r"], after["-pix_fmt"]) == ("6x4", "25.0", "yuv420p")
     assert command[-1] == str(tmp_path / "a.mp4")
     assert options["input"] == b"".join(frame.tobytes() for frame in frames)
+    assert "-y" in command  # over the one of an earlier run
     assert options["check"]  # a video that was not written is no success
 
 

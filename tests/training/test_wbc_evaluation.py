@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances
+from torchrl_athletic.functional.commands import CommandRanges
 from torchrl_athletic.networks import pretrained
 from torchrl_athletic.physics import CapacityError
 from torchrl_athletic.robots import Terrain, b2z1
@@ -177,6 +178,8 @@ def test_each_condition_differs_from_the_nominal_one_in_what_it_is_named_after_a
         condition = conditions[f"all randomised, {name}"]
         assert condition.disturbances == Disturbances()
         np.testing.assert_array_equal(field_of(condition.robot.model())[0], trained_on)
+    for name in ("slope 5°", "bumps 5 cm"):  # nor does one that walks straight on for 20 s fall off it
+        assert field_of(conditions[name].robot.model())[1] > 20 * max(CommandRanges().forward)
     for name in ("slope 5°", "bumps 5 cm", "all randomised"):
         assert conditions[name].robot.model().opt.cone == plain.opt.cone, name
     assert (options["100 iterations"].iterations, options["100 iterations"].ls_iterations) == (100, 50)
