@@ -542,3 +542,8 @@ def test_it_starts_at_the_robots_own_keyframe():
     robot = SimpleNamespace(joint_names=("hinge",), keyframe="second")
     start = _start_of(SimpleNamespace(physics=physics, robot=robot))
     assert (start.qpos.tolist(), start.qvel.tolist()) == ([2.0], [3.0])
+
+
+def test_nowhere_to_start_is_refused():
+    with pytest.raises(ValueError, match="no take is long enough to start in"):
+        own_replay(starts=torch.zeros(0, dtype=torch.int64))

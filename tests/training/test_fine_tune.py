@@ -258,3 +258,13 @@ def test_one_that_begins_anew_is_told_the_configuration_its_seed_and_where_to_re
     monkeypatch.setattr(module, "wbc_learner", told.of("anew", "learner"))
     assert task_learner("env", SMALL, start=None, known=KNOWN, seed=6, cuda_graph=True) == "learner"
     assert told["anew"] == [(("env", SMALL), {"seed": 6, "cuda_graph": True})]
+
+
+@pytest.mark.parametrize("flag", ["episodes", "num_envs"])
+def test_no_episodes_and_no_robots_are_refused_before_anything_is_made(flag, tmp_path):
+    told = {"name": "throw", "known": {}, "curves": {}, "look_at": [], "judge": dict, "steps": 2}
+    for count in (0, -1):
+        with pytest.raises(ValueError, match=f"--{flag.replace('_', '-')} is {count}: .*Give 1 or more"):
+            fine_tune(FineTune(output=tmp_path, **{flag: count}), None, **told)
+    with pytest.raises(TypeError, match="not callable"):  # one is enough: it goes on to make the task
+        fine_tune(FineTune(output=tmp_path, **{flag: 1}), None, **told)

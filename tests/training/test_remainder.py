@@ -289,6 +289,10 @@ def test_what_no_policys_simulation_acts_out_is_left_to_the_net():
         kept = acted_out(Simulation(model, names, Hypothesis(order), np.array(values)))
         assert [c.effect.name for c in kept.hypothesis.terms] == ["viscous_friction"]
         np.testing.assert_array_equal(kept.values, [0.2])
+    trimmed = Simulation(model, names, Hypothesis(terms[1:], terms[:1]), np.array([0.3, 0.1, 0.2]))
+    kept = acted_out(trimmed)  # what was adjusted within tolerances is acted out with the model
+    assert (kept.hypothesis.terms, kept.hypothesis.trims) == ((), terms[:1])
+    np.testing.assert_array_equal(kept.values, [0.2])
 
 
 def test_a_remark_names_what_the_net_stands_in_for_and_says_when_it_does_not_help():
@@ -425,3 +429,16 @@ def test_commands_reach_the_corrected_joints_as_the_robots_own_motors_would_act_
     for part in behind:
         assert part.kp.tolist() == [3.0, 4.0, 5.0]
         assert part.kd.tolist() == pytest.approx([0.3, 0.4, 0.5])
+
+
+def test_a_net_is_scored_beside_what_is_named_and_what_was_adjusted(damped, monkeypatch):
+    asked, net = [], Brake(0.1)
+    monkeypatch.setattr(remainder, "score", lambda *told: asked.append(told) or ["found"])
+    (named,) = named_friction(damped.nominal.model)[0].terms
+    for whole in (Hypothesis((named,), ()), Hypothesis((), (named,))):
+        corrected = Simulation(damped.nominal.model, ("pendulum",), whole, np.array([0.3]))
+        robot = driven_robot(damped.xml, damped.recordings)
+        assert scored(damped, corrected, net, robot, "train") == "found"
+        _, hypothesis, values, *_ = asked.pop()
+        assert (hypothesis.terms, hypothesis.trims, hypothesis.net) == (whole.terms, whole.trims, net)
+        assert values.tolist() == [0.3, 1.0]
