@@ -442,3 +442,12 @@ def test_a_net_is_scored_beside_what_is_named_and_what_was_adjusted(damped, monk
         _, hypothesis, values, *_ = asked.pop()
         assert (hypothesis.terms, hypothesis.trims, hypothesis.net) == (whole.terms, whole.trims, net)
         assert values.tolist() == [0.3, 1.0]
+
+
+@pytest.mark.parametrize(("step", "stride"), [("0.003", 3), ("0.009", 1), ("0.02", 1)])
+def test_a_period_of_the_robot_is_a_whole_number_of_steps_of_the_simulation(step, stride):
+    """Though 0.009 / 0.003 is a little less than 3 to a computer; in a coarser one it sees each step."""
+    robot = driven_robot(THREE.replace("0.005", "0.009"), [SimpleNamespace(kp=None, kd=None)])
+    model = mujoco.MjModel.from_xml_string(THREE.replace("0.005", step))
+    plant = Plant(model, JointAddress.of(model, robot.joint_names), 1)
+    assert LearnedTorque(Brake(0.0), robot, plant, np.ones((1, 1))).stride == stride

@@ -435,3 +435,9 @@ def test_rows_of_joints_are_written_where_an_update_reads_them(monkeypatch):
     first = rollout()["seen"]
     assert rollout()["seen"].data_ptr() == first.data_ptr()
     assert first.unique().tolist() == [2.0]
+
+
+def test_a_net_that_is_told_which_joint_is_which_cannot_be_credited_joint_by_joint():
+    env = SimpleNamespace(observation_spec={"observation": torch.zeros(2, 6, 2 * HISTORY)}, device="cpu")
+    with pytest.raises(ValueError, match="credit='arm', or the gradient method"):
+        uan_learner(env, uan(joints=6), replace(UAN, num_envs=2), credit="joint")

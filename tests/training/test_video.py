@@ -134,10 +134,11 @@ def test_ffmpeg_is_told_width_before_height_and_the_rate_and_given_every_frame(t
 
 def test_a_strip_shows_frames_evenly_from_the_first_to_the_last_side_by_side(tmp_path):
     frames = [np.full((4, 3, 3), shade, np.uint8) for shade in range(0, 90, 10)]
-    with Image.open(frame_strip(frames, 3, tmp_path / "r" / "s" / "strip.png")) as picture:
-        shown = np.asarray(picture)
-    assert shown.shape == (4, 9, 3)
-    assert shown[0, ::3, 0].tolist() == [0, 40, 80]
+    for count, shades in ((3, [0, 40, 80]), (4, [0, 30, 50, 80])):  # the nearest ones
+        with Image.open(frame_strip(frames, count, tmp_path / "r" / "s" / "strip.png")) as picture:
+            shown = np.asarray(picture)
+        assert shown.shape == (4, 3 * count, 3)
+        assert shown[0, ::3, 0].tolist() == shades
 
 
 def test_the_camera_keeps_a_floating_base_in_its_middle_unless_told_otherwise(monkeypatch, tmp_path):
