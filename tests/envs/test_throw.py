@@ -460,3 +460,11 @@ def test_an_arm_that_does_not_begin_with_the_first_joint_is_thrown_with_and_judg
     assert terms["reference"](before, after).item() == 0.0
     [phases] = (part for part in parts if isinstance(part, TaskPhase))
     assert phases.schedule == throw_phases(stay_probability=0.0, settle_probability=0.0)
+
+
+def test_the_reference_waits_for_the_phase_of_throwing_swings_in_it_and_waits_until_it_is_over():
+    """Back by 1.9 s; the throw is on from 2.5 s to 3.5 s; home at 4 s."""
+    moves = REFERENCE.diff(dim=0).abs().amax(1) > 1e-6
+    times = torch.arange(STEPS) * DT
+    swings = (times >= 2.5 - 1e-6) & (times < 2.9 - 1e-6)
+    assert moves.equal((times < 1.9 - 1e-6) | swings | (times >= 3.5 - 1e-6))

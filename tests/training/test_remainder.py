@@ -434,12 +434,18 @@ def test_commands_reach_the_corrected_joints_as_the_robots_own_motors_would_act_
 def test_a_net_is_scored_beside_what_is_named_and_what_was_adjusted(damped, monkeypatch):
     asked, net = [], Brake(0.1)
     monkeypatch.setattr(remainder, "score", lambda *told: asked.append(told) or ["found"])
+    noted = SimpleNamespace(takes="takes", position_noise="noise", repeatability="repeats")
+    monkeypatch.setattr(remainder, "prepare", lambda takes, model: asked.append((takes, model)) or noted)
     (named,) = named_friction(damped.nominal.model)[0].terms
+    robot = driven_robot(damped.xml, damped.recordings)
     for whole in (Hypothesis((named,), ()), Hypothesis((), (named,))):
         corrected = Simulation(damped.nominal.model, ("pendulum",), whole, np.array([0.3]))
-        robot = driven_robot(damped.xml, damped.recordings)
-        assert scored(damped, corrected, net, robot, "train") == "found"
-        _, hypothesis, values, *_ = asked.pop()
+        for split, recordings in (("train", damped.recordings), ("heldout", damped.heldout)):
+            assert scored(damped, corrected, net, robot, split) == "found"
+            taken, (takes, hypothesis, values, noise, _, repeats) = asked
+            assert taken == (recordings, corrected.model)
+            assert (takes, noise, repeats) == ("takes", "noise", "repeats")
+            asked.clear()
         assert (hypothesis.terms, hypothesis.trims, hypothesis.net) == (whole.terms, whole.trims, net)
         assert values.tolist() == [0.3, 1.0]
 

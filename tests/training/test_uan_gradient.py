@@ -9,10 +9,10 @@ import torch
 from identification.arms import commands, recorded, robot
 from tensordict import TensorDict
 
-from torchrl_athletic.envs import replay_env
+from torchrl_athletic.envs import TorqueEnv, replay_env
 from torchrl_athletic.identification import Simulator
 from torchrl_athletic.networks import uan
-from torchrl_athletic.robots import b2z1, from_mjcf
+from torchrl_athletic.robots import b2z1, from_mjcf, z1
 from torchrl_athletic.training import (
     DifferentiableTorqueEnv,
     GradientLearner,
@@ -436,3 +436,19 @@ def test_a_gradient_that_is_twenty_times_as_long_as_usual_has_exploded(monkeypat
         assert float(descend(learner)["grad_norm"]) == pytest.approx(length, rel=1e-3)
         assert learner.caution == caution
     assert (learner.share, learner.outlier) == (2 / 8, 1e3)
+    learner.outlier, learner.usual = 0.01, length
+    torch.nn.init.constant_(weight, 0.01)  # an error as large as that pulls half as much
+    assert float(descend(learner)["grad_norm"]) == pytest.approx(length / 2, rel=1e-3)
+
+
+def test_rows_are_made_where_they_are_asked_for_and_read_nothing_but_joints(monkeypatch):
+    made = []
+
+    def refuse(env, robot, **told):
+        made.append((robot.sensors, told))
+        raise NotImplementedError
+
+    monkeypatch.setattr(TorqueEnv, "__init__", refuse)
+    with pytest.raises(NotImplementedError):
+        DifferentiableTorqueEnv(z1(), num_envs=3, device="cuda:1")
+    assert made == [({}, {"num_envs": 3, "device": "cuda:1"})]
