@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 from torchrl.envs import Compose, GymEnv, StepCounter, TransformedEnv
+from torchrl.envs.utils import ExplorationType, exploration_type
 
 from torchrl_athletic.envs import TorqueEnv, actuation_chain, ball_throw_env, dumbbell_snatch_env, sled_pull_env
 from torchrl_athletic.robots import z1
@@ -173,3 +174,26 @@ def test_without_a_decimation_all_stays_as_it_is():
     fuse_transforms(env)
     assert env.transform._step == step
     assert env.reset()["step_count"].item() == 0
+
+
+@pytest.mark.parametrize("on_gpu", [False, True])
+def test_no_more_is_stored_than_is_asked_for_and_the_policy_explores(on_gpu):
+    """A batch of one step too, though a few are taken before that one is recorded."""
+    seen = []
+
+    def explore(tensordict):
+        seen.append(exploration_type())
+        return swing(tensordict)
+
+    def capture(step):
+        for _ in range(3):
+            step()
+        return step
+
+    rollout = CapturedRollout(make_env(), explore, 1, keys=["joint_velocity"], fuse=False)
+    if on_gpu:
+        rollout.physics = SimpleNamespace(device=SimpleNamespace(type="cuda"), capture=capture)
+    batch = rollout()
+    assert batch["joint_velocity"].shape == (3, 1, 7)
+    assert "joint_position" not in batch.keys()
+    assert set(seen) == {ExplorationType.RANDOM}
