@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -439,7 +440,7 @@ def test_a_net_is_scored_beside_what_is_named_and_what_was_adjusted(damped, monk
     (named,) = named_friction(damped.nominal.model)[0].terms
     robot = driven_robot(damped.xml, damped.recordings)
     for whole in (Hypothesis((named,), ()), Hypothesis((), (named,))):
-        corrected = Simulation(damped.nominal.model, ("pendulum",), whole, np.array([0.3]))
+        corrected = Simulation(copy(damped.nominal.model), ("pendulum",), whole, np.array([0.3]))
         for split, recordings in (("train", damped.recordings), ("heldout", damped.heldout)):
             assert scored(damped, corrected, net, robot, split) == "found"
             taken, (takes, hypothesis, values, noise, _, repeats) = asked
