@@ -25,6 +25,7 @@ from torchrl_athletic.diagnosis.report.telling import (
     first_map,
     joint_order,
     map_of,
+    rms,
     telling_overlays,
     telling_window,
     visible_energy,
@@ -314,6 +315,133 @@ def test_shares_of_a_joint_add_up_over_its_regimes():
              (("elbow", 0.3), ("shoulder", 0.4), ("elbow", 0.3))]  # fmt: skip
     quiet = replace(answer, findings=(), locations=tuple(parts))
     assert joint_order(quiet, ["shoulder", "elbow"]) == ["elbow", "shoulder"]
+
+
+def test_a_joint_of_several_findings_stands_where_its_first_one_does():
+    first, second = arm().answer.findings
+    answer = replace(arm().answer, findings=(first, second, first))
+    assert joint_order(answer, ["shoulder", "elbow"]) == ["elbow", "shoulder"]
+
+
+def test_a_law_is_shown_along_its_own_quantity_and_what_has_none_along_what_shows_most():
+    s = arm()
+    friction = replace(s.answer.findings[0], regime="position beyond 1 rad")
+    assert map_of(friction, s.maps).feature == "speed"
+    unknown = replace(friction, effect="my_own_effect", regime="everywhere")
+    assert map_of(unknown, s.maps) is by_telling([m for m in s.maps if m.joint == "elbow"])[0]
+    for joint in ("shoulder", "elbow"):
+        assert first_map(replace(s.answer, findings=()), s.maps, joint).joint == joint
+
+
+def test_what_is_no_number_says_nothing_of_what_is_shown_first():
+    m, o = slider().maps[1], arm().overlays[0]
+    gap = np.arange(len(m.before)) == 3
+    assert visible_energy(replace(m, before=np.where(gap, np.nan, m.before))) > 10.0
+    assert rms(np.array([3.0, np.nan, -3.0, np.inf])) == 3.0
+    burst = (1.0 * (np.abs(o.time - 6.0) < 0.5))[:, None] * np.ones(2)
+    burst[3] = np.inf  # a simulation that ran away for a moment
+    start, stop = o.time[telling_window(replace(o, before=o.measured + burst))][[0, -1]]
+    assert start < 5.51 < 6.49 < stop
+
+
+def test_the_last_seconds_of_a_recording_are_shown_where_they_tell_most():
+    o, time = arm().overlays[0], np.arange(7.0)
+    still = np.zeros((7, 2))
+    end = replace(o, time=time, measured=still, before=still + (time == 5.0)[:, None], after=still)
+    assert telling_window(end, 3.0) == slice(3, 6)
+
+
+def test_an_error_counts_by_the_motion_of_its_own_joint():
+    """A hundredth of a slow joint's motion is less than a tenth of a quick one's, in whichever order they stand."""
+    o = arm().overlays[0]
+    motion = np.stack([100 * np.sin(o.time), np.sin(o.time)], 1)
+    one, other = (
+        replace(o, recording=name, measured=motion, before=motion + by) for name, by in (("a", [2, 0]), ("b", [0, 1]))
+    )
+    assert [x.recording for x in telling_overlays([one, other])] == ["b", "a"]
+
+
+def test_each_track_stands_on_its_own_line_with_its_own_numbers():
+    ax = fit_figure([("a", "rad", 0.4, 0.2, 0.1), ("b", "rad", 0.3, 0.1, 0.05)]).axes[0]
+    said = {text.get_text(): text.get_position()[1] for text in ax.texts if text.get_text()}
+    assert {"0.400 → 0.200 rad", "0.300 → 0.100 rad", "floor 0.100", "floor 0.050"} <= said.keys()
+    assert said["a"] == said["0.400 → 0.200 rad"] < said["b"] == said["0.300 → 0.100 rad"]
+
+
+def test_an_axis_holds_what_is_left_in_its_own_unit_and_the_quantity_of_the_part_above():
+    m = slider().maps[1]
+    shorter = replace(m, after=np.where(m.centre > 0, np.nan, 1e-5 * m.before), noise=np.nan)
+    shorter = replace(shorter, after_band=np.repeat(shorter.after[:, None], 2, 1))
+    missing, left = why_figure(shorter).axes
+    assert left.get_xlim() == missing.get_xlim()
+    largest = 1e6 * np.nanmax(np.abs(shorter.after))
+    assert largest < left.get_ylim()[1] < 1.2 * largest
+
+
+def test_nothing_missing_and_no_noise_known_leave_an_axis_with_a_height():
+    m = slider().maps[1]
+    nothing = {"after": np.zeros_like(m.after), "after_band": np.zeros_like(m.after_band), "noise": np.nan}
+    assert why_figure(replace(m, **nothing)).axes[1].get_ylim()[1] > 0
+    nothing |= {"before": nothing["after"], "before_band": nothing["after_band"]}
+    assert torque_limit([replace(m, **nothing)]) > 0
+    worse = replace(m, after=3 * m.before)
+    assert torque_limit([worse]) > np.abs(worse.after).max()
+
+
+def test_both_errors_fit_their_axis_and_a_motion_about_any_place_its_own():
+    o = slider().overlays[0]
+    aside = replace(o, measured=o.measured + 5.0, before=o.measured + 5.001, after=o.measured + 5.01)
+    for x in (aside, replace(aside, before=aside.after, after=aside.before)):
+        motion, error = overlay_figure(x, "carriage", "m", slice(0, 500)).axes
+        assert error.get_ylim()[1] > 10.0  # mm
+        low, high = motion.get_ylim()
+        assert low < 5.0 + o.measured[:500].min() < 5.0 + o.measured[:500].max() < high
+    small = replace(o, measured=1e-2 * o.measured, before=1e3 * o.before, after=1e-2 * o.after)
+    low, high = overlay_figure(small, "carriage", "m", slice(0, 500)).axes[0].get_ylim()
+    assert np.ptp(10 * small.measured[:500]) < high - low < np.ptp(5e3 * small.measured[:500])  # mm
+
+
+def test_a_window_late_in_a_recording_is_drawn_as_finely_as_an_early_one():
+    o = arm().overlays[0]
+    early, late = (
+        lines(overlay_figure(o, "elbow", "rad", slice(at, at + 250)))["measured-motion"] for at in (0, 2000)
+    )
+    assert len(early) == len(late) == 250
+
+
+def test_an_error_that_shrinks_on_its_own_is_no_restart():
+    time = np.arange(1000) / RATE
+    error = np.where(time % 0.5 < 0.25, 1.0, 0.5) + 1e-3 * time
+    assert not np.isnan(_broken_at_restarts(error, np.zeros(1000))).any()
+
+
+def test_the_quantity_has_its_readable_unit_and_a_number_without_one_is_marked_so():
+    m = replace(slider().maps[1], centre=1e-3 * slider().maps[1].centre, unit="m")
+    ax = regime_figure(m).axes[0]
+    assert ax.get_xlabel() == "speed [mm]"
+    np.testing.assert_allclose(ax.lines[-1].get_xdata(), 1e3 * m.centre)
+    assert regime_figure(replace(slider().maps[1], unit="1")).axes[0].get_xlabel() == "speed [1]"
+
+
+def test_a_tall_picture_has_more_ticks_than_a_flat_one():
+    motion, error = overlay_figure(arm().overlays[0], "elbow", "rad", slice(0, 500)).axes
+    assert motion.get_window_extent().height > error.get_window_extent().height
+    assert len(motion.get_yticks()) > len(error.get_yticks())
+
+
+def test_the_summary_is_of_the_joint_that_matters_in_the_recordings_that_have_it():
+    s = arm()
+    shoulder = replace(s.answer, findings=s.answer.findings[1:])
+    figure = summary_figure(shoulder, tuple(reversed(s.maps)), s.overlays)
+    assert figure.axes[0].get_xlabel().startswith("acceleration")
+    other = slider().overlays[1]  # kept aside, too, and errs more beside its motion
+    loud = replace(other, before=other.before + 1.0)
+    figure = summary_figure(s.answer, s.maps, (loud, *s.overlays))
+    assert figure.axes[1].texts[0].get_text() == "position [rad]"
+    metres = replace(s.answer, quality={**s.answer.quality, "units": {"shoulder": "rad", "elbow": "m"}})
+    assert summary_figure(metres, s.maps, s.overlays).axes[1].texts[0].get_text() == "position [m]"
+    unnamed = replace(s.answer, findings=())
+    assert summary_figure(unnamed, s.maps, s.overlays).texts[0].get_text() == s.answer.summary[0].replace(". ", ".\n")
 
 
 class Still:

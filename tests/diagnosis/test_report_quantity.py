@@ -79,6 +79,10 @@ def test_an_interval_is_printed_finer_than_a_tenth_of_its_half_width(value, rela
         (0.4, "kg", "0.400 kg"),
         (0.04, "kg", "40.0 g"),
         (4e-5, "kg", "0.0400 g"),
+        (0.1, "rad", "0.100 rad"),
+        (1e-4, "m", "0.100 mm"),
+        (1e-3, "N", "0.00100 N"),
+        (1e5, "N", "100 ×10³ N"),
         (2e5, "N", "200 ×10³ N"),
         (2e4, "N", "20000 N"),
         (5e-4, "N", "500 ×10⁻⁶ N"),
@@ -122,6 +126,7 @@ def test_slides_are_told_from_hinges_by_the_answer_or_by_their_forces():
     assert joint_units(s.answer) == {"carriage": "m"}
     unsaid = type(s.answer)("explained", (), fit=s.answer.fit)
     assert joint_units(unsaid, s.maps) == {"carriage": "m"}
+    assert joint_units(type(s.answer)("explained", ()), s.maps) == {"carriage": "m"}  # before anything was simulated
     assert joint_units(arm().answer, arm().maps) == {"shoulder": "rad", "elbow": "rad"}
 
 
@@ -134,6 +139,7 @@ def test_values_side_by_side_are_at_the_scale_of_their_geometric_mean():
     assert quantities([0.5, 0.2, 0.0], "rad") == (["0.500", "0.200", "0.000"], "rad")
     assert quantities([math.nan, 0.005], "m") == (["–", "5.00"], "mm")
     assert quantities([0.0], "m") == (["0.00"], "m")
+    assert quantities([-5.0, 0.05], "rad") == (["−5.00", "0.05"], "rad")  # by their sizes, whatever their signs
 
 
 @pytest.mark.parametrize(
@@ -142,6 +148,7 @@ def test_values_side_by_side_are_at_the_scale_of_their_geometric_mean():
         (166.706, (163.24, 170.11), "N·s/m", ("166.7", "163.2", "170.1", "N·s/m")),
         (1234.0, (834.0, 1634.0), "N", ("1230", "830", "1630", "N")),
         (0.0021, (0.0020, 0.0022), "s", ("2.10", "2.00", "2.20", "ms")),
+        (0.5, (2e-5, 1.0), "rad", ("0.50", "0.00", "1.00", "rad")),
         (2.0, (math.nan, math.nan), "N", ("2.00", "–", "–", "N")),
         (2.0, (2.0, 2.0), "N", ("2.00", "2.00", "2.00", "N")),
         (2.0, (2.0, 2.0000001), "N", ("2.00000", "2.00000", "2.00000", "N")),

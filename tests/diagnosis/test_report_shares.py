@@ -38,6 +38,12 @@ def test_a_model_that_is_right_errs_by_noise():
     assert shares["noise"] == pytest.approx((127 / 131) ** 2)
 
 
+def test_a_joint_that_stood_still_and_a_simulation_that_ran_away_divide_nothing_by_zero():
+    assert sum(energy_shares(Answer("explained", (), fit={"train": score(0.0, 0.0, 0.0)}), "train").values()) == 1.0
+    ran_away = Answer("explained", (), fit={"train": score(float("nan"), 1.0, 0.1)})
+    assert all(share == share for share in energy_shares(ran_away, "train").values())
+
+
 def test_metres_and_radians_are_not_added():
     answer = arm().answer
     small = {
