@@ -81,6 +81,7 @@ def test_a_smaller_motion_has_the_same_shape_and_says_its_own_size(takes):
     whole = next(m for m in motions(takes, Limits.of(takes), [1], 8.0) if m.kind == "mix")
     half = whole.smaller(0.5)
     np.testing.assert_allclose(half.wave, 0.5 * whole.wave)
+    assert half.amplitude == 0.5 * whole.amplitude
     assert np.abs(half.wave).max() <= half.amplitude
     assert f"{half.amplitude:.2g} rad" in half.words("rad")
 
@@ -268,6 +269,74 @@ def test_a_wave_fades_in_and_out_within_half_a_second_and_comes_home_at_the_spee
     assert len(home) == 2 + round(0.25 * PLAN.rate)  # from 0.5 at 2 rad/s
     np.testing.assert_allclose(np.diff(home[1:], axis=0) * PLAN.rate, np.tile([-0.8, 2.0], (len(home) - 2, 1)))
     np.testing.assert_allclose(home[-1], 0, atol=1e-12)
+
+
+def two_joints(velocity=(1.0, 4.0)):
+    """Candidates for two joints of one range and unlike speeds, from a start that is not the middle."""
+    time = np.arange(0.0, 2.0, 1 / PLAN.rate)
+    still = np.full((len(time), 2), 0.25)
+    take = SimpleNamespace(recording=Recording(time, ("hip", "knee"), still, torque_command=still))
+    limits = Limits(np.array([[-2.0, 2.0]] * 2), np.array(velocity), np.ones(2))
+    return list(motions([take], limits, [0, 1], 8.0)), limits
+
+
+def test_each_joint_moves_at_its_own_speed_in_every_kind_of_motion():
+    """What one of them may do the other may not; of what each may most is used."""
+    found, limits = two_joints()
+    fastest = {}
+    for m in found:
+        if m.kind in ("sweep", "mix", "multisine"):
+            speed = np.abs(np.diff(m.wave, axis=0)).max(0) * PLAN.rate / limits.velocity
+            assert (speed <= 1).all()
+            fastest[m.kind] = np.maximum(fastest.get(m.kind, np.zeros(2)), speed)
+    assert {kind: speed.min() > 0.7 for kind, speed in fastest.items()} == dict.fromkeys(fastest, True)
+    assert fastest["multisine"] == pytest.approx([PLAN.margin, PLAN.margin])
+
+
+def test_of_many_joints_a_band_too_narrow_to_tell_them_apart_is_left_out_and_wider_ones_are_not():
+    limits = Limits(np.array([[-2.0, 2.0]] * 4), np.ones(4), np.ones(4))
+    found = list(module._of_all(tuple("abcd"), np.zeros(4), np.ones(4), limits, 8.0))
+    assert [m.frequency for m in found] == [1.2, 3.0]
+
+
+def test_a_mix_keeps_to_half_of_the_range_about_its_pose_both_ways_alike():
+    found, limits = two_joints(velocity=(100.0, 100.0))
+    mixes = [m for m in found if m.kind == "mix"]
+    for m in mixes:
+        own = m.wave[:, ("hip", "knee").index(m.joint)]
+        assert np.abs(own).max() == pytest.approx(m.amplitude)
+        assert m.amplitude <= 0.5 * PLAN.margin * 2.0 + 1e-9
+        assert abs(own.mean()) < 0.2 * m.amplitude
+        assert np.abs(own[[0, -1]]).max() < 1e-2 * m.amplitude
+    assert max(m.amplitude for m in mixes) == pytest.approx(0.5 * PLAN.margin * 2.0)
+
+
+def test_both_joints_have_their_turn_about_the_start_before_any_other_pose():
+    """The second pose is half-way to the upper end, where gravity pulls otherwise."""
+    found, _ = two_joints()
+    first = [(m.joint, m.pose.tolist()) for m in found if m.joint != "all joints"][:4]
+    assert [joint for joint, _ in first] == ["hip", "knee", "hip", "knee"]
+    others = [pose["knee hip".split().index(joint)] for joint, pose in first]
+    assert others == pytest.approx([0.25, 0.25, 1.0, 1.0])
+
+
+def test_steps_end_where_they_began():
+    found, _ = two_joints(velocity=(100.0, 100.0))
+    kinds = {m.kind: m for m in found}
+    assert kinds["steps"].wave[-1] == pytest.approx([0, 0], abs=1e-9)
+    assert (kinds["steps"].rounding, kinds["sweep"].rounding) == (0.02, 0.05)
+
+
+def test_the_range_without_a_model_is_that_of_all_takes():
+    limits, takes, _ = limits_of(slider(), 2 * smooth_torque(3.0), 5 * smooth_torque(3.0, seed=1))
+    position = np.concatenate([take.position for take in takes])
+    assert limits.position == pytest.approx(np.array([[position.min(), position.max()]]))
+    assert np.ptp(position) > np.ptp(takes[0].position)
+
+
+def test_a_pose_a_hair_below_zero_is_said_as_zero():
+    motion = module.Motion("hip", "sine", 0.5, 2.0, np.array([-0.0]), np.zeros((3, 1)))
+    assert motion.words("rad").endswith("(0.00)")
 
 
 def test_a_way_of_no_length_takes_half_a_second_and_the_joint_with_the_longest_way_sets_the_time():

@@ -202,6 +202,7 @@ def test_products_are_sums_over_what_counts_in_units_of_the_noise():
     twice = pair.products([seen, seen], np.array([[2.0, 3.0]] * 2))
     assert twice.count == pytest.approx(2 * found.count)
     assert (twice.bent, twice.left) == (pytest.approx(found.bent), pytest.approx(found.left))
+    assert pair.products([seen, seen], np.array([[2.0, 3.0], [4.0, 3.0]])).noise == pytest.approx([10**0.5, 3.0])
     pair.memory = np.array([0.5, 1.0])
     assert pair.products([seen]).count == pytest.approx([N / 16, N / 8])
 
@@ -238,13 +239,15 @@ def test_farther_apart_than_enough_is_enough():
     assert pair.separations(known) == pytest.approx([PLAN.enough])
 
 
+@pytest.mark.parametrize("floor", [1.0, 3.0])
 @pytest.mark.parametrize("louder", [1.0, 1.5, 2.0])
-def test_noise_of_a_search_is_compared_by_its_variance(louder):
+def test_noise_of_a_search_is_compared_by_its_variance(louder, floor):
+    """What stands above the noise as a floor is as much torque beside louder noise, and fewer of its variances."""
     pair, known, _ = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.5, second=COSINE)
-    pair.floor, known = np.ones(2), known.times(0.05)
+    pair.floor, known = np.full(2, floor), known.times(0.05)
     c, quiet = 2.5, louder**-2
     left = known.left[0] * quiet
-    level = max(left, 1.0 + (max(1.0, 1.0 + SEARCH.accuracy**2 * c**2) - 1.0) * quiet)
+    level = max(left, 1.0 + (max(floor, 1.0 + SEARCH.accuracy**2 * c**2) - 1.0) * quiet)
     expected = known.count[0] * np.log(max(left + c**2 * quiet, level) / level)
     assert expected > 1  # else nothing were compared
     found = pair._evidence(known, np.array([c]), 0, 1, np.full(2, quiet))
@@ -288,6 +291,7 @@ def test_a_nonlinear_number_counts_by_the_slope_of_what_it_predicts():
     np.testing.assert_allclose(found.prediction(take)[:, 0], shifted(take.time, 0.2))
     assert found.parameters(np.array([1.0, 0.05])) == pytest.approx([0.25])
     assert (found.low[1], found.high[1]) == pytest.approx((-0.1, 0.1))  # half of its value, either way
+    assert found.doubt[1] == pytest.approx(1 / 0.05**2)  # which are two deviations
 
 
 def test_a_number_at_its_upper_end_is_changed_the_other_way(monkeypatch):
@@ -302,6 +306,7 @@ def test_a_number_at_its_upper_end_is_changed_the_other_way(monkeypatch):
     found, _, take = late(1.0)
     columns = found.columns(take, {})
     assert max(asked) <= 1.0
+    assert (found.low[1], found.high[1]) == pytest.approx((-0.5, 0.5))
     np.testing.assert_allclose(columns[:, 0, 1], -120 * np.cos(3 * (take.time - 1.0)), atol=12.0)
 
 
@@ -309,6 +314,7 @@ def test_a_number_beside_a_nonlinear_one_keeps_its_own_coefficient():
     found, scored, take = late(0.2, Along("beside", (1, 0), nominal=0.25))
     np.testing.assert_allclose(found.parameters(found.values), np.concatenate(scored.fit.values()))
     assert found.parameters(np.array([1.0, 0.05, 2.0])) == pytest.approx([0.25, 2.25])
+    assert found.prior[2] == PLAN.unseen**-2  # of one scale of change, from wherever the given model is
     columns = found.columns(take, {})
     assert columns.shape == (N, 2, 3)
     np.testing.assert_allclose(columns[:, 0, 2], SINE)
@@ -325,6 +331,55 @@ def test_drawn_numbers_scatter_as_the_recordings_allow_about_those_fitted(monkey
     np.testing.assert_array_equal(drawn[0], found.values)
     assert drawn[1:, 2].std() == pytest.approx(1 / np.sqrt(25.0 + found.prior[2]), rel=0.05)
     assert drawn[1:, 2].mean() == pytest.approx(found.values[2], abs=0.02)
+
+
+def test_numbers_that_the_recordings_tie_together_are_drawn_together_and_those_not_shown_as_likely(monkeypatch):
+    monkeypatch.setattr("torchrl_athletic.diagnosis.separation.PLAN", replace(PLAN, draws=1001))
+    take = motion(SINE, COSINE, 0.5 * SINE)
+    three = candidate(Along("three", (1, 0), (0, 1), (1, 1), lower=-1e3, upper=1e3))
+    judge = Judge(Bank([take], [three], noise=np.ones(2)))
+    found = Coefficients(judge.score(judge.bank.atoms), take)
+    tied = np.array([[25.0, 20.0, 0.0], [20.0, 25.0, 0.0], [0.0, 0.0, 0.0]])
+    drawn = found.draw(tied, np.random.default_rng(0))[1:]
+    expected = np.linalg.inv(tied[:2, :2])
+    np.testing.assert_allclose(np.cov(drawn[:, :2].T), expected, rtol=0.15)
+    assert drawn[:, 2].std() == pytest.approx(PLAN.unseen, rel=0.1)
+
+
+def test_one_effect_on_two_joints_is_two_rivals(monkeypatch):
+    def own(self, s, joint, fixed):
+        out = np.zeros((len(s.time), 2, 1))
+        out[:, joint, 0] = s.position[:, 0]
+        return Fingerprint(out, fixed)
+
+    monkeypatch.setattr(Along, "fingerprint", own)
+    both = Along("one", (1, 0))
+    judge = Judge(Bank([motion(SINE, COSINE, SINE)], [candidate(both, 0), candidate(both, 1)], noise=np.ones(2)))
+    pair = Rivals(judge, [judge.score([atom]) for atom in judge.bank.atoms], None)
+    found = pair.products(pair.takes)
+    assert found.of[0, 1] == pytest.approx(np.zeros((2, 1, 1)))
+    assert [group[0, 0] > 0 for group in found.of[1, 1]] == [False, True]
+
+
+def test_a_number_without_a_column_of_its_own_is_no_coefficient(monkeypatch):
+    two = (Parameter("seen", "1", 0.0, -1.0, 1.0, 1.0), Parameter("unseen", "1", 0.0, -1.0, 1.0, 1.0))
+    monkeypatch.setattr(Along, "parameters", lambda self, model, address, joint: two)
+    take = motion(SINE, COSINE, 0.5 * SINE)
+    judge = Judge(Bank([take], [candidate(Along("half", (1, 0)))], noise=np.ones(2)))
+    assert Coefficients(judge.score(judge.bank.atoms), take).values == pytest.approx([0.5])
+
+
+def test_thinned_signals_keep_the_base_of_the_rows_that_are_left():
+    take = every_nth(replace(motion(SINE, COSINE), base=np.arange(N)), 3)
+    np.testing.assert_array_equal(take.base, np.arange(0, N, 3))
+
+
+def test_draws_scatter_with_the_level_of_the_error():
+    pair, known, _ = rivals(Along("one", (1, 0)), Along("other", (0, 1)), size=0.15, second=COSINE)
+    quiet, pair.draws, pair.level = pair.draws, None, 4 * pair.level
+    pair.separations(known)
+    for few, many, own in zip(quiet, pair.draws, pair.known, strict=True):
+        np.testing.assert_allclose(many - own.values, 2 * (few - own.values), rtol=0.02)
 
 
 def test_what_is_left_and_the_floor_are_means_over_the_rows_that_count():
@@ -352,6 +407,7 @@ def test_of_a_fit_each_number_is_one_coefficient_and_a_trim_is_pulled_by_half_it
     np.testing.assert_allclose(found.values, best.fit.coefficients)
     np.testing.assert_allclose(found.doubt, [0.0, 0.0, 1 / 0.2**2])
     assert (found.low.tolist(), found.high.tolist()) == ([-10.0, -10.0, -0.4], [10.0, 10.0, 0.4])
+    np.testing.assert_allclose(found.prior, [PLAN.unseen**-2, PLAN.unseen**-2, 1 / 0.2**2])  # of scales of one
 
 
 def test_of_rivals_with_as_many_numbers_either_may_be_true_and_of_others_the_larger(monkeypatch):
