@@ -41,6 +41,7 @@ def test_every_recording_is_checked_projected_and_put_on_the_grid(takes):
     prepared = prepare(takes, arm())
     assert len(prepared.quality) == len(prepared.signals) == sum(len(t.parts) for t in prepared.takes) == 2
     np.testing.assert_allclose(prepared.position_noise, NOISE, rtol=0.2)
+    assert len(prepared.takes) == 1  # of one kind, which are simulated together
     assert prepared.repeatability is None
     assert len({s.kernel for s in prepared.signals}) == 1
     for s in prepared.signals:
@@ -374,3 +375,73 @@ def test_a_mask_stays_with_its_samples_where_those_of_a_lost_base_went_and_nobod
     for time, mask in masks:
         np.testing.assert_array_equal(mask, unfit[np.isin(first.time, time)])
     assert sum(mask.any() for _, mask in masks) == 2
+
+
+def test_each_take_is_checked_and_seen_and_replayed_with_its_own_numbers(takes, monkeypatch):
+    """Which is the limit of the motors, its noise and what of it is remembered, its period and its test function."""
+    first, second = (replace(r, velocity=np.gradient(r.position, r.time, axis=0)) for r in takes)
+    earlier = replace(first, source="earlier.npz")
+    asked = {"limits": [], "kernels": [], "seen": [], "replayed": []}
+    whole = {name: getattr(preparing, name) for name in ("check_quality", "kernel_for", "project_recording", "take_of")}
+
+    def checked(r, limit=None):
+        asked["limits"].append(limit)
+        own = len(asked["limits"])
+        noise = {"position_noise": np.full(2, NOISE * own**2), "velocity_noise": np.full(2, 0.01 * own)}
+        return replace(whole["check_quality"](r, limit), **noise)
+
+    def kernel(recordings, *rest, **named):
+        asked["kernels"].append(([r.source for r in recordings], rest, named))
+        return 0.02 + 0.001 * len(asked["kernels"])
+
+    def seen(piece, model, *rest):
+        asked["seen"].append(rest)
+        return whole["project_recording"](piece, model, *rest)
+
+    def replayed(piece, model, *rest):
+        asked["replayed"].append(rest)
+        return whole["take_of"](piece, model, *rest)
+
+    for name, spy in (("check_quality", checked), ("kernel_for", kernel), ("project_recording", seen),
+                      ("take_of", replayed)):  # fmt: skip
+        monkeypatch.setattr(preparing, name, spy)
+    monkeypatch.setattr(preparing, "_limit", lambda model, address: np.array([3.0, 4.0]))
+    prepared = prepare([earlier, first, second], arm(), joined=2)
+    assert [limit.tolist() for limit in asked["limits"]] == [[3.0, 4.0]] * 3
+    (all_old, _, _), *own = asked["kernels"]
+    assert all_old == ["earlier.npz"]
+    for q, (sources, (noise, least), _), source in zip(prepared.quality[1:], own, ("0.npz", "1.npz"), strict=True):
+        assert sources == [source]
+        np.testing.assert_array_equal(noise, q.position_noise)
+        assert least == preparing.QUICKEST
+    assert [s.kernel for s in prepared.signals] == pytest.approx([0.021, 0.022, 0.023])
+    for q, in_torques, in_time in zip(prepared.quality, asked["seen"], asked["replayed"], strict=True):
+        for noise, velocity, correlation in ((*in_torques[:2], in_torques[4]), in_time[:3]):
+            np.testing.assert_array_equal(noise, q.position_noise)
+            np.testing.assert_array_equal(correlation, q.noise_correlation)
+            np.testing.assert_array_equal(velocity, q.velocity_noise)
+        assert in_time[3] == 1 / earlier.rate
+    asked["limits"].clear()
+    np.testing.assert_allclose(prepare([earlier, *takes], arm()).position_noise, 4 * NOISE)  # of 1, 4 and 9 that
+
+
+def test_shares_are_of_all_instants_and_warnings_do_not_repeat_their_file(takes):
+    names = SimpleNamespace(joint_names=("hip", "knee"))
+    pieces = [
+        SimpleNamespace(recording=names, valid=np.array(rows, dtype=bool)) for rows in ([[1, 0], [0, 0]], [[1, 1]] * 2)
+    ]
+    report = {"source": "x.npz", "warnings": ["x.npz: the clock jumps.", "x.npz is short."]}
+    quality = (SimpleNamespace(report=lambda: report),)
+    told = preparing.Prepared(quality, tuple(pieces), (), np.ones(2), None, ("y.npz: too short.",)).report()
+    assert told["used_share"] == {"hip": 0.75, "knee": 0.5}
+    assert told["recordings"][0]["warnings"] == ["the clock jumps.", "x.npz is short."]
+    assert told["left_out"] == ["y.npz: too short."]
+
+
+def test_a_wrong_reading_counts_at_every_joint_and_what_is_masked_for_other_reasons_at_its_own():
+    wrong, other = np.zeros((2, 3, 2), dtype=bool)
+    wrong[0, 1] = other[2, 0] = True
+    for name in ("frozen", "dropout"):
+        masks = {"frozen": np.zeros((3, 2), dtype=bool), "dropout": np.zeros((3, 2), dtype=bool)} | {name: wrong}
+        quality = SimpleNamespace(masks=masks, usable=lambda: ~(wrong | other))
+        assert preparing._unfit(quality).tolist() == [[True, True], [False, False], [True, False]]
