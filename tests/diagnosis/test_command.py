@@ -159,7 +159,7 @@ def test_a_data_set_brings_model_and_recordings(monkeypatch):
     monkeypatch.setattr(
         datasets, "load_dataset", lambda name: SimpleNamespace(model=name, recordings=[1], heldout=(2,))
     )
-    assert inputs(parsed("--dataset", "emps")) == ("emps", [1], [2])
+    assert inputs(parsed("--dataset", "xl330")) == ("xl330", [1], [2])
     with pytest.raises(SystemExit):
         parsed("--dataset", "nonsense")
 

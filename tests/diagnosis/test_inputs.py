@@ -3,14 +3,16 @@
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 from diagnosis.plants import pendulum, record, smooth_torque
 
+from torchrl_athletic.diagnosis import inputs as inputs_module
 from torchrl_athletic.diagnosis.fit_command import FitConfig, main
-from torchrl_athletic.diagnosis.inputs import checked, gains_of, inputs
+from torchrl_athletic.diagnosis.inputs import checked, columns_for, gains_of, inputs
 from torchrl_athletic.diagnosis.locking import locked_joints
 from torchrl_athletic.recordings import ColumnMap, Recording, RecordingError, read_recordings, write_recording
 
@@ -51,8 +53,76 @@ def test_gains_are_those_of_the_only_actuator_of_a_joint_if_it_is_a_position_one
     assert gains(hip, knee, hip) == {"knee": (7.0, 0.0)}
     general = '<general joint="hip" biastype="affine" gainprm="{}" biasprm="0 {} {}"/>'
     assert gains(general.format(5, -5, -1)) == {"hip": (5.0, 1.0)}
-    for other in (general.format(5, -4, -1), general.format(-5, 5, -1), '<velocity joint="hip" kv="3"/>'):
+    plain = general.format(5, -5, -1).replace("affine", "none")
+    for other in (general.format(5, -4, -1), general.format(-5, 5, -1), plain, '<velocity joint="hip" kv="3"/>'):
         assert gains(other) == {}
+
+
+def test_what_pulls_a_tendon_of_the_same_number_is_no_drive_of_the_joint():
+    tendon = '<tendon><fixed name="cord"><joint joint="knee" coef="1"/></fixed></tendon>'
+    pulled = SERVO.replace("<actuator>", f'{tendon}<actuator><position tendon="cord" kp="4"/>')
+    assert gains_of(mujoco.MjModel.from_xml_string(pulled)) == {"hip": (30.0, 2.0)}
+
+
+def test_what_is_left_of_a_recording_keeps_its_order_and_its_numbers():
+    three = np.arange(12.0).reshape(4, 3)
+    take = Recording(np.arange(4.0), ("a", "b", "c"), three, velocity=10 + three, position_target=20 + three,
+                     kp=np.array([1.0, 2.0, 3.0]), kd=np.array([4.0, 5.0, 6.0]))  # fmt: skip
+    left = inputs_module._of(take, ("c", "a"))
+    assert left.joint_names == ("a", "c")
+    for name in ("position", "velocity", "position_target", "kp", "kd"):
+        np.testing.assert_array_equal(getattr(left, name), getattr(take, name)[..., [0, 2]])
+    assert inputs_module._of(take, ("c", "b", "a")) is take
+
+
+def test_what_is_wrong_with_a_file_that_is_named_twice_is_said_once(tmp_path):
+    said, usable = checked(Flags(None, (tmp_path / "gone.npz",), (tmp_path / "gone.npz",)))
+    lines = said.splitlines()
+    assert len(lines) == len(set(lines)) == 3  # no model, no file, and that they cannot be used
+    assert not usable
+
+
+def test_all_files_of_a_folder_are_checked_with_the_models_gains_and_each_warning_names_its_file(tmp_path, monkeypatch):
+    (tmp_path / "robot.xml").write_text(SERVO)
+    (tmp_path / "takes" / "deep").mkdir(parents=True)
+    for name in ("a.npz", "deep/b.npz"):
+        (tmp_path / "takes" / name).touch()
+    rest, read = np.zeros((3, 2)), []
+
+    def take(path, columns):
+        read.append((path.name, columns.model_gains))
+        names = ("hip", "knee") if path.name == "a.npz" else ("knee", "hip")  # which order is nobody's fault
+        return [Recording(np.arange(3.0), names, rest, torque_command=rest, source=path.name)]
+
+    monkeypatch.setattr(inputs_module, "read_recordings", take)
+    monkeypatch.setattr(
+        inputs_module, "check_quality", lambda r: SimpleNamespace(warnings=(f"{r.source}: late.", "it is short."))
+    )
+    said, usable = checked(Flags(tmp_path / "robot.xml", (tmp_path / "takes",)))
+    assert read == [(name, {"hip": (30.0, 2.0)}) for name in ("a.npz", "b.npz")]
+    assert usable
+    expected = [f"- warning: {name}: {what}" for name in ("a.npz", "b.npz") for what in ("late.", "it is short.")]
+    assert said.splitlines() == [*expected, "The inputs can be used."]
+
+
+def test_a_joint_that_is_no_hinge_nor_slide_is_told_before_anything_is_run(tmp_path):
+    (tmp_path / "robot.xml").write_text(
+        '<mujoco><worldbody><body><joint name="hip" type="ball"/><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    write_recording(replace(record(pendulum(), smooth_torque(1.0)), joint_names=("hip",)), tmp_path / "take.npz")
+    said, usable = checked(Flags(tmp_path / "robot.xml", (tmp_path / "take.npz",)))
+    assert "only hinge and slide joints" in said
+    assert not usable
+
+
+def test_what_one_of_several_recordings_lacks_is_told():
+    log = record(pendulum(), smooth_torque(1.0))
+    lacking = replace(log, metadata={"gains": "of the model", "driven_by": "torque_measured"})
+    told = inputs_module.Inputs("robot.xml", [log, lacking], []).notes
+    assert [note.partition(":")[0] for note in told] == [
+        "The recordings say no gains", "The recordings hold no command"
+    ]  # fmt: skip
+    assert inputs_module.Inputs("robot.xml", [log], []).notes == []
 
 
 def test_targets_without_gains_take_the_models(tmp_path):
@@ -224,3 +294,10 @@ def test_a_weight_that_changes_the_model_is_said_first(tmp_path):
     both = inputs(Flags(tmp_path / "robot.xml", (tmp_path / "heavy.npz",), (tmp_path / "aside.npz",))).notes
     assert "payload_kg = 0.5, 1.5, fastened" in both[0]
     assert json.dumps(notes)
+
+
+@pytest.mark.parametrize(("said", "drive", "measured"), [(True, "command", True), (False, "measured", True),
+                                                         (False, "command", False)])  # fmt: skip
+def test_the_measured_torque_drives_where_the_map_or_the_flag_says_so(said, drive, measured, monkeypatch):
+    monkeypatch.setattr(ColumnMap, "load", lambda path: ColumnMap(measured_drives=said))
+    assert columns_for(Flags(columns=Path("map.json"), drive=drive)).measured_drives is measured

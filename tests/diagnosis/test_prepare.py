@@ -304,8 +304,8 @@ def test_the_limit_of_a_motor_is_the_less_of_both_ways_and_known_of_all_joints_o
     told = {"of": ([-30.0, -8.0], [20.0, 9.0])}
     monkeypatch.setattr("torchrl_athletic.diagnosis.prepare.torque_range", lambda *_: map(np.array, told["of"]))
     assert _limit(None, None).tolist() == [20.0, 8.0]
-    told["of"] = ([-30.0, -np.inf], [20.0, np.inf])
-    assert _limit(None, None) is None
+    for told["of"] in (([-30.0, -np.inf], [20.0, np.inf]), ([-30.0, 0.0], [20.0, 9.0])):  # or drives one way only
+        assert _limit(None, None) is None
 
 
 @dataclass(frozen=True)

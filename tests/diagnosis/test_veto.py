@@ -157,3 +157,14 @@ def test_a_number_that_is_taken_back_is_the_models_own(taken_back):
 
 def test_a_place_is_named_once_however_much_of_it_goes():
     assert "corrected at lower is taken back" in veto_sentence([LOWER, LOW_DRY], ["lower"])
+
+
+def test_both_scores_are_over_the_windows_of_the_stated_one_well_started(monkeypatch):
+    rng, drawn, seen = np.random.default_rng(3), [], []
+    monkeypatch.setattr(veto, "draw_windows", lambda *asked: drawn.append(asked) or ["one", "other"])
+    monkeypatch.setattr(veto, "well_started", lambda w: f"{w}, started")
+    monkeypatch.setattr(veto, "simulate", lambda w, build, rows: rows)
+    monkeypatch.setattr(veto, "window_rmse", lambda windows, moved: seen.append(windows) or np.ones((1, 2)))
+    assert vetoed(Hypothesis((UPPER,)), np.ones(1), ["take"], rng, np.zeros(2)) == ()
+    assert drawn == [(["take"], veto.WINDOW, veto.MOST_WINDOWS, rng)]
+    assert seen == [["one, started", "other, started"]] * 2
