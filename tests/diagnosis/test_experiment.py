@@ -674,6 +674,10 @@ def test_the_report_of_an_experiment_holds_each_joints_own_extremes_and_every_mo
         "torque": [3.0, 7.0],
         "difference_between_rivals": 0.02,
     }
+    assert report["separates"] == [
+        {"effect": "drag", "joint": "hip"}, {"effect": "rotor", "joint": "knee"}, {"effect": "tilt", "joint": None}
+    ]  # fmt: skip
+    assert replace(e, limits=limits()).report()["limits"]["frequency"] is None
     assert report["expected_separation"] == {"before": 1.25, "repeating": 2.5, "after": 9.75}
     assert report["pairs"] == [{"rivals": [["drag", "hip"], ["rotor", "knee"]], "before": 1.25, "after": 9.75}]
     assert report["inseparable"] == [[["rotor", "knee"], ["tilt", None]]]
@@ -695,6 +699,10 @@ def test_the_sentence_of_an_experiment_says_how_often_with_what_weight_and_what_
     assert "drag of hip, rotor of knee and tilt of the robot about 9.8 standard deviations apart" in e.sentence
     assert "now they are 1.2 apart, and repeating the old motion would make it 2.5." in e.sentence
     assert e.sentence.endswith("No motion within the limits separates rotor of knee and tilt of the robot.")
+    sliding = replace(e, unit="m", repeats=2).sentence
+    assert "±0.4 m at 1.5 Hz" in sliding
+    assert "±0.3 m" in sliding
+    assert ", 2 times with" in sliding
     plain = replace(e, repeats=1, payload=0.0, inseparable=()).sentence
     assert not any(word in plain for word in ("times", "fastened", "No motion"))
 
@@ -732,3 +740,96 @@ def test_the_effort_of_a_plan_is_the_mean_of_four_shares():
     assert plan.effort == pytest.approx((0.5 + 0.25 + 0.2 + 0.4) / 4)
     long = replace(recording, time=10 * recording.time)
     assert replace(plan, recording=long).effort == pytest.approx((0.5 + 0.25 + 1.0 + 0.4) / 4)
+
+
+def asked_about(monkeypatch, plans, xml=""):
+    """What is proposed for a finding at the hip, beside one of its name at the knee, and how it was asked for."""
+    keys = [("drag", "hip"), ("rotor", "hip"), ("nobody", "hip")]
+    options = [SimpleNamespace(atom=SimpleNamespace(candidate=SimpleNamespace(key=key)), scored=key) for key in keys]
+    rivals = (Rival("rotor", "hip", 0.3, ""), Rival("tilt", None, 0.1, ""))
+    terms = [SimpleNamespace(candidate=SimpleNamespace(key=("drag", joint))) for joint in ("knee", "hip")]
+    part = SimpleNamespace(judge="judge", best=SimpleNamespace(fit=SimpleNamespace(terms=terms)))
+    asked, left = [], iter(plans)
+    monkeypatch.setattr(planning, "answer_set", lambda part, term: options if term is terms[1] else [])
+    monkeypatch.setattr(planning, "propose", lambda *given: asked.append(given) or next(left))
+    monkeypatch.setattr(planning, "_weights", lambda judge, xml: {0.5: xml})
+    found = next_experiment([part], [Finding("drag", "hip", 0.5, "", {}, "", rivals)], "limits", xml)
+    return found, asked
+
+
+def plan_of(after, inseparable=()):
+    return SimpleNamespace(after=after, inseparable=inseparable)
+
+
+@pytest.mark.parametrize(
+    ("bare", "loaded", "weighed", "taken"),
+    [
+        (plan_of(PLAN.spare), plan_of(99.0), False, "bare"),
+        (plan_of(PLAN.spare - 1), plan_of(PLAN.spare), True, "bare"),  # not far better
+        (plan_of(PLAN.spare - 5), plan_of(PLAN.spare), True, "loaded"),
+        (plan_of(PLAN.spare, ("pair",)), plan_of(PLAN.spare), True, "loaded"),
+        (plan_of(PLAN.spare - 5), None, True, "bare"),
+        (None, plan_of(4.0), True, "loaded"),
+    ],
+)
+def test_the_rivals_of_a_finding_are_asked_about_and_with_a_weight_where_that_is_needed(
+    bare, loaded, weighed, taken, monkeypatch
+):
+    found, asked = asked_about(monkeypatch, [bare, loaded], "xml")
+    assert found is {"bare": bare, "loaded": loaded}[taken]
+    own = {key: key for key in (("drag", "hip"), ("rotor", "hip"))}
+    expected = [("judge", own, [0.5, 0.3], "limits"), ("judge", own, [0.5, 0.3], "limits", {0.5: "xml"})]
+    assert asked == expected[: 1 + weighed]
+    found, asked = asked_about(monkeypatch, [bare, loaded])
+    assert found is bare
+    assert asked == expected[:1]
+
+
+def test_the_weight_is_what_the_last_link_with_all_on_it_feels_well():
+    """One digit of a share of forearm and hand, which hangs on it without a joint; of no mass no weight is known."""
+    arm = """<mujoco><worldbody><body><joint name="hip"/><geom size="0.1" mass="50"/><body pos="0 0 1">
+      <joint name="knee"/><geom size="0.1" mass="{mass}"/><body><geom size="0.1" mass="{mass}"/></body></body></body>
+      </worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(arm.format(mass=2.0))
+    address = planning.JointAddress.of(model, ("hip", "knee"))
+    take = SimpleNamespace(nominal=model, address=address, recording=SimpleNamespace(joint_names=("hip", "knee")))
+    (mass,) = planning._weights(SimpleNamespace(bank=SimpleNamespace(takes=[take])), arm.format(mass=2.0))
+    assert mass == pytest.approx(PLAN.heavy * 4.0, rel=0.1)
+    assert float(f"{mass:.1g}") == mass
+    light = SimpleNamespace(nominal=SimpleNamespace(body_subtreemass=np.zeros(4)), address=address)
+    assert planning._weights(SimpleNamespace(bank=SimpleNamespace(takes=[light])), "") == {}
+
+
+def test_every_motion_is_planned_on_the_bare_model_and_with_each_weight(monkeypatch):
+    def rival(key, highest):
+        effect = SimpleNamespace(highest_frequency=lambda parameters, values: highest)
+        atom = SimpleNamespace(candidate=SimpleNamespace(key=key, joint=1, parameters=(), effect=effect))
+        return SimpleNamespace(fit=SimpleNamespace(terms=[atom], atoms=[atom], values=lambda: [()]))
+
+    take = SimpleNamespace(nominal="bare")
+    judge = SimpleNamespace(bank=SimpleNamespace(takes=[take]))
+    rivals = {key: rival(key, highest) for key, highest in ((("a", "knee"), 9.0), (("b", "knee"), 6.0))}
+    asked = {}
+
+    def note(name, answer):
+        return lambda *given: asked.setdefault(name, []).append(given) or answer
+
+    scene = SimpleNamespace(sigma="sigma", products=note("products", None), separations=lambda known: np.zeros(1))
+    for name, answer in (("Rivals", scene), ("every_nth", "thinned"), ("_planned", None)):
+        monkeypatch.setattr(planning, name, note(name, answer))
+    monkeypatch.setattr(planning, "motions", lambda *given: asked.setdefault("motions", []).append(given) or ["sine"])
+    monkeypatch.setattr(planning, "_gains", lambda takes, model: f"gains of {model}")
+    monkeypatch.setattr(planning._Sensors, "of", lambda takes: None)
+    assert propose(judge, rivals, [0.6, 0.4], limits(8.0), {0.5: "loaded"}, 7.0) is None
+    assert asked["Rivals"] == [(judge, list(rivals.values()), [0.6, 0.4])]
+    assert asked["products"] == [(["thinned"], "sigma")]
+    for (takes, allowed, joints, seconds), planned_with in zip(asked["motions"], asked["_planned"], strict=True):
+        assert (takes, joints, seconds, allowed.frequency) == ([take], [0, 1], 7.0, 6.0)
+        assert planned_with[4] is allowed
+    assert [(*given[:4], given[5]) for given in asked["_planned"]] == [
+        ("sine", 0.0, "bare", [take], "gains of bare"), ("sine", 0.5, "loaded", [take], "gains of loaded")
+    ]  # fmt: skip
+    assert propose(judge, rivals, None, limits(4.0)) is None
+    assert asked["motions"][-1][1].frequency == 4.0
+    with pytest.raises(ValueError, match="an experiment separates at least two"):
+        propose(judge, dict(list(rivals.items())[:1]))
