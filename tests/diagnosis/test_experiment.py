@@ -1,7 +1,7 @@
 """What the proposed experiment promises comes true on a robot that shares no line with the catalogue nor MuJoCo."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import SimpleNamespace
 
@@ -833,3 +833,189 @@ def test_every_motion_is_planned_on_the_bare_model_and_with_each_weight(monkeypa
     assert asked["motions"][-1][1].frequency == 4.0
     with pytest.raises(ValueError, match="an experiment separates at least two"):
         propose(judge, dict(list(rivals.items())[:1]))
+
+
+# --- the log that a plan would leave ---
+
+
+def sent(seconds=1.0, joints=1, **given):
+    """A plan's recording, whose reference is a sine and whose target says which sample it is."""
+    time = np.arange(round(seconds * PLAN.rate) + 1) / PLAN.rate
+    number = np.repeat(np.arange(len(time), dtype=float)[:, None], joints, 1)
+    gains = {"kp": np.full(joints, 4.0), "kd": np.ones(joints)}
+    path = np.repeat(np.sin(2 * time)[:, None], joints, 1)
+    names = ("hip", "knee")[:joints]
+    recording = Recording(time, names, path, position_target=number, **gains, **given)
+    return planning._Plan((), 0.0, "model with a weight", recording, 100 + number, (0.5, 0.5))
+
+
+@pytest.mark.parametrize(("rate", "kept"), [(PLAN.rate, 1), (4 * PLAN.rate, 1), (PLAN.rate / 4, 4)])
+@pytest.mark.parametrize("targets", [True, False])
+@pytest.mark.parametrize("speed", [0.25, None])
+def test_a_plan_is_seen_with_the_channels_the_rate_and_the_noise_of_the_earlier_recordings(
+    rate, kept, targets, speed, monkeypatch
+):
+    plan, seen = sent(), []
+    sensors = planning._Sensors(
+        np.array([0.1]), None if speed is None else np.array([speed]), np.array([0.5]), np.array([3.0])
+    )
+
+    def projected(log, *rest):
+        seen.append((log, rest))
+        return SignalsWithNoise(np.array([2.0]))
+
+    monkeypatch.setattr(planning, "project_recording", projected)
+    monkeypatch.setattr(planning, "kernel_for", lambda logs, least: (len(logs), least))
+    like = SimpleNamespace(rate=rate, position_target=np.ones(1) if targets else None)
+    scene = SimpleNamespace(takes=[SimpleNamespace(recording=like, base=None)])
+    assert planning._seen(scene, plan, sensors).noise.tolist() == [6.0]
+    ((log, rest),) = seen
+    assert rest[0] == "model with a weight"
+    assert rest[1] is sensors.position
+    assert rest[2] is sensors.velocity
+    assert rest[3:] == (None, (1, planning.QUICKEST), sensors.correlation)
+    number = np.arange(0.0, PLAN.rate, kept)[:, None]
+    assert log.num_samples == len(number)
+    np.testing.assert_allclose(log.time[:, None], number / PLAN.rate)
+    np.testing.assert_allclose(log.position, np.sin(2 * log.time)[:, None], atol=1e-6)
+    if speed is None:
+        assert log.velocity is None
+    else:
+        np.testing.assert_allclose(log.velocity, 2 * np.cos(2 * log.time)[:, None], atol=1e-3)
+    if targets:  # each acts from its own stamp on
+        np.testing.assert_array_equal(log.position_target, number)
+    else:
+        np.testing.assert_array_equal(log.torque_command, 100 + number)
+        assert log.position_target is log.kp is log.kd is None
+
+
+@dataclass(frozen=True)
+class SignalsWithNoise:
+    noise: np.ndarray
+
+
+def test_a_plan_is_weighed_by_the_noise_of_each_set_of_recordings(monkeypatch):
+    """Of those at hand it is one mean square, of what is planned its own, as a search through all would have it."""
+    asked = []
+
+    class Scene:
+        takes = ("old", "older")
+
+        def products(self, takes, noise=None):
+            asked.append((takes, noise.tolist()))
+            return 10
+
+        def separations(self, products, noise):
+            asked.append((products, noise.tolist()))
+            return np.array([7.0])
+
+    monkeypatch.setattr(planning, "_seen", lambda rivals, plan, sensors: "log")
+    monkeypatch.setattr(planning, "every_nth", lambda s: f"thin {s}")
+    monkeypatch.setattr(planning, "row_noise", lambda takes: np.array([[1.0, 2.0], [7.0, 2.0], [3.0, 4.0]][: len(takes)]))
+    plan = planning._measured(Scene(), 1, sent(), None)
+    assert asked == [(["thin log"], [[3.0, 4.0]]), (11, [5.0, 2.0, 3.0, 4.0])]
+    assert (plan.signals, plan.products, plan.separations.tolist()) == (("thin log",), 10, [7.0])
+
+
+def test_targets_lead_the_likeliest_rival_along_the_reference(monkeypatch):
+    """What it adds, in units of the stiffness; before and after the instants that are seen, what it adds there."""
+    plan = sent()
+    time = plan.recording.time
+    inner = SimpleNamespace(time=time[10:-10])
+    monkeypatch.setattr(planning, "_seen", lambda rivals, plan, sensors: inner)
+    likeliest, other = (SimpleNamespace(prediction=lambda s, k=k: k * s.time[:, None]) for k in (8.0, 99.0))
+    led = planning._compensated(SimpleNamespace(known=[likeliest, other]), plan, None)
+    added = 8.0 * np.clip(time, time[10], time[-11])[:, None]
+    np.testing.assert_allclose(led.recording.position_target, plan.recording.position_target - added / 4.0)
+    np.testing.assert_allclose(led.torque, plan.torque - added)
+    np.testing.assert_array_equal(led.recording.position, plan.recording.position)
+
+
+def test_a_smaller_plan_has_all_its_motions_smaller_with_its_own_weight_or_is_none(monkeypatch):
+    plan, planned_with = replace(sent(), motions=("sine", "steps"), payload=0.5), []
+    motions_of = [SimpleNamespace(smaller=lambda share, name=name: (name, share)) for name in plan.motions]
+    plan = replace(plan, motions=tuple(motions_of))
+    monkeypatch.setattr(planning, "_gains", lambda takes, model: f"gains of {model}")
+    monkeypatch.setattr(planning, "_measured", lambda rivals, known, plan, sensors: plan)
+    monkeypatch.setattr(planning, "_joined", lambda one, other: f"{one} then {other}")
+    for done, expected in ({"sine": "a", "steps": "b"}, "a then b"), ({"sine": "a", "steps": None}, None):
+        monkeypatch.setattr(
+            planning, "_planned", lambda *given, done=done: planned_with.append(given) or done[given[0][0]]
+        )
+        scene = SimpleNamespace(takes=["take"])
+        assert planning._smaller(scene, None, plan, 0.4, "limits", None) == expected
+    weighed = (0.5, "model with a weight", ["take"], "limits", "gains of model with a weight")
+    assert planned_with[:2] == [(("sine", 0.4), *weighed), (("steps", 0.4), *weighed)]
+
+
+def test_a_held_base_stands_where_the_recordings_began():
+    plan = sent()
+    base = SimpleNamespace(pose=np.array([[1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0], [9.0] * 7]))
+    stood = planning._stood(plan.recording, [SimpleNamespace(base=base)])
+    assert stood.base_position[0].tolist() == [1.0, 2.0, 3.0]
+    assert stood.base_orientation[0].tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert planning._stood(plan.recording, [SimpleNamespace(base=None)]) is plan.recording
+
+
+SWING = """<mujoco><option gravity="0 0 -10"/><worldbody>{post}<body><joint name="hip" axis="0 -1 0"/>
+  <geom type="sphere" size="0.05" pos="0 0 -0.5" mass="2"/></body></worldbody></mujoco>"""
+
+
+def swung(limit, amplitude=0.3, speed=5.0, reach=(-1.0, 1.0), post=""):
+    """A plan of a slow swing of 2 kg at half a metre, and its limits."""
+    model = mujoco.MjModel.from_xml_string(SWING.format(post=post))
+    time = np.arange(round(4 * PLAN.rate) + 1) / PLAN.rate
+    wave = np.sin(np.pi * time / 4)[:, None] ** 2
+    motion = Motion("hip", "sine", amplitude, 0.25, np.zeros(1), amplitude * wave)
+    rest = Recording(np.arange(3) / PLAN.rate, ("hip",), np.zeros((3, 1)), torque_command=np.zeros((3, 1)))
+    allowed = Limits(np.array([reach]), np.array([speed]), np.array([limit]))
+    loop = (np.array([50.0]), np.array([3.0]))
+    plan = planning._planned(motion, 0.25, model, [SimpleNamespace(recording=rest, base=None)], allowed, loop)
+    return plan, model
+
+
+def test_the_torque_of_a_plan_is_that_of_a_pendulum_and_its_targets_are_ahead_of_it_by_that_over_the_gains():
+    plan, _ = swung(20.0)
+    r = plan.recording
+    path = r.position
+    velocity = np.gradient(path, 1 / PLAN.rate, axis=0)
+    inertia = 2 * 0.5**2 + 0.4 * 2 * 0.05**2
+    torque = inertia * np.gradient(velocity, 1 / PLAN.rate, axis=0) + 2 * 10 * 0.5 * np.sin(path)
+    np.testing.assert_allclose(plan.torque, torque, atol=0.05)
+    np.testing.assert_allclose(r.position_target, path + (plan.torque + 3.0 * velocity) / 50.0, atol=1e-2)
+    assert plan.share == pytest.approx((np.abs(velocity).max() / 5.0, np.abs(torque).max() / 20.0), rel=0.02)
+    assert (plan.payload, plan.motions[0].amplitude) == (0.25, 0.3)
+    assert np.abs(path).max() == pytest.approx(0.3, rel=1e-3)
+    assert (r.kp.tolist(), r.kd.tolist()) == ([50.0], [3.0])
+
+
+def test_a_motion_is_made_smaller_until_the_torque_suffices_and_left_where_something_else_is_in_the_way():
+    weak, _ = swung(2.0)  # holding 0.3 rad needs 3 N·m
+    assert weak.share[1] <= PLAN.margin
+    assert np.abs(weak.recording.position).max() == pytest.approx(weak.motions[0].amplitude, rel=1e-3)
+    assert weak.motions[0].amplitude < 0.25
+    assert swung(0.01)[0] is None
+    assert swung(20.0, speed=0.1)[0] is None
+    assert swung(20.0, reach=(-1.0, 0.2))[0] is None
+    assert swung(20.0, amplitude=-0.3, reach=(-0.2, 1.0))[0] is None
+    assert swung(20.0, post='<geom type="sphere" size="0.05" pos="0.14 0 -0.5"/>')[0] is None
+
+
+def test_corners_are_rounded_about_a_rest_long_enough_that_nothing_is_cut_off():
+    """A step of one through a Gaussian: half-way at its place, and from rest to rest at both ends."""
+    limits = Limits(np.array([[-2.0, 2.0]]), np.array([100.0]), np.ones(1))
+    width = 0.05
+    step = np.repeat((np.arange(200) >= 100)[:, None], 1, 1).astype(float)
+    motion = Motion("hip", "steps", 1.0, 1.0, np.array([0.5]), step, width)
+    path = planning._path(motion, np.array([0.0]), limits)
+    speed = np.diff(path[:, 0]) * PLAN.rate
+    assert path[0, 0] == path[-1, 0] == 0.0
+    there = planning.way(np.zeros(1), np.full(1, 0.5), limits)
+    own = path[len(there) : -len(there)]
+    rest = round(4 * width * PLAN.rate)
+    assert len(own) == 200 + 2 * rest
+    assert own[0, 0] == pytest.approx(0.5, abs=1e-3)
+    assert own[-1, 0] == pytest.approx(0.5, abs=1e-3)
+    middle = np.flatnonzero(np.diff(own[: rest + 150, 0] > 1.0))
+    assert middle.tolist() == [rest + 99]
+    assert speed[len(there) + rest : len(there) + rest + 150].max() == pytest.approx(1 / (width * np.sqrt(2 * np.pi)), rel=0.05)
