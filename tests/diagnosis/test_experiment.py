@@ -1019,3 +1019,152 @@ def test_corners_are_rounded_about_a_rest_long_enough_that_nothing_is_cut_off():
     middle = np.flatnonzero(np.diff(own[: rest + 150, 0] > 1.0))
     assert middle.tolist() == [rest + 99]
     assert speed[len(there) + rest : len(there) + rest + 150].max() == pytest.approx(1 / (width * np.sqrt(2 * np.pi)), rel=0.05)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, -0.4])
+def test_readings_of_a_plan_are_as_loud_at_low_frequencies_as_those_of_quicker_logs(memory, monkeypatch):
+    """Of noise with a memory that is its deviation's square times (1 + c) / (1 - c), over the rate."""
+    log = SimpleNamespace(rate=4 * PLAN.rate)
+    readings = iter([(np.array([1.0]), np.array([10.0])), (np.array([3.0]), np.array([30.0])),
+                     (np.array([2.0]), np.array([20.0]))] * 2)  # fmt: skip
+    monkeypatch.setattr(planning, "sensor_noise", lambda r: next(readings))
+    monkeypatch.setattr(planning, "noise_correlation", lambda r: np.array([memory]))
+    monkeypatch.setattr(
+        planning, "project_recording", lambda *given, **named: SignalsWithNoise(np.array([0.5])) if named else None
+    )
+    takes = [
+        SimpleNamespace(recording=log, nominal=None, kernel=kernel, noise=np.array([noise]))
+        for kernel, noise in ((0.01, 3.0), (0.02, 99.0), (0.01, 4.0))
+    ]
+    found = planning._Sensors.of(takes)
+    loud = {0.0: 1.0, 0.5: 3.0, -0.4: 0.6 / 1.4}[memory]
+    after = found.position[0] ** 2 * (1 + found.correlation[0]) / (1 - found.correlation[0]) / PLAN.rate
+    assert after == pytest.approx(2.0**2 * loud / log.rate)
+    assert found.correlation == pytest.approx([0.5**4 if memory > 0 else 0.0])
+    assert found.velocity == pytest.approx([20.0 / 2])
+    assert found.louder == pytest.approx([np.sqrt(12.5) / 0.5])  # of the takes with the first one's test function
+    log.rate = PLAN.rate
+    assert planning._Sensors.of(takes).position == [2.0]
+    monkeypatch.setattr(planning, "sensor_noise", lambda r: (np.ones(1), None))
+    assert planning._Sensors.of(takes).velocity is None
+
+
+# --- the choice among plans, with separations that are told ---
+
+
+class Evidence(float):
+    """Products of recordings of which only the amount is known."""
+
+    def times(self, factor):
+        return Evidence(self * factor)
+
+    def __add__(self, other):
+        return Evidence(float(self) + float(other))
+
+
+@pytest.fixture
+def choice(monkeypatch):
+    """What is proposed of plans that separate the only pair so far, after 15 s of recordings that separate it by 1."""
+
+    def told(*plans, keeps=lambda plan: True, smaller=None, confirmed=()):
+        asked = []
+        scene = SimpleNamespace(
+            sigma=None, weight=np.ones(1), products=lambda takes, noise: Evidence(1.0),
+            separations=lambda products: np.array([float(products)]),
+        )  # fmt: skip
+        by_name = {plan.name: plan for plan in plans}
+        takes = [SimpleNamespace(nominal="model", time=np.linspace(3.0, 3.0 + s, 9)) for s in (10.0, 5.0)]
+        monkeypatch.setattr(planning, "Rivals", lambda *given: scene)
+        monkeypatch.setattr(planning, "every_nth", lambda s: s)
+        monkeypatch.setattr(planning, "motions", lambda *given: list(by_name))
+        monkeypatch.setattr(planning, "_highest_frequency", lambda rivals: np.inf)
+        monkeypatch.setattr(planning, "_joints_of", lambda rivals: [0])
+        monkeypatch.setattr(planning, "_gains", lambda takes, model: None)
+        monkeypatch.setattr(planning._Sensors, "of", lambda takes: None)
+        monkeypatch.setattr(planning, "_planned", lambda motion, *given: by_name[motion])
+        monkeypatch.setattr(planning, "_measured", lambda scene, known, plan, sensors: plan)
+        monkeypatch.setattr(planning, "_most_repeats", lambda plan: plan.most)
+        monkeypatch.setattr(planning, "_followers", lambda plans, best, hopeful: [])
+        monkeypatch.setattr(planning, "_repeated", lambda scene, known, plan, hopeful: plan)
+        monkeypatch.setattr(planning, "_compensated", lambda scene, plan, sensors: plan)
+        monkeypatch.setattr(
+            planning, "_smaller",
+            lambda scene, known, plan, share, *given: asked.append((plan.name, share)) or (smaller or {}).get(share),
+        )  # fmt: skip
+        monkeypatch.setattr(planning, "_passed", lambda plan, scene: SimpleNamespace(duration=plan.once, of=plan.name))
+        monkeypatch.setattr(planning, "_simulated", lambda passed, model, scene: (passed.of, model))
+
+        def kept(plan, paths, duration, limits):
+            assert (paths, duration) == ((plan.name, plan.model), plan.once)
+            return keeps(plan)
+
+        monkeypatch.setattr(planning, "_keeps", kept)
+        monkeypatch.setattr(planning, "_experiment", lambda *given: given)
+        judge = SimpleNamespace(bank=SimpleNamespace(takes=takes))
+        return propose(judge, {("a", "hip"): 1, ("b", "hip"): 2}, None, limits()), asked
+
+    return told
+
+
+def candidate_plan(name, separation, seconds=30.0, products=0.0, most=1, effort=0.5):
+    return SimpleNamespace(
+        name=name, separations=np.array([separation]), recording=SimpleNamespace(duration=seconds), once=seconds / 3,
+        products=Evidence(products), most=most, effort=effort, signals=(SimpleNamespace(kernel=0.01),), model="loaded",
+    )  # fmt: skip
+
+
+def test_a_plan_has_to_tell_more_than_the_old_motion_for_as_long(choice):
+    """Thirty seconds beside the fifteen at hand are thrice the evidence; one standard deviation more is asked for."""
+    assert choice(candidate_plan("little", 3.9))[0] is None
+    (plan, _, keys, separations, hopeful, paths, _), _ = choice(candidate_plan("more", 4.1))
+    assert (plan.name, keys, hopeful.tolist()) == ("more", [("a", "hip"), ("b", "hip")], [True])
+    assert [float(s[0]) for s in separations] == pytest.approx([1.0, 3.0, 4.1])
+    assert paths == ("more", "loaded")
+
+
+def test_the_plan_that_is_worth_most_is_tried_first_and_the_next_one_where_it_will_not_do(choice):
+    plans = [candidate_plan("good", 6.0), candidate_plan("best", 9.0), candidate_plan("long", 9.5, seconds=200.0)]
+    assert choice(*plans)[0][0].name == "best"  # as long, the old motion would do as well as the long one
+    (plan, *_), asked = choice(*plans, keeps=lambda plan: plan.name == "good")
+    assert plan.name == "good"
+    assert asked == [("best", 0.75)]  # of which nothing so small can be done
+
+
+def test_a_plan_that_leaves_the_limits_is_made_smaller_until_it_keeps_them(choice):
+    small = {share: candidate_plan(f"small {share}", 8.0) for share in (0.75, 0.55)}
+    (plan, *_), asked = choice(candidate_plan("wide", 9.0), smaller=small, keeps=lambda plan: plan.name == "small 0.55")
+    assert plan.name == "small 0.55"
+    assert asked == [("wide", 0.75), ("wide", 0.55)]
+
+
+def test_what_little_a_motion_tells_adds_up_until_it_separates_a_pair(choice):
+    """Twelve times what it tells are beyond what separates them, so that the plan counts although it is not yet."""
+    for most, known in ((12, True), (2, False)):
+        found, _ = choice(candidate_plan("weak", 2.9, seconds=3.0, products=0.3, most=most))
+        assert (found is not None) is known
+
+
+def test_two_motions_in_a_row_make_one_plan_with_the_products_of_both_where_both_are_seen_alike(choice, monkeypatch):
+    for kernel, how in ((0.01, "judged"), (0.02, "measured")):
+        one, other = candidate_plan("one", 5.0, products=2.0), candidate_plan("other", 4.5, products=3.0)
+        other.signals = (SimpleNamespace(kernel=kernel),)
+        given = []
+
+        def both(scene, known, plan, *rest, given=given):
+            given.append(rest)
+            return candidate_plan("both", 11.0) if plan == "one other" else plan
+
+        asked = choice(one, other)  # sets all up
+        assert asked[0][0].name == "one"
+        monkeypatch.setattr(planning, "_followers", lambda plans, best, hopeful, other=other: [other])
+        monkeypatch.setattr(planning, "_joined", lambda a, b: f"{a.name} {b.name}")
+        monkeypatch.setattr(planning, "_judged", both)
+        monkeypatch.setattr(planning, "_measured", lambda scene, known, plan, sensors, both=both: both(
+            scene, known, plan, "measured"))  # fmt: skip
+        judge = SimpleNamespace(bank=SimpleNamespace(takes=[SimpleNamespace(nominal="m", time=np.linspace(0, 15, 9))]))
+        plan, *_ = propose(judge, {("a", "hip"): 1, ("b", "hip"): 2}, None, limits())
+        assert plan.name == "both"
+        if how == "judged":
+            assert given[-1] == ((*one.signals, *other.signals), 5.0)
+        else:
+            assert given[-1] == ("measured",)
