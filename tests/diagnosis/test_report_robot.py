@@ -291,3 +291,21 @@ def test_a_body_that_is_welded_on_is_a_rod_from_where_it_is():
     )
     [rod] = [s for s in solids_of(model, default_pose(model)) if len(s.points) == 2]
     np.testing.assert_allclose(rod.points, [[0, 0, -0.3], [0, 0, -0.4]])
+
+
+def test_what_is_nearer_is_drawn_over_what_is_behind():
+    body = '<body name="{0}" pos="0 {1} 0"><joint name="{0}" axis="0 1 0"/><geom type="box" size="0.1 0.01 0.2"/></body>'
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{body.format('one', -0.3)}{body.format('other', 0.3)}</worldbody></mujoco>"
+    )
+    _, view = projected(model)
+    nearer = "other" if view.axes[2][1] > 0 else "one"
+    for name in ("one", "other"):
+        links = re.findall(r'class="(link[^"]*) edge"', robot_svg(model, [name], {}))
+        assert links == (["link", "link guilty"] if name == nearer else ["link guilty", "link"])
+
+
+def test_a_robot_is_no_mirror_image_whichever_way_its_axis_points():
+    for axis in ("0 1 0", "0 -1 0"):
+        places = dots(robot_svg(mujoco.MjModel.from_xml_string(chain([axis, axis])), [], {}))
+        assert places["joint0"][1] < places["joint1"][1]

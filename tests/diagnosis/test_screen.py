@@ -334,6 +334,10 @@ def test_a_constant_and_a_zigzag_are_not_correlated_beyond_a_sample():
     assert correlation_time((-1.0) ** np.arange(100)) == 1.0
 
 
+def test_a_correlation_that_never_ends_counts_as_far_as_it_is_known():
+    assert correlation_time(np.array([-1.0, -1.0, 1.0, 1.0])) == pytest.approx(1 + 2 * 0.25)
+
+
 def test_independent_samples_count_valid_rows_over_the_correlation_time_of_each_joint(rng):
     white = rng.normal(size=(4000, 2))
     left = np.stack([white[:, 0], lfilter([1], [1, -0.8], white[:, 1])], -1)
