@@ -438,11 +438,16 @@ URDF = f"""
                 'inertiafromgeom="true"',
                 'inertiafromgeom="true" fusestatic="true"',
                 'boundmass="0.2" boundinertia="0.001"',
+                'boundinertia="0.01"',
             )
+        ),
+        pytest.param(
+            GEOMETRY.format(compiler='settotalmass="5"'),
+            marks=pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass' is deprecated"),
         ),
         URDF,
     ],
-    ids=["fused", "geometry", "both", "bounds", "urdf"],
+    ids=["fused", "geometry", "both", "bounds", "inertia", "total", "urdf"],
 )
 def test_a_mass_reaches_its_own_link_past_whatever_the_compiler_does(given):
     model = mujoco.MjModel.from_xml_string(given)
@@ -585,3 +590,93 @@ def test_a_cause_of_the_whole_robot_comes_back_as_one():
     (term,) = back.hypothesis.terms
     assert (term.joint, term.joint_name) == (0, None)
     np.testing.assert_allclose(back.values, values)
+
+
+GENERAL = '<general joint="pendulum" {}/>'
+CORD = '<tendon><fixed name="cord"><joint joint="pendulum" coef="1"/></fixed></tendon>'
+
+
+def driven(actuators: str, joint: str = "", more: str = "") -> str:
+    """The pendulum with other actuators."""
+    return (
+        pendulum(joint=joint).replace('<motor joint="pendulum"/>', actuators).replace("<actuator>", more + "<actuator>")
+    )
+
+
+@pytest.mark.parametrize(
+    ("actuator", "joint", "terms", "numbers"),
+    [
+        # what is there is scaled and shifted, not replaced
+        (GENERAL.format('gainprm="3"'), "", {"torque_scale": [1.2]}, {"gainprm": 3.6}),
+        (GENERAL.format('gainprm="6" biastype="affine" biasprm="0.5 -6 -0.4" gear="2"'), "",
+         {"torque_offset": [-0.1]}, {"biasprm": [0.45, -6.0, -0.4]}),
+        # logged gains are of the joint, and those of a servo behind a gear are not
+        ('<position joint="pendulum" kp="6" kv="0.4" gear="2"/>', "", {"gain_mismatch": [2.0, 3.0]},
+         {"gainprm": 12.0, "biasprm": [0.0, -12.0, -1.2]}),
+        # a motor that turns the other way has its range the other way round
+        ('<motor joint="pendulum" gear="-2"/>', 'actuatorfrcrange="-0.6 0.4"', {"hysteresis": [0.1, 0.05]},
+         {"forcerange": [-0.2, 0.3]}),
+        ('<motor joint="pendulum" gear="2" forcerange="-0.1 0.9"/>', 'actuatorfrcrange="-0.6 0.4"',
+         {"hysteresis": [0.1, 0.05]}, {"forcerange": [-0.1, 0.2]}),
+        (GENERAL.format('gainprm="-2" ctrlrange="-1 0.5"'), "", {"torque_scale": [1.5]}, {"forcerange": [-1.0, 2.0]}),
+        ('<motor joint="pendulum" ctrlrange="-1 1" forcerange="-0.5 3"/>', "", {"torque_offset": [0.1]},
+         {"forcerange": [-0.5, 1.0]}),
+        ('<motor joint="pendulum" ctrllimited="false" ctrlrange="-1 1"/>', "", {"torque_scale": [1.5]},
+         {"forcelimited": 0, "gainprm": 1.5}),
+        # a delay is held in as many samples as it begins
+        ('<motor joint="pendulum"/>', "", {"actuation_delay": [0.0205]}, {"history": 11, "delay": 0.0205}),
+        ('<motor joint="pendulum"/>', "", {"actuation_lag": [0.03]}, {"dynprm": 0.03, "dyntype": "filterexact"}),
+    ],
+)  # fmt: skip
+def test_an_actuator_keeps_what_it_had_beside_what_is_corrected(actuator, joint, terms, numbers):
+    given = driven(actuator, joint)
+    result = written(given, corrected(terms, xml=given), "torques", gains={"pendulum": (10.0, 0.1)})
+    assert result.left_out == ()
+    model = mujoco.MjModel.from_xml_string(result.xml)
+    for name, expected in numbers.items():
+        found = getattr(model, f"actuator_{name}")[0]
+        if name == "history":
+            found = found[0]
+        if name == "dyntype":
+            assert found == mujoco.mjtDyn.mjDYN_FILTEREXACT
+        else:
+            assert np.ravel(found)[: np.size(expected)] == pytest.approx(np.ravel(expected)), name
+
+
+@pytest.mark.parametrize(
+    ("actuators", "joint", "more", "terms", "said"),
+    [
+        # a range that does not act limits nothing
+        ('<motor joint="pendulum"/>' * 2, 'actuatorfrclimited="false" actuatorfrcrange="-1 1"', "", "hysteresis", True),
+        # a range that must not limit friction cannot be the motor's where it limits something else, too
+        ('<motor joint="pendulum"/>', 'actuatorfrcrange="-1 1" actuatorgravcomp="true"', "", "hysteresis", False),
+        ('<motor joint="pendulum"/><motor tendon="cord"/>', 'actuatorfrcrange="-1 1"', CORD, "hysteresis", False),
+        ('<motor joint="pendulum" gear="0"/>', 'actuatorfrcrange="-1 1"', "", "hysteresis", False),
+        ('<motor joint="pendulum" forcerange="2 3"/>', 'actuatorfrcrange="-1 1"', "", "hysteresis", False),
+        # nor can the joint's be the motor's where others act beside it
+        ('<motor joint="pendulum" forcerange="-1 1"/><motor joint="pendulum" forcerange="-1 1"/>', "", "",
+         "torque_ripple", False),
+        ('<motor joint="pendulum" forcerange="-1 1"/><motor tendon="cord"/>', "", CORD, "torque_ripple", False),
+        ('<motor joint="pendulum"/>' * 2, "", "", "torque_ripple", True),
+        # which comes first, ripple or limit, no range says
+        ('<motor joint="pendulum"/>', "", "", "torque_ripple torque_saturation", False),
+        # what is neither a motor nor a servo
+        (GENERAL.format('dyntype="integrator" actrange="-1 1"'), "", "", "torque_scale", False),
+        (GENERAL.format('biastype="affine" biasprm="0 0 -1"'), "", "", "torque_scale", False),
+        (GENERAL.format('gear="0"'), "", "", "torque_scale", False),
+        (GENERAL.format('gainprm="6" biastype="affine" biasprm="0 -5 -0.4"'), "", "", "gain_mismatch", False),
+    ],
+)  # fmt: skip
+def test_what_a_range_or_an_actuator_cannot_say_stays_in_json(actuators, joint, more, terms, said):
+    given = driven(actuators, joint, more)
+    names = terms.split()
+    result = written(given, corrected({name: MEMORY_TERMS[name] for name in names}, xml=given), "torques")
+    assert (f"{names[0]} of pendulum" not in result.left_out) is said
+    assert bool(result.warning) is bool(result.left_out)
+
+
+def test_two_dashes_in_a_name_do_not_end_the_comment_that_names_it():
+    given = pendulum(name="a--b")
+    xml = written(given, corrected({"encoder_scale": [1.05]}, name="a--b", xml=given)).xml
+    assert mujoco.MjModel.from_xml_string(xml).joint(0).name == "a--b"
+    assert "encoder_scale of a- -b" in xml

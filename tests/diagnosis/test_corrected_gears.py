@@ -215,7 +215,10 @@ def test_the_motor_turns_about_the_links_own_hinge_and_sensors_of_other_joints_s
         '<equality><joint joint1="tip" joint2="pendulum"/></equality>',
         '<tendon><fixed name="cable"><joint joint="pendulum" coef="1"/></fixed></tendon>',
         '<tendon><fixed name="pendulum_gear"><joint joint="tip" coef="1"/></fixed></tendon>',
+        '<equality><joint name="pendulum_gear" joint1="tip" joint2="tail"/></equality>',
+        '<worldbody><body name="pendulum_motor"><geom size="0.1"/></body></worldbody>',
         '<option><flag equality="disable"/></option>',
+        '<option><flag limit="disable"/></option>',
         '<option><flag constraint="disable"/></option>',
         'actuatorgravcomp="true"',
     ],
@@ -228,6 +231,13 @@ def test_a_gear_stays_in_json_where_the_joint_is_coupled_or_nothing_could_couple
     assert "not expressed here, see corrected.json: compliance of pendulum" in xml
     assert mujoco.MjModel.from_xml_string(xml).nv == mujoco.MjModel.from_xml_string(given).nv
     assert "its link" not in xml
+
+
+def test_what_holds_a_body_of_the_joints_number_does_not_couple_the_joint():
+    model = mujoco.MjModel.from_xml_string(ARM)
+    body = model.body(model.joint("pendulum").id).name
+    held = f'<equality><connect body1="{body}" anchor="0 0 0" active="false"/></equality></mujoco>'
+    assert mujoco.MjModel.from_xml_string(parted_arm(ARM.replace("</mujoco>", held))).nv == model.nv + 1
 
 
 def test_two_gears_of_one_joint_stay_in_json():

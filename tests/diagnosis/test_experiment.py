@@ -911,7 +911,9 @@ def test_a_plan_is_weighed_by_the_noise_of_each_set_of_recordings(monkeypatch):
 
     monkeypatch.setattr(planning, "_seen", lambda rivals, plan, sensors: "log")
     monkeypatch.setattr(planning, "every_nth", lambda s: f"thin {s}")
-    monkeypatch.setattr(planning, "row_noise", lambda takes: np.array([[1.0, 2.0], [7.0, 2.0], [3.0, 4.0]][: len(takes)]))
+    monkeypatch.setattr(
+        planning, "row_noise", lambda takes: np.array([[1.0, 2.0], [7.0, 2.0], [3.0, 4.0]][: len(takes)])
+    )
     plan = planning._measured(Scene(), 1, sent(), None)
     assert asked == [(["thin log"], [[3.0, 4.0]]), (11, [5.0, 2.0, 3.0, 4.0])]
     assert (plan.signals, plan.products, plan.separations.tolist()) == (("thin log",), 10, [7.0])
@@ -1018,7 +1020,9 @@ def test_corners_are_rounded_about_a_rest_long_enough_that_nothing_is_cut_off():
     assert own[-1, 0] == pytest.approx(0.5, abs=1e-3)
     middle = np.flatnonzero(np.diff(own[: rest + 150, 0] > 1.0))
     assert middle.tolist() == [rest + 99]
-    assert speed[len(there) + rest : len(there) + rest + 150].max() == pytest.approx(1 / (width * np.sqrt(2 * np.pi)), rel=0.05)
+    assert speed[len(there) + rest : len(there) + rest + 150].max() == pytest.approx(
+        1 / (width * np.sqrt(2 * np.pi)), rel=0.05
+    )
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, -0.4])

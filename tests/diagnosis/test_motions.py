@@ -300,7 +300,7 @@ def test_of_many_joints_a_band_too_narrow_to_tell_them_apart_is_left_out_and_wid
 
 
 def test_a_mix_keeps_to_half_of_the_range_about_its_pose_both_ways_alike():
-    found, limits = two_joints(velocity=(100.0, 100.0))
+    found, _ = two_joints(velocity=(100.0, 100.0))
     mixes = [m for m in found if m.kind == "mix"]
     for m in mixes:
         own = m.wave[:, ("hip", "knee").index(m.joint)]

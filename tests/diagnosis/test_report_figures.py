@@ -403,9 +403,7 @@ def test_both_errors_fit_their_axis_and_a_motion_about_any_place_its_own():
 
 def test_a_window_late_in_a_recording_is_drawn_as_finely_as_an_early_one():
     o = arm().overlays[0]
-    early, late = (
-        lines(overlay_figure(o, "elbow", "rad", slice(at, at + 250)))["measured-motion"] for at in (0, 2000)
-    )
+    early, late = (lines(overlay_figure(o, "elbow", "rad", slice(at, at + 250)))["measured-motion"] for at in (0, 2000))
     assert len(early) == len(late) == 250
 
 

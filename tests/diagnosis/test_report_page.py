@@ -50,6 +50,9 @@ def test_the_first_picture_is_of_what_was_kept_aside_worst_beside_its_floor_firs
     assert hero["numbers"] == (["0.500", "0.250", "0.125"], "rad")
     assert page._hero(replace(answer, fit={"train": score("hip")}), RADIANS)["split"] == "train"
     assert page._hero(replace(answer, fit={}), RADIANS) is None
+    silent = replace(score("hip", "toe"), per_joint={"hip": ROWS["hip"], "toe": {**ROWS["toe"], "floor": 0.0}})
+    page._hero(replace(answer, fit={"train": silent}), RADIANS)
+    assert [row[0] for row in drawn[-1][0][1]] == ["toe", "hip"]
 
 
 def test_without_joints_the_whole_is_drawn_and_metres_and_radians_have_no_common_number(drawn):
@@ -173,7 +176,7 @@ def test_the_errors_beside_a_motion_are_those_of_its_joint_in_its_seconds(drawn)
 
 def locations(*shares: float) -> tuple[Location, ...]:
     places = [Location(f"j{k}", "everywhere", share, (0, 1)) for k, share in enumerate(shares)]
-    return (*places, Location("j0", "moving backwards", 0.5, (0, 1)))
+    return (*places, Location("j1", "moving backwards", 0.5, (0, 1)))
 
 
 @pytest.mark.parametrize(
@@ -235,4 +238,4 @@ def test_the_page_says_the_folder_it_lies_in_and_the_weight_that_the_plan_asks_f
     text = path.read_text("utf-8")
     assert "--output mine --continue new_recording.npz --payload 0.5" in text
     assert "a robot" in text
-    assert text.index("kept aside") < text.index("fitted")
+    assert text.index('<td class="split">kept aside') < text.index('<td class="split">fitted')

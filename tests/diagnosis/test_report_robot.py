@@ -294,7 +294,9 @@ def test_a_body_that_is_welded_on_is_a_rod_from_where_it_is():
 
 
 def test_what_is_nearer_is_drawn_over_what_is_behind():
-    body = '<body name="{0}" pos="0 {1} 0"><joint name="{0}" axis="0 1 0"/><geom type="box" size="0.1 0.01 0.2"/></body>'
+    body = (
+        '<body name="{0}" pos="0 {1} 0"><joint name="{0}" axis="0 1 0"/><geom type="box" size="0.1 0.01 0.2"/></body>'
+    )
     model = mujoco.MjModel.from_xml_string(
         f"<mujoco><worldbody>{body.format('one', -0.3)}{body.format('other', 0.3)}</worldbody></mujoco>"
     )

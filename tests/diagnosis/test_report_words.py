@@ -13,12 +13,15 @@ from torchrl_athletic.diagnosis.report.words import (
     next_takes,
     of_class,
     quality_counts,
+    same_as,
+    title,
     unexplained,
     verdict_words,
     would_change,
 )
-from torchrl_athletic.diagnosis.result import Answer, Finding, Location, Rival, Score
+from torchrl_athletic.diagnosis.result import Answer, Finding, Location, Name, Rival, Score
 from torchrl_athletic.diagnosis.thresholds import STATEMENT
+from torchrl_athletic.effects.effect import CLASSES
 
 FRICTION = Finding("coulomb_friction", "hip", 0.9, "Friction is missing.", {}, "everywhere")
 TILT = Finding("gravity_tilt", None, 0.7, "Gravity is tilted.", {}, "everywhere")
@@ -86,6 +89,7 @@ def test_grounds_are_those_that_were_kept_about_the_joint_that_counts(joint, whe
         (STATEMENT.likely, 0.9, "friction", True),
         (STATEMENT.likely + 0.01, 0.9, "friction", False),
         (0.4, 0.405, "friction", False),
+        (0.4, 0.42, "friction", True),
         (0.4, 0.9, "", False),
     ],
 )
@@ -156,3 +160,26 @@ def test_a_finding_that_the_answer_does_not_lead_with_is_told_beside_its_name():
     answer = Answer("partly_explained", ("Friction is missing.",), findings=(FRICTION, TILT))
     text = " ".join(terminal_summary(answer).split())
     assert text.count("Friction is missing.") == text.count("Gravity is tilted.") == 1
+
+
+def test_a_class_is_called_as_it_is_in_sentences_and_a_name_keeps_its_own_capitals():
+    (key, said) = next((key, said) for key, said in CLASSES.items() if said != key.replace("_", " "))
+    finding = replace(FRICTION, probability=0.4, class_name=key, class_probability=0.9)
+    assert of_class(finding) == f"{said} there, by whichever law"
+    assert title("my_PID_loop") == "My PID loop"
+    assert title("") == ""
+
+
+def test_names_that_are_one_thing_are_told_with_their_partners_and_those_of_a_rival_without():
+    late = (Name("actuation_delay", "hip"), Name("actuation_delay", "knee"))
+    clock = replace(TILT, effect="clock_offset", alternatives=(late,))
+    lag = replace(FRICTION, effect="actuation_lag", joint="hip", alternatives=(late,))
+    answer = Answer("explained", (), findings=(clock, lag, FRICTION))
+    same = "actuation delay of hip with actuation delay of knee: no recording tells them apart."
+    assert same_as(clock, answer) == [f"Clock offset, which together with actuation lag of hip is the same as {same}"]
+    own = "actuation delay with actuation delay of knee: no recording tells them apart."
+    (of_lag,) = same_as(lag, answer)
+    assert of_lag == f"Actuation lag, which together with clock offset of the whole robot is the same as {own}"
+    rival = Rival("actuation_lag", "hip", 0.1, "", alternatives=(late,))
+    assert same_as(rival, answer) == [f"Actuation lag, which here is the same as {own}"]
+    assert same_as(FRICTION, answer) == []
