@@ -30,10 +30,11 @@ def scored(*names, evidence=0.0):
 @pytest.fixture
 def asked(monkeypatch):
     """What is searched: signals, names of effects, trims and what is taken; and how the measured torque is prepared."""
-    told = SimpleNamespace(searched=[], prepared=[])
+    told = SimpleNamespace(searched=[], prepared=[], progress=[])
 
     def searched(takes, catalogue, trims, taken=frozenset(), progress=None):
         told.searched.append((takes, [e.name for e in catalogue], trims, taken))
+        told.progress.append(progress)
         return [Proposal(None, scored("scale" if len(told.searched) == 1 else "friction"))]
 
     def prepare(*given):
@@ -50,7 +51,7 @@ def asked(monkeypatch):
 def proposed(*takes, drive="command"):
     given = SimpleNamespace(catalogue=CATALOGUE, drive=drive, recordings="r", model="m", joined=3, xml="x")
     located = SimpleNamespace(ready=SimpleNamespace(train=SimpleNamespace(signals=takes), given=given))
-    return proposing.propose(located, SimpleNamespace(progress=SimpleNamespace(update=None)))
+    return proposing.propose(located, SimpleNamespace(progress=SimpleNamespace(update="bar")))
 
 
 def test_a_current_cuts_the_chain_and_what_the_drive_has_is_not_asked_of_the_mechanics(asked):
@@ -59,6 +60,7 @@ def test_a_current_cuts_the_chain_and_what_the_drive_has_is_not_asked_of_the_mec
     assert drive == ("drive", ["delay", "scale"], (), frozenset())
     assert mechanics == (("measured",), ["scale", "friction"], ["trims of", ("measured",)], {("scale", "hip")})
     assert prepared == ("r", "m", "measured", 0.07, 3, "x")  # with the test function of the commands
+    assert asked.progress == [None, "bar"]
     assert found.drive is not None
     assert len(found.options) == 1
 
@@ -119,7 +121,8 @@ def test_only_joints_that_miss_torque_are_asked_about_effects_of_their_own(monke
     monkeypatch.setattr(proposing, "noisy_joints", lambda judge: noisy)
     monkeypatch.setattr(proposing, "_options", lambda judge, found: found)
     trims = [SimpleNamespace(key=("mass", 0)), SimpleNamespace(key=("taken", 1))]
-    assert proposing._searched("takes", "catalogue", trims, {("taken", 1)}) == ["found"]
+    assert proposing._searched("takes", "catalogue", trims, {("taken", 1)}, "bar") == ["found"]
+    assert [given[1:] for given in searched] == [("bar",), ()][:rounds]
     assert offered == [("b", 1), ("c", 0)]
     assert [t.key for t in bank.trims] == [("mass", 0)]
     assert len(searched) == rounds

@@ -311,3 +311,10 @@ def test_a_robot_is_no_mirror_image_whichever_way_its_axis_points():
     for axis in ("0 1 0", "0 -1 0"):
         places = dots(robot_svg(mujoco.MjModel.from_xml_string(chain([axis, axis])), [], {}))
         assert places["joint0"][1] < places["joint1"][1]
+
+
+def test_names_stand_in_the_order_of_their_joints_heights():
+    model = mujoco.MjModel.from_xml_string(chain(["0 1 0"] * 3, link="-0.05 0 -0.2"))  # the lower, the farther left
+    svg = robot_svg(model, [], dict.fromkeys(joints_of(model), ""))
+    named = re.findall(r'<text class="name" x="[\d.]+" y="([\d.]+)">(.*?)</text>', svg)
+    assert [name for _, name in sorted(named, key=lambda n: float(n[0]))] == ["joint0", "joint1", "joint2"]

@@ -6,8 +6,10 @@ import pytest
 
 from torchrl_athletic.diagnosis.report.terminal import MOST_REGIMES, terminal_summary
 from torchrl_athletic.diagnosis.report.words import (
+    IF_KNOWN,
     banners,
     besides,
+    go_on,
     grounds_words,
     lead,
     next_takes,
@@ -183,3 +185,40 @@ def test_names_that_are_one_thing_are_told_with_their_partners_and_those_of_a_ri
     rival = Rival("actuation_lag", "hip", 0.1, "", alternatives=(late,))
     assert same_as(rival, answer) == [f"Actuation lag, which here is the same as {own}"]
     assert same_as(FRICTION, answer) == []
+
+
+def test_what_several_rivals_ask_for_is_asked_for_once_and_only_what_the_summary_says_leads():
+    rivals = tuple(Rival(name, "hip", 0.1, "Swing it.") for name in ("viscous_friction", "backlash"))
+    lag = Finding("actuation_lag", "knee", 0.6, "The knee is late.", {}, "", rivals=rivals)
+    answer = Answer("explained", ("Gravity is tilted.", "The knee is late."), findings=(FRICTION, TILT, lag))
+    assert next_takes(answer) == ["Swing it."]
+    (told,) = lead(answer)
+    assert told.endswith("likely missing: gravity tilt (whole robot, 70 %) and actuation lag (knee, 60 %).")
+
+
+@pytest.mark.parametrize("findings", [(FRICTION,), ()])
+def test_that_a_name_holds_if_the_physics_is_known_is_said_beside_names(findings):
+    said = " ".join(terminal_summary(Answer("unexplained", (), findings=findings)).split())
+    assert (IF_KNOWN in said) is bool(findings)
+
+
+def test_going_on_takes_the_folder_whatever_it_is_called_and_the_weight():
+    assert go_on("my run", 0.5).endswith("--output 'my run' --continue new_recording.npz --payload 0.5")
+    assert go_on("run", 0.0).endswith("--output run --continue new_recording.npz")
+
+
+def test_the_terminal_tells_splits_classes_rivals_and_remarks_each_in_its_place():
+    late = (Name("actuation_delay", "hip"),)
+    rivals = (Rival("actuation_lag", "hip", 0.1, "", alternatives=(late,)),)
+    law = replace(FRICTION, probability=0.4, class_name="friction", class_probability=0.85, rivals=rivals)
+    fit = {split: FOLLOWED["train"] for split in ("train", "heldout_uan", "heldout")}
+    summary = ("One.", "Two.", "Three.", "Four.")
+    answer = Answer("partly_explained", summary, findings=(law,), fit=fit, unexplained_share=0.25, remarks=("Five.",))
+    text = terminal_summary(answer)
+    splits = [text.index(f"  {name}, all joints") for name in ("kept aside", "kept aside, with a UAN", "fitted")]
+    assert splits == sorted(splits)
+    rows = [line.split() for line in text.splitlines()]
+    assert ["friction", "there,", "by", "whichever", "law", "85", "%"] in rows
+    assert "Actuation lag, which here is the same as actuation delay" in " ".join(text.split())
+    for remark in ("25 % of the error energy above the noise floor has no named cause.", "Four.", "Five."):
+        assert remark in text.splitlines()
