@@ -318,3 +318,85 @@ def test_names_stand_in_the_order_of_their_joints_heights():
     svg = robot_svg(model, [], dict.fromkeys(joints_of(model), ""))
     named = re.findall(r'<text class="name" x="[\d.]+" y="([\d.]+)">(.*?)</text>', svg)
     assert [name for _, name in sorted(named, key=lambda n: float(n[0]))] == ["joint0", "joint1", "joint2"]
+
+
+def test_a_drawn_stand_bears_its_hinge_and_carries_the_rail_of_its_slide():
+    joint = '<body><joint type="{}" axis="1 0 0"/><geom size=".1"/></body>'
+    stand = f'<mujoco><worldbody><body><geom size=".05"/>{joint}</body></worldbody></mujoco>'
+
+    def mounts(kind):
+        return robot_svg(mujoco.MjModel.from_xml_string(stand.format(kind)), [], {}).count('class="mount"')
+
+    assert (mounts("hinge"), mounts("slide")) == (0, 1)
+
+
+def test_a_guilty_joint_is_larger_and_what_has_no_shape_is_a_rod_or_a_dot():
+    hub = re.compile(r'r="([\d.]+)"/><circle class="hub"')
+    sizes = [float(hub.search(robot_svg(compiled("pendulum"), guilty, {}))[1]) for guilty in ([], ["pendulum"])]
+    assert sizes[1] == 1.5 * sizes[0]
+    widths = [
+        max(float(w) for w in re.findall(r'class="link" stroke-width="([\d.]+)"', robot_svg(compiled(name), [], {})))
+        for name in ("pendulum", "slider")
+    ]
+    assert 2 < widths[0] < 0.5 * widths[1]
+
+
+def test_a_rod_begins_at_its_joint_and_an_empty_body_is_a_dot():
+    inertial = '<inertial pos="0 0 -0.4" mass="1" diaginertia=".1 .1 .1"/>'
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><body><joint pos="0.1 0 0"/>{inertial}<body pos="0 0 .3"/></body></worldbody></mujoco>'
+    )
+    points = [s.points.tolist() for s in solids_of(model, default_pose(model))]
+    assert [0.1, 0.0, 0.0] in [ends[0] for ends in points if len(ends) == 2]
+    assert [[0.0, 0.0, 0.3]] in points
+
+
+def test_of_two_sides_that_show_a_slide_the_wider_picture_is_taken():
+    for size, towards in ((".3 .5 .1", [0, 0, 1]), (".3 .1 .5", [0, -1, 0])):
+        box = f'<body><joint type="slide" axis="1 0 0"/><geom type="box" size="{size}"/></body>'
+        _, view = projected(mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{box}</worldbody></mujoco>"))
+        assert view.axes[2] == pytest.approx(towards)
+
+
+def test_a_base_smaller_than_the_robot_is_drawn_however_thin_the_robot_is():
+    base = '<geom name="base" type="box" size=".1 .1 .1"/>'
+    arm = '<body><joint axis="0 1 0"/><geom type="capsule" size=".01" fromto="0 0 0 0 0 .5"/></body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{base}{arm}</worldbody></mujoco>")
+    assert [s.body for s in solids_of(model, default_pose(model))] == [0, 1]
+
+
+def test_each_mesh_has_its_own_corners():
+    mesh = '<mesh name="{0}" vertex="0 0 0 {1} 0 0 0 {1} 0 0 0 {1}"/>'
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><asset>{mesh.format('small', 0.1)}{mesh.format('large', 0.5)}</asset><worldbody><body><joint/>"
+        '<geom type="mesh" mesh="large"/><geom type="mesh" mesh="small"/></body></worldbody></mujoco>'
+    )
+    large, small = (np.ptp(s.points, axis=0).max() for s in solids_of(model, default_pose(model)))
+    assert large == pytest.approx(5 * small, rel=1e-3)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_bearing_is_away_from_what_it_bears(side):
+    arm = f'<body><joint axis="0 1 0"/><geom type="capsule" size=".01" fromto="0 0 0 0 0 {0.5 * side}"/></body>'
+    svg = robot_svg(mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{arm}</worldbody></mujoco>"), [], {})
+    top, joint = (float(y) for y in re.search(r'class="mount" d="M[-\d.]+ ([-\d.]+)L[-\d.]+ ([-\d.]+)L', svg).groups())
+    assert np.sign(top - joint) == side  # down in the picture is up in numbers
+
+
+def test_the_link_that_is_tinted_is_the_guilty_joints_own():
+    arm = '<body pos="0 0 -1"><joint name="hip" axis="0 1 0"/><geom type="box" size=".1 .1 .1"/></body>'
+    stand = f'<body><geom type="box" size=".1 .1 .1"/>{arm}</body>'
+    svg = robot_svg(mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{stand}</worldbody></mujoco>"), ["hip"], {})
+    places = {
+        style: float(re.match(r"M[-\d.]+ ([-\d.]+)", path)[1])
+        for style, path in re.findall(r'class="(link[^"]*)" stroke-width="[\d.]+" d="([^"]*)"', svg)
+    }
+    assert places["link guilty"] > places["link"] + 50
+
+
+def test_the_guilty_joint_is_drawn_over_the_others_and_a_box_is_no_larger_than_it_is():
+    model = mujoco.MjModel.from_xml_string(chain(["0 1 0"] * 3))
+    marks = re.findall(r'<g class="(joint[^"]*)"><title>(.*?)</title>', robot_svg(model, ["joint0"], {}))
+    assert marks[-1] == ("joint guilty", "joint0")
+    svg = robot_svg(one_body('<geom type="box" size=".1 .2 .3"/>'), [], {})
+    assert re.findall(r'class="link" stroke-width="([\d.]+)"', svg) == ["0.0"]
