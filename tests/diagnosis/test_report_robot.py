@@ -15,6 +15,7 @@ from torchrl_athletic.diagnosis.report.robot import (
     DRAWING,
     HEIGHT,
     MOST_NAMES,
+    _arrow,
     _rail,
     default_pose,
     robot_svg,
@@ -400,3 +401,18 @@ def test_the_guilty_joint_is_drawn_over_the_others_and_a_box_is_no_larger_than_i
     assert marks[-1] == ("joint guilty", "joint0")
     svg = robot_svg(one_body('<geom type="box" size=".1 .2 .3"/>'), [], {})
     assert re.findall(r'class="link" stroke-width="([\d.]+)"', svg) == ["0.0"]
+
+
+def test_a_rail_is_within_the_drawing():
+    box = '<body><joint type="slide" axis="1 0 0"/><geom type="box" size=".1 .1 .1"/></body>'
+    svg = robot_svg(mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{box}</worldbody></mujoco>"), [], {})
+    (rail,) = re.findall(r'class="mount" d="M([-\d.]+) [-\d.]+L([-\d.]+) ', svg)
+    assert sorted(float(x) for x in rail) == pytest.approx([DRAWING[0], DRAWING[2]], abs=1)
+
+
+def test_the_barbs_of_an_arrow_lie_behind_its_tip():
+    numbers = [float(v) for v in re.findall(r"-?[\d.]+", _arrow(1.0, 2.0, 20.0, 0.0))]
+    start, tip, one, _, other = np.reshape(numbers, (5, 2))
+    assert (start.tolist(), tip.tolist()) == ([1.0, 2.0], [21.0, 2.0])
+    assert one[0] == other[0] < tip[0]
+    assert one[1] + other[1] == 2 * tip[1]

@@ -423,6 +423,15 @@ def test_the_second_of_two_terms_may_be_the_one_at_its_bound():
         assert fit.at_bound is stops
 
 
+def test_numbers_that_make_no_sense_together_are_no_estimate(monkeypatch):
+    law, nothing = Given("law", np.zeros((2, 2))), np.zeros((2, 1))
+    fit = Fit((Atom(candidate(law), {}, (0, 1), (0, 1)),), 1, np.array([2.0, 3.0]), (np.full(2, -9.0), np.full(2, 9.0)),
+              0.0, nothing, nothing)  # fmt: skip
+    assert not fit.at_bound
+    monkeypatch.setattr(Given, "is_physical", lambda self, parameters, values: values[0] > values[1])
+    assert fit.at_bound
+
+
 def test_a_number_on_its_grid_counts_unless_it_is_the_given_models():
     parameters = candidate(Given("law", np.zeros((2, 3)))).parameters
     law = replace(candidate(Given("law", np.zeros((2, 3)))), parameters=parameters)
@@ -462,6 +471,23 @@ def test_what_one_of_two_takes_cannot_show_is_no_candidate(take):
     half = candidate(Half("half", np.ones(N)))
     assert Bank([take, replace(take)], [half], noise=NOISE).atoms == []
     assert len(Bank([take], [half], noise=NOISE).atoms) == 1
+
+
+def test_the_grid_is_that_of_all_takes_together(take):
+    class Longest(Given):
+        def grid_of(self, takes, joint):
+            return [{"of": float(len(takes))}]
+
+        def fingerprint(self, s, joint, fixed):
+            return replace(super().fingerprint(s, joint, {}), fixed=fixed)
+
+    bank = Bank([take, replace(take)], [candidate(Longest("law", np.ones(N)))], noise=NOISE)
+    assert [atom.fixed for atom in bank.atoms] == [{"of": 2.0}]
+
+
+def test_noise_behind_a_gaussian_is_correlated_over_its_squared_sum_per_sum_of_squares():
+    weight = np.exp(-0.5 * (np.arange(-200, 201) / 20.0) ** 2)
+    assert screen.KERNEL_CORRELATION * 20.0 == pytest.approx(weight.sum() ** 2 / (weight**2).sum())
 
 
 def test_an_equation_of_motion_that_has_run_away_predicts_nothing(take):
