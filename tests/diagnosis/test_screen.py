@@ -562,7 +562,11 @@ def test_a_load_counts_as_a_torque_below_which_a_share_is_not_asked_for():
     s.__dict__["load"] = command[:, ::-1]
     strong, weak = (torque_scale(s.nominal, s.address, j) for j in range(2))
     assert weak < 10.0 < strong < 100.0
-    np.testing.assert_allclose(row_noise([s])[0], TORQUES.torque_floor * np.array([strong, 10.0]), rtol=1e-3)
+    floor = TORQUES.torque_floor * np.array([strong, 10.0])
+    np.testing.assert_allclose(row_noise([s])[0], floor, rtol=1e-3)
+    loud = replace(s, noise=floor)  # as much again, of the sensors
+    loud.__dict__["load"] = s.load
+    np.testing.assert_allclose(row_noise([loud])[0], np.sqrt(2) * floor, rtol=1e-3)
 
 
 def test_half_a_sample_of_the_slowest_log_is_nobodys_fault(take):
