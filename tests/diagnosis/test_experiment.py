@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+from diagnosis.columns import Given, candidate
 from scipy.signal import lfilter
 
 from torchrl_athletic.diagnosis import experiment as planning
@@ -1001,6 +1002,48 @@ def test_a_motion_is_made_smaller_until_the_torque_suffices_and_left_where_somet
     assert swung(20.0, reach=(-1.0, 0.2))[0] is None
     assert swung(20.0, amplitude=-0.3, reach=(-0.2, 1.0))[0] is None
     assert swung(20.0, post='<geom type="sphere" size="0.05" pos="0.14 0 -0.5"/>')[0] is None
+
+
+def test_a_joint_that_rests_beyond_its_range_is_not_in_the_way_of_another():
+    link = '<body pos="{} 0 0"><joint name="{}" axis="0 -1 0"/><geom size="0.05" pos="0 0 -0.5"/></body>'
+    two = f"<mujoco><worldbody>{link.format(0, 'hip')}{link.format(5, 'knee')}</worldbody></mujoco>"
+    wave = 0.3 * np.sin(np.pi * np.arange(801) / 800)[:, None] ** 2 * [1.0, 0.0]
+    start = np.tile([0.0, 0.5], (3, 1))
+    rest = Recording(np.arange(3) / PLAN.rate, ("hip", "knee"), start, torque_command=0 * start)
+    takes = [SimpleNamespace(recording=rest, base=None)]
+    allowed = Limits(np.array([[-1.0, 1.0], [-0.2, 0.2]]), np.full(2, 5.0), np.full(2, 99.0))
+    motion = Motion("hip", "sine", 0.3, 0.25, start[0], wave)
+    model, loop = mujoco.MjModel.from_xml_string(two), (np.full(2, 50.0), np.full(2, 3.0))
+    assert planning._planned(motion, 0.0, model, takes, allowed, loop) is not None
+    moved = replace(motion, wave=wave[:, ::-1])
+    assert planning._planned(moved, 0.0, model, takes, allowed, loop) is None
+
+
+def test_rivals_are_simulated_from_the_reference_itself_with_numbers_within_their_bounds(monkeypatch):
+    """Those that were fitted, trims last, then those drawn; nobody has recorded noise yet."""
+    asked = []
+    law, trim = candidate(Given("law", np.zeros(2), -10.0, 10.0)), candidate(Given("trim", np.zeros(2), -1.0, 1.0))
+    terms = [SimpleNamespace(candidate=law), SimpleNamespace(candidate=trim)]
+    fit = SimpleNamespace(terms=terms[:1], atoms=terms, size=1, values=lambda: [np.array([2.0]), np.array([0.5])])
+    known = SimpleNamespace(parameters=lambda drawn: 10 * drawn)
+    draws = [np.array([[0.0, 0.0], [2.0, 0.05], [0.3, -0.2]])]
+    scene = SimpleNamespace(
+        takes=[SimpleNamespace(base=None)], rivals=[SimpleNamespace(fit=fit)], known=[known], draws=draws
+    )
+    monkeypatch.setattr(planning, "take_of", lambda recording, model, noise: asked.append((model, noise)) or "take")
+    monkeypatch.setattr(planning, "windows_of", lambda take, length: (take, length))
+
+    def simulated(windows, build, rows):
+        asked.append((windows, rows.tolist(), build.__self__.terms, build.__self__.trims))
+        return rows[:, None, None]
+
+    monkeypatch.setattr(planning, "simulate", simulated)
+    paths = planning._simulated(sent().recording, "model", scene)
+    (model, noise), (windows, rows, *parts) = asked
+    assert (model, windows, parts) == ("model", ("take", None), [(law,), (trim,)])
+    assert (noise < 1e-6).all()
+    assert rows == pytest.approx(np.array([[2.0, 0.5], [10.0, 0.5], [3.0, -1.0]]))
+    assert paths.shape == (1, 3, 1, 2)
 
 
 def test_corners_are_rounded_about_a_rest_long_enough_that_nothing_is_cut_off():
