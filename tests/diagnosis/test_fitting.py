@@ -203,6 +203,7 @@ def test_every_flag_reaches_the_fit(tmp_path, monkeypatch, capsys):
     assert model == tmp_path / "model.xml"
     assert [r.torque_command[0, 0] for r in (*fits, *aside)] == [1.0, 2.0]
     assert {name: settings[name] for name in flags} == flags
+    assert settings["progress"] is not None
     shown = capsys.readouterr().out
     assert "A remark." in shown
     assert f"Files: {tmp_path / 'out'}" in shown
