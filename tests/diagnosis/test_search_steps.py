@@ -419,3 +419,13 @@ def test_a_combination_is_refined_before_it_grows_since_a_coarse_one_hides_weake
 def test_at_the_end_two_terms_are_merged_into_one_that_explains_as_much():
     told = Told({"ab": -40.0, "m": -41.0, "a": 0.0, "b": 0.0}, A, B, law("m", excludes="ab"))
     assert names(steps._polish(told, told["ab"])) == "m"
+
+
+def test_joints_that_are_open_with_the_trims_or_without_them_are_asked_about():
+    """A trim may hide what one joint misses, and push what another one does."""
+    near, far, still = law("n", 0), law("f", 1), law("s", 1)
+    told = Told(
+        {"": 100.0, "n": 50.0, "f": 60.0, "s": 99.0}, near, far, still,
+        is_open={"": (False, True), "bare": (True, False)},
+    )  # fmt: skip
+    assert [names(s) for s in steps._extensions(told, told[""])] == ["n", "f"]
