@@ -320,7 +320,8 @@ def test_a_drive_that_a_chain_acts_out_stays_out_of_the_actuators():
     assert (model.na, model.actuator_gainprm[0, 0], model.jnt_actfrclimited[0]) == (0, 1.0, 0)
 
 
-def test_a_lag_adds_no_state_to_a_model_whose_keyframes_hold_some():
+@pytest.mark.parametrize("effect", ["actuation_lag", "hysteresis"])
+def test_nothing_adds_a_state_to_a_model_whose_keyframes_hold_some(effect):
     other = '<general joint="pendulum" dyntype="integrator" gear="0"/>'
     given = pendulum()
     key = '<keyframe><key qpos="0" act="0.5"/></keyframe></mujoco>'
@@ -331,9 +332,9 @@ def test_a_lag_adds_no_state_to_a_model_whose_keyframes_hold_some():
     model = mujoco.MjModel.from_xml_string(two)
     names = ("arm", "pendulum")
     address = JointAddress.of(model, names)
-    lag = Candidate(EFFECTS["actuation_lag"], 1, "pendulum", EFFECTS["actuation_lag"].parameters(model, address, 1))
-    xml = corrected_xml(two, Simulation(model, names, Hypothesis((lag,)), np.array([0.02])), "torques")
-    assert "actuation_lag of pendulum" in xml
+    law = Candidate(EFFECTS[effect], 1, "pendulum", EFFECTS[effect].parameters(model, address, 1))
+    xml = corrected_xml(two, Simulation(model, names, Hypothesis((law,)), np.array(MEMORY_TERMS[effect])), "torques")
+    assert f"{effect} of pendulum" in xml
     assert mujoco.MjModel.from_xml_string(xml).key_act.tolist() == [[0.5]]
 
 
