@@ -1215,3 +1215,20 @@ def test_two_motions_in_a_row_make_one_plan_with_the_products_of_both_where_both
             assert given[-1] == ((*one.signals, *other.signals), 5.0)
         else:
             assert given[-1] == ("measured",)
+
+
+def test_a_plan_that_is_repeated_has_its_products_as_often(monkeypatch):
+    asked = []
+
+    def judged(scene, known, plan, signals, products):
+        asked.append((plan.repeats, float(products), signals, known))
+        return replace(plan, separations=np.array([float(plan.repeats)]))
+
+    monkeypatch.setattr(planning, "_judged", judged)
+    monkeypatch.setattr(planning, "_most_repeats", lambda plan: 4)
+    motion = Motion("hip", "sine", 0.1, 1.0, np.zeros(1), np.zeros((3, 1)))
+    first = replace(sent(), motions=(motion,), products=Evidence(1.5), signals=("log",), separations=np.ones(1))
+    best = planning._repeated(SimpleNamespace(weight=np.ones(1)), "known", first, np.ones(1, dtype=bool))
+    assert asked == [(2, 3.0, ("log",), "known"), (4, 6.0, ("log",), "known")]
+    assert (best.repeats, best.motions) == (4, (motion,))
+    assert best.recording.num_samples == 4 * first.recording.num_samples

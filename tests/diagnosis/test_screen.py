@@ -585,3 +585,13 @@ def test_predictions_of_what_stands_behind_others_are_its_own(rng, take):
     fit = bank.fit(bank.atoms)
     for atom, part in zip(fit.atoms, np.split(fit.coefficients, [1, 3, 4]), strict=True):
         np.testing.assert_allclose(bank.prediction(fit, atom), atom.candidate.effect.columns @ part)
+
+
+def test_of_a_law_that_is_shown_in_part_the_part_predicts(rng):
+    """The first of its two columns is nothing at all, and no number stands for it."""
+    column = rng.normal(size=N)
+    take = signals(np.stack([3 * column, 0 * column], -1))
+    bank = Bank([take], [candidate(Given("law", np.stack([0 * column, column], -1)))], noise=NOISE)
+    fit = bank.fit(bank.atoms)
+    np.testing.assert_allclose(bank.prediction(fit, fit.atoms[0])[:, 0], 3 * column)
+    np.testing.assert_allclose(bank.rows(fit), 0, atol=1e-6)
