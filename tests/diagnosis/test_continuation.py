@@ -1,5 +1,6 @@
 """A second diagnosis takes over what the first one was made of."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -69,7 +70,15 @@ def test_inputs_of_another_diagnosis_than_the_one_beside_them_are_refused(tmp_pa
         recall(new, tmp_path)
 
 
-def test_inputs_of_another_version_are_refused(tmp_path):
-    (tmp_path / "inputs.json").write_text('{"schema": "other"}')
+@pytest.mark.parametrize("content", ['{"schema": "other"}', '{"digest": null}'])
+def test_inputs_of_another_version_are_refused(content, tmp_path):
+    (tmp_path / "inputs.json").write_text(content)
     with pytest.raises(ValueError, match="another version"):
         recall(Settings(continue_with=(Path("c"),)), tmp_path)
+
+
+def test_a_setting_that_is_no_longer_known_is_left_aside(tmp_path):
+    remember(Settings(dataset="emps", seed=4), tmp_path)
+    path = tmp_path / "inputs.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "gone": 1}))
+    assert recall(Settings(continue_with=(tmp_path / "new.npz",)), tmp_path).seed == 4

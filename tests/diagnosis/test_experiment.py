@@ -609,6 +609,7 @@ def test_two_plans_in_a_row_use_as_much_of_the_limits_as_the_one_that_uses_more(
             [0.2 * times, 0.2 * times, 0.6 * times, 0.6 * times]
         )
     assert planning._most_repeats(both) == 20  # of three seconds in a minute
+    assert planning._most_repeats(plan("odd", 7.0, (0.1, 0.1))) == 8  # a ninth time would take longer
     assert planning._most_repeats(plan("long", 61.0, (0.1, 0.1))) == 1
 
 
@@ -1191,9 +1192,13 @@ def test_what_little_a_motion_tells_adds_up_until_it_separates_a_pair(choice):
         assert (found is not None) is known
 
 
-def test_two_motions_in_a_row_make_one_plan_with_the_products_of_both_where_both_are_seen_alike(choice, monkeypatch):
+@pytest.mark.parametrize("alone", [5.0, 2.9])
+def test_two_motions_in_a_row_make_one_plan_with_the_products_of_both_where_both_are_seen_alike(
+    alone, choice, monkeypatch
+):
+    """Also where neither alone separates the pair."""
     for kernel, how in ((0.01, "judged"), (0.02, "measured")):
-        one, other = candidate_plan("one", 5.0, products=2.0), candidate_plan("other", 4.5, products=3.0)
+        one, other = candidate_plan("one", alone, products=0.25), candidate_plan("other", alone, products=0.5)
         other.signals = (SimpleNamespace(kernel=kernel),)
         given = []
 
@@ -1201,8 +1206,8 @@ def test_two_motions_in_a_row_make_one_plan_with_the_products_of_both_where_both
             given.append(rest)
             return candidate_plan("both", 11.0) if plan == "one other" else plan
 
-        asked = choice(one, other)  # sets all up
-        assert asked[0][0].name == "one"
+        found, _ = choice(one, other)  # sets all up
+        assert (found is None) is (alone < PLAN.apart)
         monkeypatch.setattr(planning, "_followers", lambda plans, best, hopeful, other=other: [other])
         monkeypatch.setattr(planning, "_joined", lambda a, b: f"{a.name} {b.name}")
         monkeypatch.setattr(planning, "_judged", both)
@@ -1212,7 +1217,7 @@ def test_two_motions_in_a_row_make_one_plan_with_the_products_of_both_where_both
         plan, *_ = propose(judge, {("a", "hip"): 1, ("b", "hip"): 2}, None, limits())
         assert plan.name == "both"
         if how == "judged":
-            assert given[-1] == ((*one.signals, *other.signals), 5.0)
+            assert given[-1] == ((*one.signals, *other.signals), 0.75)
         else:
             assert given[-1] == ("measured",)
 

@@ -102,6 +102,11 @@ def test_blocks_of_two_takes_are_not_mixed(rng):
     np.testing.assert_allclose(bank.count, [[150, 230], [150, 230]])  # nor stretches
 
 
+def test_blocks_begin_with_the_take_whenever_that_was(take):
+    later = replace(take, fine_time=take.fine_time + 0.25 * TORQUES.block)
+    assert Bank([later], [], noise=NOISE).block.tolist() == Bank([take], [], noise=NOISE).block.tolist()
+
+
 def test_the_residual_is_what_is_left_in_each_stretch_of_each_joint(rng, take):
     bank = Bank([take], [candidate(Given("a", both(rng, 2)))], noise=NOISE)
     for fit in (bank.fit(bank.atoms), bank.fit(())):  # of columns kept in single precision

@@ -437,3 +437,15 @@ def test_samples_of_a_joint_are_thinned_alike_in_all_its_stretches_and_never_add
     judge = SimpleNamespace(bank=bank, independent=np.array([[100.0, 300.0], [60.0, 40.0]]))
     found = steps._independent(judge, SimpleNamespace(fit=None))
     np.testing.assert_allclose(found, [[50.0, 150.0], [60.0, 40.0]])
+
+
+@pytest.mark.parametrize(
+    ("joint", "numbers", "whole"), [(0, 2, True), (1, 2, False), (None, 2, False), (0, 1, False), (0, 3, True)]
+)
+def test_a_law_has_a_simpler_one_in_it_on_its_own_joint_and_with_more_numbers(joint, numbers, whole):
+    rich = law("r", joint, numbers, excludes="a", contains="a")
+    assert steps._is_richer(rich, A) is whole
+    assert steps._contains(rich, A) is steps._is_special(A, rich) is whole
+    other = law("o", joint, numbers)
+    assert not steps._contains(other, A)
+    assert not steps._is_special(A, other)
