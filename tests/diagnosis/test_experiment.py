@@ -1073,7 +1073,7 @@ def test_corners_are_rounded_about_a_rest_long_enough_that_nothing_is_cut_off():
 def test_readings_of_a_plan_are_as_loud_at_low_frequencies_as_those_of_quicker_logs(memory, monkeypatch):
     """Of noise with a memory that is its deviation's square times (1 + c) / (1 - c), over the rate."""
     log = SimpleNamespace(rate=4 * PLAN.rate)
-    readings = iter([(np.array([1.0]), np.array([10.0])), (np.array([3.0]), np.array([30.0])),
+    readings = iter([(np.array([1.0]), np.array([10.0])), (np.array([9.0]), np.array([90.0])),
                      (np.array([2.0]), np.array([20.0]))] * 2)  # fmt: skip
     monkeypatch.setattr(planning, "sensor_noise", lambda r: next(readings))
     monkeypatch.setattr(planning, "noise_correlation", lambda r: np.array([memory]))
@@ -1132,7 +1132,7 @@ def choice(monkeypatch):
         monkeypatch.setattr(planning, "_planned", lambda motion, *given: by_name[motion])
         monkeypatch.setattr(planning, "_measured", lambda scene, known, plan, sensors: plan)
         monkeypatch.setattr(planning, "_most_repeats", lambda plan: plan.most)
-        monkeypatch.setattr(planning, "_followers", lambda plans, best, hopeful: [])
+        monkeypatch.setattr(planning, "_followers", lambda plans, best, hopeful: told.followed.append(best.name) or [])
         monkeypatch.setattr(planning, "_repeated", lambda scene, known, plan, hopeful: plan)
         monkeypatch.setattr(planning, "_compensated", lambda scene, plan, sensors: plan)
         monkeypatch.setattr(
@@ -1151,6 +1151,7 @@ def choice(monkeypatch):
         judge = SimpleNamespace(bank=SimpleNamespace(takes=takes))
         return propose(judge, {("a", "hip"): 1, ("b", "hip"): 2}, None, limits()), asked
 
+    told.followed = []
     return told
 
 
@@ -1173,6 +1174,7 @@ def test_a_plan_has_to_tell_more_than_the_old_motion_for_as_long(choice):
 def test_the_plan_that_is_worth_most_is_tried_first_and_the_next_one_where_it_will_not_do(choice):
     plans = [candidate_plan("good", 6.0), candidate_plan("best", 9.0), candidate_plan("long", 9.5, seconds=200.0)]
     assert choice(*plans)[0][0].name == "best"  # as long, the old motion would do as well as the long one
+    assert choice.followed == ["long"]
     (plan, *_), asked = choice(*plans, keeps=lambda plan: plan.name == "good")
     assert plan.name == "good"
     assert asked == [("best", 0.75)]  # of which nothing so small can be done

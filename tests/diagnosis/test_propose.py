@@ -35,7 +35,8 @@ def asked(monkeypatch):
     def searched(takes, catalogue, trims, taken=frozenset(), progress=None):
         told.searched.append((takes, [e.name for e in catalogue], trims, taken))
         told.progress.append(progress)
-        return [Proposal(None, scored("scale" if len(told.searched) == 1 else "friction"))]
+        best = scored("scale" if len(told.searched) == 1 else "friction")
+        return [Proposal(None, best), Proposal(None, scored("second"))]
 
     def prepare(*given):
         told.prepared.append(given)
@@ -62,7 +63,7 @@ def test_a_current_cuts_the_chain_and_what_the_drive_has_is_not_asked_of_the_mec
     assert prepared == ("r", "m", "measured", 0.07, 3, "x")  # with the test function of the commands
     assert asked.progress == [None, "bar"]
     assert found.drive is not None
-    assert len(found.options) == 1
+    assert len(found.options) == 2
 
 
 @pytest.mark.parametrize(
@@ -83,6 +84,10 @@ def test_a_measured_torque_that_drives_the_simulation_has_passed_the_drive(asked
     assert found.drive is None
 
 
+def names_of(options):
+    return ["".join(t.candidate.key[0] for t in o.best.fit.terms) for o in options]
+
+
 @pytest.mark.parametrize("rich", [None, scored("a", "rich")])
 def test_the_best_comes_first_then_a_richer_law_on_trial_and_near_ones_once_each(monkeypatch, rich):
     first = scored("a", evidence=100.0)
@@ -91,10 +96,13 @@ def test_the_best_comes_first_then_a_richer_law_on_trial_and_near_ones_once_each
     monkeypatch.setattr(proposing, "richer", lambda judge, best: rich)
     monkeypatch.setattr(proposing, "rivals", lambda judge, best, asked: near if asked == DECISION.asked else [])
     options = proposing._options("judge", [first, *others])
-    names = ["".join(t.candidate.key[0] for t in o.best.fit.terms) for o in options]
+    names = names_of(options)
     assert names == (["a"] if rich is None else ["a", "arich"]) + ["b", "d"]
     assert [o.behind for o in options][-2:] == [1.0, 2.0]  # of two ways to b the nearer one
     assert [o.on_trial for o in options] == [name == "arich" for name in names]
+    near.clear()  # what the search found is asked about up to what is decisive
+    far = [scored(name, evidence=100.0 + SEARCH.decisive + x) for name, x in (("f", -0.1), ("g", 0.1))]
+    assert names_of(proposing._options("judge", [first, *far]))[-1] == "f"
     near[:] = [(scored(f"n{k}"), 0.1 * k) for k in range(50)]
     assert len(proposing._options("judge", [first])) == DECISION.most_fits
 

@@ -600,3 +600,11 @@ def test_of_a_law_that_is_shown_in_part_the_part_predicts(rng):
     fit = bank.fit(bank.atoms)
     np.testing.assert_allclose(bank.prediction(fit, fit.atoms[0])[:, 0], 3 * column)
     np.testing.assert_allclose(bank.rows(fit), 0, atol=1e-6)
+
+
+def test_the_energy_of_each_term_is_that_of_what_it_predicts_on_each_joint(rng, take):
+    laws = [candidate(Given(name, both(rng, count))) for name, count in (("a", 2), ("b", 1), ("c", 2))]
+    bank = Bank([take], laws, noise=NOISE)
+    fit = bank.fit(bank.atoms)
+    for atom, energy in zip(fit.terms, fit.energy, strict=True):
+        np.testing.assert_allclose(energy, ((bank.weight * bank.prediction(fit, atom)) ** 2).sum(0))

@@ -449,3 +449,15 @@ def test_a_law_has_a_simpler_one_in_it_on_its_own_joint_and_with_more_numbers(jo
     other = law("o", joint, numbers)
     assert not steps._contains(other, A)
     assert not steps._is_special(A, other)
+
+
+@pytest.mark.parametrize("values", [(5.0, 3.0), (3.0, 5.0)])
+def test_of_two_ways_to_one_combination_the_better_one_is_kept(values, monkeypatch):
+    told = Told({"": 100.0}, A, B)
+    one, other = Scored(told["a"].fit, 50.0), Scored(told["b"].fit, 51.0)
+    both = [Scored(SimpleNamespace(terms=(A, B), strain=0.0), value) for value in values]
+    ways = {"": [one, other], "a": both[:1], "b": both[1:], "ab": []}
+    monkeypatch.setattr(steps, "_extensions", lambda judge, parent: ways[names(parent)])
+    for step in ("_refine", "_polish"):
+        monkeypatch.setattr(steps, step, lambda judge, scored: scored)
+    assert [s.evidence for s in search(told)] == [3.0]
