@@ -681,3 +681,23 @@ def test_two_dashes_in_a_name_do_not_end_the_comment_that_names_it():
     xml = written(given, corrected({"encoder_scale": [1.05]}, name="a--b", xml=given)).xml
     assert mujoco.MjModel.from_xml_string(xml).joint(0).name == "a--b"
     assert "encoder_scale of a- -b" in xml
+
+
+def test_a_drive_is_corrected_at_its_own_joint_alone():
+    motors = '</worldbody><actuator><motor joint="upper"/><motor joint="lower"/></actuator>'
+    given, names, scale = double_pendulum().replace("</worldbody>", motors), ("upper", "lower"), EFFECTS["torque_scale"]
+    model = mujoco.MjModel.from_xml_string(given)
+    law = Candidate(scale, 1, "lower", scale.parameters(model, JointAddress.of(model, names), 1))
+    result = written(given, Simulation(model, names, Hypothesis((law,)), np.array([1.2])), "torques")
+    assert result.left_out == ()
+    assert mujoco.MjModel.from_xml_string(result.xml).actuator_gainprm[:, 0] == pytest.approx([1.0, 1.2])
+
+
+def test_behind_a_gear_the_motors_range_limits_its_ripple_and_not_the_links_friction():
+    given = driven('<motor joint="pendulum" forcerange="-1 1"/>')
+    names = ("hysteresis", "torque_ripple", "compliance")
+    result = written(given, corrected({name: MEMORY_TERMS[name] for name in names}, xml=given), "torques")
+    assert result.left_out == ()
+    model = mujoco.MjModel.from_xml_string(result.xml)
+    assert model.jnt_actfrcrange[model.joint("pendulum").id] == pytest.approx([-1.0, 1.0])
+    assert not model.jnt_actfrclimited[model.joint("pendulum_link").id]

@@ -526,12 +526,13 @@ def test_what_the_whole_robot_has_is_not_weighed_on_one_joint_alone(take):
     assert {atom.candidate.effect.name for atom in bank.gains(bank.fit(()), np.ones(2))} == {"law"}
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize(("upper", "least"), [(1.0, 0.9999), (2.0, 0.8), (9.0, 0.9999)])
-def test_beside_a_new_term_the_old_one_moves_as_far_as_its_bound_is_away(upper, least):
+def test_beside_a_new_term_the_old_one_moves_as_far_as_its_bound_is_away(upper, least, sign):
     """It has 1.5 and would have 3.1: it stands at its bound, has 0.5 left (where the gain is a guess), or is free."""
     u, w = np.linalg.qr(np.random.default_rng(0).normal(size=(N, 2)))[0].T * 30.0
-    take = signals(np.stack([1.5 * u + 2 * w, 0 * u], -1))
-    old, new = candidate(Given("old", u, 0.0, upper)), candidate(Two("new", w - 0.8 * u))
+    take = signals(sign * np.stack([1.5 * u + 2 * w, 0 * u], -1))
+    old, new = candidate(Given("old", u, *sorted([0.0, sign * upper]))), candidate(Two("new", w - 0.8 * u))
     bank = Bank([take], [old, new], noise=np.ones(2))
     before = bank.fit(bank.atoms[:1])
     for atom, gain in bank.gains(before, np.ones(2)).items():
