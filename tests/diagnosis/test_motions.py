@@ -290,7 +290,9 @@ def test_each_joint_moves_at_its_own_speed_in_every_kind_of_motion():
             assert (speed <= 1).all()
             fastest[m.kind] = np.maximum(fastest.get(m.kind, np.zeros(2)), speed)
     assert {kind: speed.min() > 0.7 for kind, speed in fastest.items()} == dict.fromkeys(fastest, True)
-    assert fastest["multisine"] == pytest.approx([PLAN.margin, PLAN.margin])
+    slowest = next(m for m in found if m.kind == "multisine")  # over most of the range, were there the speed for it
+    speed = np.abs(np.diff(slowest.wave, axis=0)).max(0) * PLAN.rate
+    assert speed == pytest.approx(PLAN.margin * limits.velocity)
 
 
 def test_of_many_joints_a_band_too_narrow_to_tell_them_apart_is_left_out_and_wider_ones_are_not():
