@@ -309,8 +309,9 @@ def test_what_is_nearer_is_drawn_over_what_is_behind():
 
 
 def test_a_robot_is_no_mirror_image_whichever_way_its_axis_points():
-    for axis in ("0 1 0", "0 -1 0"):
-        places = dots(robot_svg(mujoco.MjModel.from_xml_string(chain([axis, axis])), [], {}))
+    for axis in ("0 1 0", "0 -1 0", "0.6 0.8 0", "-0.6 -0.8 0"):
+        model = mujoco.MjModel.from_xml_string(chain([axis, axis], link="0.24 -0.18 0"))
+        places = dots(robot_svg(model, [], {}))
         assert places["joint0"][1] < places["joint1"][1]
 
 
