@@ -131,7 +131,7 @@ def test_windows_of_several_pieces_start_one_after_the_other_and_far_apart():
     np.testing.assert_allclose(steps[steps < 30.0], 0.5, atol=0.02)
 
 
-@pytest.mark.parametrize(("after", "share"), [(1.0, 0.0), (1.3, 0.0), (2.0, 1.0)])
+@pytest.mark.parametrize(("after", "share"), [(1.0, 0.0), (1.3, 0.0), (1.5, 1.0), (2.0, 1.0)])
 def test_of_a_given_model_at_its_floor_all_is_open_once_a_correction_is_clearly_above_it(after, share):
     """An energy as large as the floor's, beyond the floor."""
     at_floor = Score(1.0, after, 1.0, 0.0, {"elbow": {"before": 1.0, "after": after, "floor": 1.0}})
@@ -146,15 +146,18 @@ def test_a_correction_that_changes_nothing_harms_nothing():
     ("before", "after", "far"),
     [(99.0, 8.5, False), (99.0, 11.0, True), (50.0, 8.5, True), (50.0, 7.5, False)],  # a tenth, and eight floors
 )
-def test_a_joint_is_far_that_is_neither_near_its_floor_nor_at_a_tenth_of_its_error(before, after, far):
+@pytest.mark.parametrize("unit", [1.0, 0.01])
+def test_a_joint_is_far_that_is_neither_near_its_floor_nor_at_a_tenth_of_its_error(before, after, far, unit):
     near = {"knee": {"before": 9.0, "after": 1.0, "floor": 1.0}}
-    scores = [Score(1, 1, 1, 0, near), Score(1, 1, 1, 0, {"hip": {"before": before, "after": after, "floor": 1.0}})]
+    hip = {"before": before * unit, "after": after * unit, "floor": unit}
+    scores = [Score(1, 1, 1, 0, near), Score(1, 1, 1, 0, {"hip": hip})]
     assert far_joints(scores) == ({"hip"} if far else set())
 
 
 def test_a_correction_follows_where_every_joint_does():
     assert follows(of(a=(9.0, 2.0, 1.0), b=(9.0, 0.2, 0.1)), 2.0)
     assert not follows(of(a=(9.0, 2.1, 1.0), b=(9.0, 0.1, 0.1)), 2.0)
+    assert not follows(of(a=(9.0, 2.0, 1.0), b=(9.0, 0.3, 0.1)), 2.0)
 
 
 # --- windows and their errors, of a take that is made up ---
@@ -213,6 +216,30 @@ def test_a_window_moves_to_where_its_start_is_known_best_and_its_command_is_quie
     assert found == expected
 
 
+@pytest.mark.parametrize(("kernel", "quiet"), [(0.0005, 46), (0.03, 54)])
+def test_a_step_of_either_joint_either_way_is_loud_for_its_size_and_as_long_as_the_fit_is_wide(
+    kernel, quiet, monkeypatch
+):
+    """The knee's command steps down by one at 42, while the hip's, in another unit, rises to a thousand."""
+    monkeypatch.setattr(compare, "kernel_for", lambda recordings: kernel)
+    command = np.stack([np.linspace(0, 1000, 400), -1.0 * (np.arange(400) >= 84)], -1)  # two physics steps a sample
+    t = made_up(substeps=2, commands=lambda delay: command)
+    (found,) = well_started(Windows(t, np.array([50]), 40)).start
+    assert quiet <= found <= 60
+
+
+def test_one_start_that_is_known_very_badly_makes_no_other_one_good(monkeypatch):
+    """Half of the starts are twice as noisy as the rest, which is loud: the rest it is, unless it is the mean."""
+    monkeypatch.setattr(compare, "kernel_for", lambda recordings: 0.01)
+    noise = noisy_at(*range(51, 60))
+    noise[1, 60, 1] = 50.0
+    command = np.zeros((200, 2))
+    command[:, 1] = np.cumsum(np.isin(np.arange(200), range(38, 52)))
+    t = made_up(command=command, start_noise=noise)
+    (found,) = well_started(Windows(t, np.array([50]), 40)).start
+    assert found <= 50
+
+
 def test_windows_that_meet_are_one(monkeypatch):
     monkeypatch.setattr(compare, "kernel_for", lambda recordings: 0.01)
     t = made_up(start_noise=noisy_at(*range(35, 45)))
@@ -223,10 +250,13 @@ def test_pieces_start_a_minute_after_the_end_of_the_one_before():
     one, two = made_up(time=7.0 + 0.01 * np.arange(200)), made_up()
     began = started([Windows(one, np.array([0, 50, 100, 120]), 10), Windows(two, np.array([10, 110]), 10)])
     np.testing.assert_allclose(began, [0.0, 0.5, 61.0, 61.2, 122.1, 183.1])
+    uneven = made_up(begins=(0, 150))  # of a second and a half, and of half a second
+    began = started([Windows(uneven, np.array([0, 150]), 10), Windows(two, np.array([0]), 10)])
+    np.testing.assert_allclose(began, [0.0, 61.5, 122.0])
 
 
 def test_the_floor_is_of_noisy_starts_readings_and_twice_the_step_of_each_joint(monkeypatch):
-    """Of ten windows, of which one is wild: no more than nearly the worst of the others counts of it."""
+    """Draws are all of two deviations."""
     noise = np.zeros((2, 200, 2))
     noise[0, :, 0], noise[1, :, 1] = 3.0, 4.0
 
@@ -237,7 +267,7 @@ def test_the_floor_is_of_noisy_starts_readings_and_twice_the_step_of_each_joint(
         return out + {"halved": 0.5, "misread": 1.0}[windows.take]
 
     class Draws:
-        standard_normal = staticmethod(lambda shape: np.ones(shape))
+        standard_normal = staticmethod(lambda shape: np.full(shape, 2.0))
 
     t = made_up(
         start_noise=noise, position=np.full((200, 2), 10.0), velocity=np.full((200, 2), 20.0), halved=lambda: "halved"
@@ -247,7 +277,7 @@ def test_the_floor_is_of_noisy_starts_readings_and_twice_the_step_of_each_joint(
     monkeypatch.setattr(compare, "replace", lambda windows, take: Windows(take, windows.start, windows.length))
     windows = [Windows(t, np.arange(10), 5)]
     floor = noise_floor(windows, Hypothesis(()), np.zeros(0), [np.zeros((10, 5, 2))], np.array([1.0, 2.0]), Draws())
-    np.testing.assert_allclose(floor, np.sqrt([(3 + 1) ** 2 + 4 * 0.25 + 1, (4 + 1) ** 2 + 4 * 0.25 + 4]))
+    np.testing.assert_allclose(floor, np.sqrt([(6 + 1) ** 2 + 4 * 0.25 + 1, (8 + 1) ** 2 + 4 * 0.25 + 4]))
 
 
 def test_a_score_is_the_root_of_the_joints_mean_square_and_of_the_given_and_the_corrected_numbers(monkeypatch):
@@ -272,3 +302,21 @@ def test_a_score_is_the_root_of_the_joints_mean_square_and_of_the_given_and_the_
     np.testing.assert_array_equal(told[0][0], np.ones((2, 10, 2)) * [1.0, 2.0])  # the floor is of the corrected one
     worse = score([t], h, np.array([4.0, 6.0]), np.ones(2), rng)[0]
     assert -1.0 < worse.share_closed < 0.0
+    for values, share in ((np.array([30.0, 40.0]), -1.0), (np.zeros(2), 1.0)):  # below the floor is no more than all
+        assert score([t], h, values, np.ones(2), rng)[0].share_closed == share
+
+
+def test_of_many_windows_a_wild_one_counts_in_the_floor_as_the_worst_of_the_others_does(monkeypatch):
+    """Each joint by its own: forty windows are off by one, one of the first joint by a thousand."""
+    off = np.ones((40, 1, 2)) * [1.0, 2.0]
+    off[7, 0, 0] = 1000.0
+
+    def replayed(windows, build, values, start=None):
+        return (off if start is not None else 0.0 * off)[None] * np.ones((1, 40, 5, 2))
+
+    t = made_up(halved=lambda: None, misread=lambda rng: None)
+    monkeypatch.setattr(compare, "simulate", replayed)
+    monkeypatch.setattr(compare, "replace", lambda windows, take: windows)
+    windows, rng = [Windows(t, np.arange(40), 5)], np.random.default_rng(0)
+    floor = noise_floor(windows, Hypothesis(()), np.zeros(0), [np.zeros((40, 5, 2))], np.zeros(2), rng)
+    np.testing.assert_allclose(floor, [1.0, 2.0])

@@ -139,7 +139,7 @@ def test_what_is_not_taken_is_as_far_behind_as_can_be_whatever_the_torques_say_o
     assert against.tolist() == [SEARCH.decisive, 0.0, SEARCH.decisive]
 
 
-@pytest.mark.parametrize(("floors", "level", "taken"), [((1.0, 1.0), 1.0, False), ((9.0, 1.0), 1.0, True),
+@pytest.mark.parametrize(("floors", "level", "taken"), [((1.0, 1.0), 1.0, False), ((9.0, 1.0), 1.0, True), ((1.0, 9.0), 1.0, True),
                                                         ((1.0, 1.0), 2.0, False), ((1.0, 1.0), 3.0, True)])  # fmt: skip
 def test_a_miss_is_one_above_the_floors_of_both_and_following_is_twice_the_floor(floors, level, taken):
     """Nothing misses two windows far apart by twenty floors, of which a better one leaves ``level``."""
@@ -149,6 +149,37 @@ def test_a_miss_is_one_above_the_floors_of_both_and_following_is_twice_the_floor
     high, low = np.array(floors) * 10.0
     scores = [scored([floors[0]], [high], [0.99 * high]), scored([floors[1]], [low], [1.1 * floors[1]])]
     assert decided(options, [first, second], scores, 0.5 * np.arange(400))[2] == [taken, True]
+
+
+def test_the_odds_against_the_worse_are_the_square_of_its_paired_z_score_beyond_a_twentieth():
+    """Log errors 0.15 ± 0.1 of 16 windows lie four standard errors beyond; of 4 windows two, and equal ones none."""
+    worse = 0.15 + 0.1 * np.where(np.arange(16) % 2, 1.0, -1.0)
+    assert deciding._against(worse[:4]) == pytest.approx(4.0)
+    assert deciding._against(worse[:6]) == pytest.approx(6.0)
+    assert deciding._against(worse) == SEARCH.decisive
+    assert deciding._against(worse - 0.11) == deciding._against(-worse) == 0.0
+
+
+def test_the_best_is_that_of_the_least_mean_of_logarithms_though_one_of_its_windows_is_wild():
+    rng, began = np.random.default_rng(0), 0.5 * np.arange(100)
+    first, second = 10 * np.exp(0.01 * rng.normal(size=(2, 100, 1)))
+    second *= 0.5
+    second[7] = 40.0
+    options = [Proposal(None, None), Proposal(None, None, 2.0)]
+    _, against, _ = decided(options, [first, second], [leaving(0.3)] * 2, began)
+    assert against.tolist() == [SEARCH.decisive, 0.0]
+
+
+def test_an_option_that_is_as_lost_elsewhere_refutes_what_it_follows_on_two_occasions():
+    """Two windows are lost by both, so that neither is better there; floors are those of a joint in metres."""
+    for unit in (1.0, 0.01):
+        worse, better, began = np.ones((400, 1)), np.ones((400, 1)), 0.5 * np.arange(400)
+        worse[[20, 200]], better[[20, 200]] = 20.0, 2.0
+        worse[[100, 300]], better[[100, 300]] = 20.0, 30.0
+        floor = np.array([unit])
+        assert deciding._misses(unit * worse, unit * better, floor, began)
+        better[[20, 200]] = 3.0  # which is no following
+        assert not deciding._misses(unit * worse, unit * better, floor, began)
 
 
 @pytest.mark.parametrize(("level", "taken"), [(4.0, True), (6.0, False)])
@@ -206,16 +237,16 @@ def test_beside_the_chosen_one_stay_the_first_of_the_torques_and_the_standard_jo
     def proposal(of_joints):
         return Proposal(None, SimpleNamespace(fit=SimpleNamespace(terms=[])), joints=of_joints)
 
-    fitted = SimpleNamespace(hypothesis=SimpleNamespace(terms=(), trims=()))
     trials = tuple(
-        Trial(proposal(of_joints), fitted, {}, np.zeros((1, 1)), np.zeros(1)) for of_joints in (False, joints, False)
+        Trial(proposal(of_joints), hypothesis([]), {}, np.zeros((1, 1)), np.zeros(1))
+        for of_joints in (False, joints, False)
     )
     monkeypatch.setattr(deciding, "decided_by", lambda trials: (preferred, np.array([0.0, 1.0, 2.0]), [True] * 3))
     monkeypatch.setattr(deciding, "others_than", lambda *_: ())
     monkeypatch.setattr(deciding, "torque_is_open", lambda trial: False)
     proposed = SimpleNamespace(located=None, drive=None)
     found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=()))
-    assert found.trial.fitted is fitted
+    assert found.trial.fitted is trials[preferred].fitted
     assert list(found.beside) == [trials[k] for k in kept]
 
 

@@ -112,11 +112,26 @@ def test_equals_share_the_probability_and_odds_do_not_depend_on_the_level(monkey
         assert [o.share for o in answer_set(Proposal(None, options[0]), term)] == [0.5, 0.5]
 
 
+def test_what_is_no_match_at_all_has_no_share_however_far_behind_it_is(monkeypatch):
+    term, rival = atom("coulomb"), atom("stribeck")
+    options = [scored(0.0, term), scored(1e5, rival)]
+    asked = []
+    monkeypatch.setattr(proposal, "alternatives", lambda *given: asked.append(given) or options)
+    assert [o.share for o in answer_set(Proposal("judge", options[0]), term)] == [1.0, 0.0]
+    assert asked == [("judge", options[0], term)]
+
+
+def test_one_joints_effect_may_stand_for_another_of_it_and_a_cause_of_the_whole_robot(monkeypatch):
+    delay, clock, lag = atom("delay"), atom("clock", None), atom("lag")
+    best, other = scored(100.0, delay, clock), scored(0.0, lag)
+    assert set(exchanged(monkeypatch, delay, best, other)) == {"delay", "lag"}
+
+
 def test_what_is_left_is_that_of_a_terms_joint_and_of_the_worst_one_for_a_cause_of_the_whole_robot():
-    before, after = np.array([4.0, 10.0, 0.5]), np.array([1.0, 12.0, 0.4])
+    before, after = np.array([4.0, 10.0, 0.5, 1.5]), np.array([1.0, 12.0, 0.4, 0.75])
     judge = SimpleNamespace(bare="bare", excess=lambda fit: before if fit == "bare" else after)
     part = Proposal(judge, SimpleNamespace(fit="best"))
-    assert part.left().tolist() == [0.25, 1.0, 0.0]  # no more than all, and of noise nothing
+    assert part.left().tolist() == [0.25, 1.0, 0.0, 0.5]  # no more than all, and of noise nothing
     of = [SimpleNamespace(joint_name=f"{j}", joint=j) for j in range(3)]
     assert [part.left_of(c) for c in of] == [0.25, 1.0, 0.0]
     assert [part.excess_of(c) for c in of] == [1.0, 12.0, 0.4]
