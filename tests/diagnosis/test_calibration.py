@@ -1,5 +1,7 @@
 """What was learnt counts, and for what it was learnt."""
 
+import math
+import warnings
 from dataclasses import replace
 
 import pytest
@@ -19,6 +21,32 @@ def test_an_effect_that_stands_in_for_others_is_believed_less(monkeypatch):
     assert low < plain < high
     odds = [p / (1 - p) for p in (low, plain)]
     assert odds[1] / odds[0] == pytest.approx(2.718, rel=1e-3)
+
+
+def test_a_probability_is_the_logistic_of_what_is_learnt_of_each_ground_and_of_nothing_else(monkeypatch):
+    """Grounds that nothing was learnt of do not count; odds without end are told as odds of e to the 20."""
+    told = {"weights": {"intercept": 0.5, "left": -2.0, "terms": 0.25}, "effects": {"backlash": -1.0}}
+    monkeypatch.setattr(calibration, "learnt", told.get)
+    sure = replace(GROUNDS, left=0.0999, terms=4)  # a decade and two doublings from where they are usual
+    assert probability(sure) == pytest.approx(1 / (1 + math.exp(-(0.5 - 2.0 + 0.5))))
+    assert probability(sure, "backlash") == pytest.approx(1 / (1 + math.exp(-(0.5 - 2.0 + 0.5 - 1.0))))
+    for odds, expected in ((1e4, sure.most), (-1e4, math.exp(-20))):
+        told["weights"]["intercept"] = odds
+        with warnings.catch_warnings(action="error"):
+            assert probability(sure) == pytest.approx(expected)
+
+
+def test_a_class_is_as_likely_as_its_laws_together_by_what_was_learnt(monkeypatch):
+    monkeypatch.setattr(calibration, "learnt", lambda part: {"level": 0.0, "steepness": 1.0})
+    with warnings.catch_warnings(action="error"):
+        for alike, expected in ((0.3, 0.3), (0.9, 0.9), (1.0, 0.999), (0.0, 0.001)):
+            assert class_probability(0.0, alike, 1.0) == pytest.approx(expected)
+    monkeypatch.setattr(calibration, "learnt", lambda part: {"level": math.log(2.0), "steepness": 2.0})
+    assert class_probability(0.0, 0.75, 1.0) == pytest.approx(18 / 19)  # odds of two, times three squared
+
+
+def test_nothing_is_learnt_of_what_is_not_in_the_file():
+    assert calibration.learnt("no such part") == {}
 
 
 def test_an_interval_is_widened_on_each_side_by_what_it_has_there_and_by_a_share_of_the_value(monkeypatch):

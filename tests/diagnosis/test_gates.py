@@ -104,6 +104,10 @@ def test_recordings_that_the_model_does_not_follow_are_not_made_up_for_by_others
     assert verdict_of([*evidence(0.0), *evidence(0.5)], [FINDING], score(0.0), None, True)[0] == "partly_explained"
 
 
+def test_a_finding_with_no_evidence_beside_it_misses_no_torque():
+    assert verdict_of([], [FINDING], score(0.0), None, True)[0] == "explained"
+
+
 def test_the_unexplained_share_is_the_greater_one():
     assert verdict(train=0.1, heldout=0.3)[1] == pytest.approx(0.3)
     assert verdict(train=0.4, heldout=0.3)[1] == pytest.approx(0.4)
@@ -134,18 +138,39 @@ WHERE = (Location("elbow", "everywhere", 0.8, (0.7, 0.9)), Location("elbow", "mo
     [
         ((1.0, 1.0), 0.02, True),
         ((1.0, 1.03), 0.001, True),  # seen, and nothing worth a name
+        ((1.0, 1.052), 1e-4, True),  # a twentieth of the larger one
+        ((1.052, 1.0), 1e-4, True),
+        ((-1.0, -1.052), 1e-4, True),
+        ((-1.052, -1.0), 1e-4, True),
+        ((1.0, 1.056), 1e-4, False),
         ((1.0, 1.5), 0.4, True),  # not seen
         ((1.0, 1.5), 0.05, False),
     ],
 )
-def test_friction_that_is_the_same_both_ways_has_no_claim_to_the_name_of_asymmetric(viscous, spread, expected):
+@pytest.mark.parametrize("unit", [0.1, 10.0])
+def test_friction_that_is_the_same_both_ways_has_no_claim_to_the_name_of_asymmetric(viscous, spread, expected, unit):
     names = ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative")
     of = tuple(Parameter(name, "N·m", 0.0, 0.0, 10.0, 0.1) for name in names)
-    values = np.array([0.3, 0.3, *viscous])
-    samples = values + spread * np.random.default_rng(0).normal(size=(200, 4))
+    values = unit * np.array([0.3, 0.3, *viscous])
+    samples = values + unit * spread * np.random.default_rng(0).normal(size=(200, 4))
     assert gates._is_plain(Candidate(AsymmetricFriction(), 0, "elbow", of), values, samples) is expected
     dry = Candidate(CoulombFriction(), 0, "elbow", of[:1])
     assert not gates._is_plain(dry, values[:1], samples[:, :1])  # nothing is simpler
+
+
+@pytest.mark.parametrize(("share", "plain"), [(0.02, False), (0.035, True)])
+def test_what_sets_a_law_apart_is_seen_where_the_middle_95_percent_of_its_draws_say_so(share, plain, monkeypatch):
+    """Of a thousand draws a share lies on the other side: of a difference, and of a number."""
+    monkeypatch.setattr(gates, "widened", lambda value, low, high: (low, high))
+    names = ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative")
+    of = tuple(Parameter(name, "N·m", 0.0, 0.0, 10.0, 0.1) for name in names)
+    other_side = np.arange(1000) < share * 1000
+    samples = np.tile([0.3, 0.3, 1.0, 1.0], (1000, 1))
+    samples[:, 3] += np.where(other_side, -1.0, 1.0)
+    assert gates._is_plain(Candidate(AsymmetricFriction(), 0, "elbow", of), np.array([0.3, 0.3, 1, 2]), samples) is plain
+    spring = (Parameter("stiffness", "N·m/rad", 0.0, 0, 9, 0.1), Parameter("preload", "N·m", 0.0, -9, 9, 0.1))
+    drawn = np.stack([np.where(other_side, -1.0, 1.0), np.zeros(1000)], -1)
+    assert gates._is_plain(Candidate(JointSpring(), 0, "elbow", spring), np.array([1.0, 0.0]), drawn) is plain
 
 
 def test_a_spring_without_stiffness_says_that_nothing_of_a_spring_is_seen():
@@ -186,9 +211,11 @@ def test_a_number_is_seen_where_its_interval_excludes_the_given_one_however_wide
 
 @pytest.mark.parametrize(("unit", "seen"), [("N·m", False), ("N·m/rad", True)])
 def test_a_number_that_is_next_to_nothing_of_another_in_its_unit_is_not_seen(unit, seen, monkeypatch):
+    """Beside the largest of them."""
     monkeypatch.setattr(gates, "widened", lambda value, low, high: (0.01, 0.03))
-    of = (Parameter("stiffness", unit, 0.0, 0, 9, 0.1), Parameter("preload", "N·m", 0.0, -9, 9, 0.1))
-    values = np.array([0.02, -0.67])
+    names = (("stiffness", unit), ("preload", "N·m"), ("rest", "N·m"))
+    of = tuple(Parameter(name, its_unit, 0.0, -9, 9, 0.1) for name, its_unit in names)
+    values = np.array([0.02, -0.67, 0.01])
     assert gates._is_plain(Candidate(JointSpring(), 0, "elbow", of), values, np.tile(values, (9, 1))) is not seen
 
 
@@ -200,6 +227,21 @@ def test_the_energy_of_a_term_is_what_its_joint_misses_without_it_beside_the_oth
     best = weigh.score(weigh.bank.atoms)
     shares = [gates._energy_share(SimpleNamespace(judge=weigh, best=best), term) for term in best.fit.terms]
     assert shares == pytest.approx([4 / 7, 2 / 7], rel=1e-3)
+
+
+def test_a_term_accounts_for_a_share_of_its_own_joint_and_for_no_more_than_all_nor_less_than_nothing():
+    """Residuals of stretches: bare 1 + 3 on the second joint; the first joint's are another story."""
+    term, other = (SimpleNamespace(candidate=SimpleNamespace(joint=1)) for _ in range(2))
+    fit = lambda *left: SimpleNamespace(residual=np.array([[9.0, 9.0], left]), terms=[term, other])  # noqa: E731
+    asked = []
+    for without, best, share in (((1.0, 2.0), (0.5, 0.5), 0.5), ((5.0, 2.0), (0.5, 0.5), 1.0),
+                                 ((0.2, 0.2), (0.5, 0.5), 0.0)):  # fmt: skip
+        bank = SimpleNamespace(fit=lambda atoms, without=without: asked.append(atoms) or fit(*without))
+        part = SimpleNamespace(
+            judge=SimpleNamespace(bank=bank, bare=fit(1.0, 3.0)), best=SimpleNamespace(fit=fit(*best))
+        )
+        assert gates._energy_share(part, term) == pytest.approx(share)
+    assert asked == [[other]] * 3
 
 
 @pytest.mark.parametrize(("more", "said"), [(0.01, True), (-0.01, False)])
@@ -282,6 +324,12 @@ def test_the_summary_says_the_most_important_first():
     assert told[1] == "Not identified at elbow; coulomb friction fits best, at 50 %."
     assert summarise("explained", [dataclasses.replace(FINDING, probability=0.6)], (), None, True, 0.0) == text[:1]
     assert "none were kept aside" in summarise("explained", [FINDING], WHERE, score(0.0), False, 0.04)[2]
+    quarter = summarise("explained", [FINDING], WHERE, Score(4.0, 1.0, 0.1, 0.0, {}), True, 0.5)[2]
+    assert "falls to 25 %" in quarter
+    assert "50 % of its energy" in quarter
+    twice = (*WHERE, dataclasses.replace(WHERE[1], joint="wrist", regime="at rest"))  # the first is the densest
+    assert "densest when moving backwards (elbow)" in summarise("explained", [FINDING], twice, None, True, 0.0)[1]
+    assert summarise("explained", [FINDING], WHERE[:1], None, True, 0.0)[1] == "80 % of the error arises at elbow."
 
 
 @pytest.mark.parametrize(
@@ -315,6 +363,16 @@ def test_what_is_not_likely_is_not_identified_and_the_summary_says_what_would(ri
     assert not any("identif" in line for line in summarise("explained", [FINDING], WHERE, None, True, 0.0))
 
 
+def test_what_is_not_identified_may_be_of_the_robot_of_a_class_of_ones_own_and_be_told_by_the_first_experiment():
+    rivals = tuple(Rival(name, None, 0.1, f"swing for {name}") for name in ("backlash", "stribeck_friction"))
+    whole = dataclasses.replace(
+        FINDING, joint=None, probability=0.2, rivals=rivals, class_name="odd_physics", class_probability=0.9
+    )
+    first, would = gates.not_identified([whole])
+    assert first.startswith("Likely missing at the robot: odd physics (90 %)")
+    assert would == "What would identify it: swing for backlash."
+
+
 def test_the_summary_of_no_finding_tells_nothing_missing_from_unexplained():
     assert summarise("nothing_missing", [], WHERE, score(0.0), True, 0.0) == (
         "Nothing is missing: the model follows the recordings as closely as the sensors' noise allows.",
@@ -342,7 +400,7 @@ def test_a_gear_is_not_read_from_the_noise_of_a_joint_that_the_given_model_follo
 
 
 def friction(values, nominal=0.0):
-    parameters = tuple(Parameter(f"p{k}", "1", nominal, 0.0, 2.0, 1.0) for k in range(len(values)))
+    parameters = tuple(Parameter(f"p{k}", "1", nominal, 0.0, 2.0, 0.5) for k in range(len(values)))
     return Candidate(CoulombFriction(), 1, "elbow", parameters)
 
 
@@ -353,7 +411,7 @@ def test_a_finding_is_as_sure_as_the_surest_of_its_numbers_in_deviations_of_its_
     off = np.array([1.5, 1.0])  # from what is given; not from zero
     assert gates._certainty(friction(off, nominal=1.0), off, samples) == pytest.approx(0.5)
     still = np.ones((3, 1))  # draws that are all alike do not make it certain beyond a thousandth of its scale
-    assert gates._certainty(friction((1.0,)), np.array([0.5]), still) == pytest.approx(500.0)
+    assert gates._certainty(friction((1.0,)), np.array([0.5]), still) == pytest.approx(1000.0)
 
 
 def test_an_interval_ends_at_the_bounds_of_its_parameter():
@@ -368,6 +426,12 @@ def terms():
     return [Candidate(*each, (Parameter("torque", "N·m", 0.0, 0.0, 1.2, 1.0),)) for each in where]
 
 
+def test_effects_are_alike_that_are_of_one_class_on_one_joint():
+    dry, soft, elsewhere = terms()
+    stribeck = Candidate(StribeckFriction(), 1, "elbow", dry.parameters)
+    assert [gates._is_alike(c, dry) for c in (stribeck, soft, elsewhere)] == [True, False, False]
+
+
 def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_class(monkeypatch):
     one, beside, far = terms()
     rival = Candidate(StribeckFriction(), 1, "elbow", one.parameters)
@@ -376,15 +440,17 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
     samples = np.stack([np.linspace(*ends, 201) for ends in ((0.1, 0.3), (0.8, 1.0), (0.4, 0.6))], 1)
     fitted = Fitted(h, np.array([0.2, 0.9, 0.5]), samples, 0.0)
     best = SimpleNamespace(fit=SimpleNamespace(terms=[], strain=3.0))
-    bank = SimpleNamespace(prediction=lambda fit, term: None)
+    bank = SimpleNamespace(prediction=lambda fit, term: f"torque of {term.candidate.effect.name}")
     part = SimpleNamespace(
         judge=SimpleNamespace(bank=bank), best=best, left_of=lambda c: 0.11 * c.joint, excess_of=lambda c: 0.7 * c.joint
     )
-    grounds, of_class = [], []
+    grounds, of_class, asked = [], [], []
     monkeypatch.setattr(gates, "_sentence", lambda candidate, named, grounds: str(named))
-    monkeypatch.setattr(gates, "scatter", lambda *_: 0.05)
-    monkeypatch.setattr(gates, "_energy_share", lambda *_: 0.6)
-    monkeypatch.setattr(gates, "regime_of", lambda bank, explained, joint, name: f"{name} of {joint}")
+    monkeypatch.setattr(gates, "scatter", lambda *told: asked.append(told) or 0.05)
+    monkeypatch.setattr(gates, "_energy_share", lambda *told: asked.append(told) or 0.6)
+    monkeypatch.setattr(gates, "_certainty", lambda *told: asked.append(told) or 7.0)
+    monkeypatch.setattr(gates, "_is_plain", lambda *told: asked.append(told) or True)
+    monkeypatch.setattr(gates, "regime_of", lambda b, explained, joint, name: f"{b is bank}, {explained} of {joint}")
     monkeypatch.setattr(gates, "probability", lambda g, effect: grounds.append(g) or 0.4)
     monkeypatch.setattr(gates, "rival_probability", lambda likely, own, share: share / own * likely)
     monkeypatch.setattr(gates, "class_probability", lambda *told: of_class.append(told) or told[1])
@@ -392,10 +458,16 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
         SimpleNamespace(atom=SimpleNamespace(candidate=c), share=share)
         for c, share in ((rival, 0.3), (one, 0.6), (faint, 0.02))
     ]
-    found = gates._finding(
-        part, SimpleNamespace(candidate=one), fitted, one, rated, 0.3, {beside.key}, frozenset({"wrist"})
-    )
+    term = SimpleNamespace(candidate=one)
+    found = gates._finding(part, term, fitted, one, rated, 0.3, {beside.key}, frozenset({"wrist"}))
     (g,) = grounds
+    assert (g.sure, g.plain) == (7.0, True)
+    assert asked[:2] == [(bank, best.fit, term), (part, term)]
+    for c, values, drawn in asked[2:]:
+        assert c is one
+        assert values.tolist() == [0.9]
+        np.testing.assert_array_equal(drawn, samples[:, 1:2])
+    assert (found.energy_share, found.grounds, found.class_name) == (0.6, g.to_json(), one.effect.family)
     assert (g.share, g.left, g.excess, g.scatter, g.open, g.energy) == (0.6, 0.11, 0.7, 0.05, 0.3, 0.6)
     assert (g.terms, g.strain, g.senseless, g.leans, g.far) == (2, 3.0, False, True, False)
     assert (found.effect, found.joint, found.probability) == ("coulomb_friction", "elbow", 0.4)
@@ -410,13 +482,18 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
     assert of_class == [(0.4, pytest.approx(0.6), pytest.approx(0.7), 0.6)]
     assert found.class_probability == pytest.approx(0.4 + 0.2)  # with what is of its class, not with the spring
     assert found.law_probability == pytest.approx(0.4 / 0.6)
-    assert found.regime.endswith("of 1")
+    assert found.regime == "True, torque of coulomb_friction of 1"
+    alike = Candidate(Backlash(), 1, "elbow", one.parameters)
+    assert gates._is_alike(alike, beside)
     beside_it = gates._finding(
         part, SimpleNamespace(candidate=beside), fitted, beside,
-        [SimpleNamespace(atom=SimpleNamespace(candidate=beside), share=1.0)], 0.3, {beside.key}, frozenset({"elbow"}),
+        [SimpleNamespace(atom=SimpleNamespace(candidate=c), share=0.5) for c in (beside, alike)], 0.3, {beside.key},
+        frozenset({"elbow"}),
     )  # fmt: skip
     assert (grounds[1].senseless, grounds[1].leans, grounds[1].far) == (True, False, True)
     assert beside_it.class_probability == beside_it.probability  # nonsense speaks for no class
+    monkeypatch.setattr(gates, "probability", lambda g, effect: 0.0)
+    assert gates._finding(part, term, fitted, one, rated[1:2], 0.3, (), frozenset()).law_probability == 0.0
 
 
 @pytest.mark.parametrize(
@@ -461,8 +538,29 @@ def test_the_worst_of_the_scores_says_how_much_is_open(monkeypatch):
     part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[term])))
     monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a[5]) or FINDING)
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
-    gates.judge_findings([part], fitted, [score(0.2), score(0.7)], {one.key: ()})
-    assert told == [pytest.approx(0.7)]
+    for scores in ([score(0.2), score(0.7)], []):
+        gates.judge_findings([part], fitted, scores, {one.key: ()})
+    assert told == [pytest.approx(0.7), 1.0]
+
+
+def test_each_term_of_each_part_is_stated_with_its_own_number_stand_ins_and_far_joints(monkeypatch):
+    told, (dry, soft, elsewhere) = [], terms()
+    drive, mechanics = (
+        SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=c) for c in own])))
+        for own in ((soft,), (elsewhere, dry))
+    )
+    kept = [dataclasses.replace(c) for c in (dry, soft, elsewhere)]  # as the fit has them, with bounds of its own
+    fitted = Fitted(Hypothesis(tuple(kept)), np.full(3, 0.5), np.full((3, 3), 0.5), 0.0)
+    monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a) or FINDING)
+    monkeypatch.setattr(gates, "far_joints", lambda scores: frozenset({f"far in {len(scores)}"}))
+    sets = {c.key: f"beside {c.effect.name} of {c.joint_name}" for c in kept}
+    gates.judge_findings([drive, mechanics], fitted, [score(0.2, 4.0)], sets)
+    expected = [(drive, soft, kept[1]), (mechanics, elsewhere, kept[2]), (mechanics, dry, kept[0])]
+    for (part, term, own, chosen, rated, _, _, far), (its_part, c, its_own) in zip(told, expected, strict=True):
+        assert part is its_part
+        assert (term.candidate, chosen) == (c, its_own)
+        assert chosen is its_own
+        assert (own, rated, far) == (fitted, sets[c.key], {"far in 1"})
 
 
 @pytest.mark.parametrize(("gear", "friction", "before", "senseless"),
@@ -484,7 +582,7 @@ def test_what_no_robot_has_and_a_gear_in_the_noise_make_no_sense_each_alone(
 def test_findings_are_told_by_whole_per_cent_and_then_by_what_they_account_for(monkeypatch):
     one, *_ = terms()
     told = [
-        dataclasses.replace(FINDING, probability=p, energy_share=e) for p, e in ((0.5, 0.9), (0.901, 0.2), (0.899, 0.6))
+        dataclasses.replace(FINDING, probability=p, energy_share=e) for p, e in ((0.8, 0.9), (0.901, 0.2), (0.899, 0.6))
     ]
     left = list(told)
     monkeypatch.setattr(gates, "_finding", lambda *_: left.pop(0))

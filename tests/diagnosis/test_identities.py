@@ -40,6 +40,7 @@ def test_friction_by_direction_is_dry_friction_and_an_offset_unless_it_grows_dif
     both = (Name("coulomb_friction", "knee"), Name("torque_offset", "knee"))
     assert names(asymmetric((0.0, 2.0), (0.0, 2.5))) == [{both}]
     assert names(asymmetric((1.0, 2.0), (1.5, 2.5))) == [{(*both, Name("viscous_friction", "knee"))}]
+    assert names(asymmetric((0.1, 0.2), (0.0, 0.2))) == [{(*both, Name("viscous_friction", "knee"))}]
     assert names(asymmetric((0.0, 2.0), (1.5, 2.5))) == [{(*both, Name("viscous_friction", "knee"))}]
     assert names(asymmetric((1.0, 2.0), (2.1, 2.5))) == [set()]
     assert names(finding("asymmetric_friction", "knee", viscous_positive=(1.0, 2.0))) == [set()]
@@ -53,6 +54,7 @@ def test_dry_friction_and_an_offset_on_one_joint_are_friction_by_direction():
     assert names(pair[0], viscous, catalogue=TORQUES) == [set(), set()]
     apart = finding("coulomb_friction", "knee"), finding("torque_offset", "hip")
     assert names(*apart, viscous, catalogue=TORQUES) == [set()] * 3
+    assert names(*pair, finding("backlash", "knee"))[2] == set()  # which has no part in it
 
 
 def test_gains_that_are_off_by_one_factor_are_a_torque_scale_where_targets_are_followed():
@@ -61,6 +63,8 @@ def test_gains_that_are_off_by_one_factor_are_a_torque_scale_where_targets_are_f
     assert names(finding("gain_mismatch", "knee", kp_scale=(1.1, 1.3), kd_scale=(1.2, 1.4))) == [{scale}]
     assert names(finding("gain_mismatch", "knee", kp_scale=(1.1, 1.3), kd_scale=(1.4, 1.5))) == [set()]
     assert names(finding("torque_scale", "knee", scale=(1.1, 1.3)), catalogue=TORQUES) == [set()]
+    assert names(finding("gain_mismatch", "knee", kd_scale=(1.2, 1.4))) == [{scale}]  # kp is not there to agree
+    assert names(finding("gain_mismatch", "knee", kp_scale=(0.9, 1.4))) == [{scale}]
 
 
 def test_a_loop_that_damps_too_much_has_a_larger_kd_or_viscous_friction():
@@ -107,6 +111,8 @@ def test_delays_are_a_clock_only_where_all_joints_have_the_same():
     ]  # fmt: skip
     assert names(finding("actuation_delay", "hip", delay=(0.004, 0.006))) == [set()]
     assert names(finding("actuation_delay", "hip", delay=(0.004, 0.006)), joints=("hip",)) == [clock]
+    beside = finding("viscous_friction", "hip", damping=(1.0, 2.0)), finding("actuation_delay", "hip", delay=(0.4, 0.6))
+    assert names(*beside, joints=("hip",), catalogue=TORQUES) == [set(), clock]
 
 
 def of_rival(name: str, joint: str | None, joints: tuple[str, ...], *others: Finding) -> set[tuple[Name, ...]]:

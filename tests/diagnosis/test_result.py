@@ -40,6 +40,14 @@ def test_an_answer_comes_back_from_its_file_as_it_was():
     assert hash(again.findings[0].rivals) == hash(FINDING.rivals)
 
 
+def test_what_is_not_said_of_an_answer_is_that_it_is_whole_and_leaves_nothing():
+    plain = Answer("nothing_missing", ())
+    assert (plain.complete, plain.stage, plain.seed, plain.unexplained_share) == (True, "deliver", 0, 0.0)
+    assert (plain.fit, plain.quality) == ({}, {})
+    named = Finding("backlash", None, 0.5, "", {}, "everywhere")
+    assert (named.energy_share, named.grounds, named.class_probability, named.law_probability) == (0.0, {}, 0.0, 0.0)
+
+
 def test_arrays_and_numbers_of_numpy_are_plain_in_the_file():
     told = Answer("unexplained", (), quality={"units": (np.float64(0.5), np.arange(2), {3: np.bool_(True)})}).to_json()
     assert told["quality"] == {"units": [0.5, [0, 1], {"3": True}]}
