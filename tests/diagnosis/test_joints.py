@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from diagnosis.plants import pendulum
 
+from torchrl_athletic.diagnosis import joints
 from torchrl_athletic.diagnosis.corrected import Simulation
-from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis
 from torchrl_athletic.diagnosis.fitting import JointParameter
 from torchrl_athletic.diagnosis.joints import _decode, _encode, _with_draws, standard_joints_of
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.stages import Given
-from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, JointAddress
+from torchrl_athletic.diagnosis.thresholds import SIMULATION
+from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, JointAddress, Parameter
 
 
 def fit(catalogue=tuple(CATALOGUE)):
@@ -71,3 +73,78 @@ def test_a_fit_comes_back_from_a_checkpoint_as_it_was():
 def test_with_an_empty_catalogue_nothing_is_fitted_since_nothing_could_be_kept():
     unasked = SimpleNamespace(result=lambda *told: pytest.fail("a fit was asked for"))
     assert standard_joints_of(SimpleNamespace(catalogue=()), SimpleNamespace(checkpoint=unasked)) is None
+
+
+def law(name, *bounds, grid=(), takes=("one", "two")):
+    """A candidate of the second joint with a number between each of the bounds."""
+    effect = SimpleNamespace(
+        name=name, grid_of=lambda signals, joint: list(grid), applies=lambda take: take in takes, identical_to=()
+    )
+    parameters = tuple(Parameter(f"p{k}", "1", low, low, high, 1.0) for k, (low, high) in enumerate(bounds))
+    return Candidate(effect, 1, "knee", parameters)
+
+
+def test_draws_stay_within_bounds_and_a_number_without_an_interval_is_drawn_as_it_is():
+    h = Hypothesis((law("drag", (0.0, 5.0), (0.0, 1.0)),))
+    said = JointParameter("knee", "drag", "p0", "1", 0.0, 0.1, (-3.0, 3.0), "identified")
+    found = SimpleNamespace(parameters=[said], corrected=SimpleNamespace(hypothesis=h, values=np.array([0.1, 0.5])))
+    drawn = _with_draws(found, Given(None, "", "", (), (), ()))
+    assert drawn.samples[:, 0].min() == 0.0
+    assert drawn.samples[:, 0].max() > 1.0
+    assert (drawn.samples[:, 1] == 0.5).all()
+    assert drawn.cost == 0.0
+    nothing = SimpleNamespace(parameters=[], corrected=SimpleNamespace(hypothesis=Hypothesis(()), values=np.zeros(0)))
+    assert _with_draws(nothing, Given(None, "", "", (), (), ())).values.shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("kept", "is_trial"), [(("drag",), True), ((), False), (("drag", "unheard_of"), False), (("unheard_of",), False)]
+)
+def test_a_fit_is_a_trial_where_the_catalogue_has_names_for_all_that_it_keeps(monkeypatch, kept, is_trial):
+    """It is fitted once with the settings that were given, and kept."""
+    asked, stored = [], {}
+    laws = {name: law(name, (0.0, 1.0)) for name in ("drag", "unheard_of")}
+    h = Hypothesis(tuple(laws[name] for name in kept))
+    n = len(h.parameters)
+    monkeypatch.setattr(joints, "fit", lambda *told, **settings: asked.append((told, settings)) or "found")
+    monkeypatch.setattr(
+        joints, "_with_draws", lambda found, given: Fitted(h, np.full(n, 0.5), np.full((SIMULATION.samples, n), 0.25), 0)
+    )
+
+    def result(key, compute, encode, decode):
+        if key in stored:
+            return decode(json.loads(stored[key]))
+        value = compute()
+        stored[key] = json.dumps(encode(value))
+        return value
+
+    given = Given(None, "<xml/>", "", ("takes",), (), (laws["drag"].effect,), drive="measured", seed=7)
+    run = SimpleNamespace(checkpoint=SimpleNamespace(result=result))
+    first = standard_joints_of(given, run)
+    assert (first is not None) is is_trial
+    assert asked == [(("<xml/>", ("takes",)), {"drive": "measured", "seed": 7})]
+    if is_trial:
+        again = standard_joints_of(given, run)
+        assert len(asked) == 1
+        assert [c.key for c in again.hypothesis.terms] == [("drag", "knee")]
+        np.testing.assert_array_equal(again.samples, first.samples)
+
+
+def test_in_the_torques_a_fit_is_its_laws_at_their_fitted_values_where_all_takes_show_them():
+    """Numbers that enter linearly are the torques' own; those of a grid are the fit's, or the grid's if it has none."""
+    late = law("late", (0.0, 9.0), (0.0, 9.0), grid=({"p1": 1.0, "shape": 3.0}, {"p1": 2.0, "shape": 4.0}))
+    seldom, hidden, unseen = law("seldom", (0, 9), grid=({},), takes=("one",)), law("hidden", (0, 9)), law("unseen")
+    unseen.effect.grid_of = lambda signals, joint: [{"takes": signals, "joint": joint}]
+    asked, scored = [], []
+
+    def add(c, fixed):
+        asked.append((c.effect.name, fixed))
+        return None if c is unseen else c.effect.name
+
+    bank = SimpleNamespace(takes=("one", "two"), add=add)
+    judge = SimpleNamespace(bank=bank, score=lambda atoms: scored.append(atoms) or "scored")
+    h = Hypothesis((seldom, late, hidden, unseen))
+    fitted = Fitted(h, np.array([5.0, 6.0, 7.0, 8.0]), np.zeros((0, 4)), 0.0)
+    assert joints.in_torques(judge, fitted) == "scored"
+    assert asked == [("late", {"p1": 7.0, "shape": 3.0}), ("unseen", {"takes": ("one", "two"), "joint": 1})]
+    assert scored == [["late"]]

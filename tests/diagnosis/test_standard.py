@@ -301,3 +301,18 @@ def test_joints_in_another_order_are_the_same_joints():
         assert own["asked", "lower"] == pytest.approx(0.2)  # either way is as far as a limit may have to reach
         for key, numbers in own.items():
             assert turned[key] == pytest.approx(numbers, rel=1e-4, abs=1e-6), key
+
+
+def test_gains_are_told_by_the_takes_that_follow_targets_beside_others_that_do_not():
+    """A loop that is a fifth stiffer than was logged; in the takes of torques no gain acts."""
+    followed = [replace(swing(k, **gains(9.6, kd)), kp=np.array([8.0])) for k, kd in ((1, 0.5), (2, 0.25))]
+    takes = prepared(swing(3), *followed)
+    h = standard_joints(takes, seen_in(takes))
+    (gain,) = (c for c in h.terms if c.effect.name == "gain_mismatch")
+    blocks = columns_of(gain, takes)
+    assert [block.shape for block in blocks] == [(*s.missing.shape, 2) for s in takes.signals]
+    assert [bool(block.any()) for block in blocks] == [s.recording.position_target is not None for s in takes.signals]
+    x = torque_domain(h, takes)
+    assert h.values_of(gain, x) == pytest.approx([1.2, 1.0], abs=0.05)
+    cost = (agreement(h, takes).rows(np.stack([h.nominal, x])) ** 2).sum(0)
+    assert cost[1] < 0.1 * cost[0]
