@@ -167,7 +167,9 @@ def test_what_sets_a_law_apart_is_seen_where_the_middle_95_percent_of_its_draws_
     other_side = np.arange(1000) < share * 1000
     samples = np.tile([0.3, 0.3, 1.0, 1.0], (1000, 1))
     samples[:, 3] += np.where(other_side, -1.0, 1.0)
-    assert gates._is_plain(Candidate(AsymmetricFriction(), 0, "elbow", of), np.array([0.3, 0.3, 1, 2]), samples) is plain
+    assert (
+        gates._is_plain(Candidate(AsymmetricFriction(), 0, "elbow", of), np.array([0.3, 0.3, 1, 2]), samples) is plain
+    )
     spring = (Parameter("stiffness", "N·m/rad", 0.0, 0, 9, 0.1), Parameter("preload", "N·m", 0.0, -9, 9, 0.1))
     drawn = np.stack([np.where(other_side, -1.0, 1.0), np.zeros(1000)], -1)
     assert gates._is_plain(Candidate(JointSpring(), 0, "elbow", spring), np.array([1.0, 0.0]), drawn) is plain

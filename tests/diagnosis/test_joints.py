@@ -108,7 +108,9 @@ def test_a_fit_is_a_trial_where_the_catalogue_has_names_for_all_that_it_keeps(mo
     n = len(h.parameters)
     monkeypatch.setattr(joints, "fit", lambda *told, **settings: asked.append((told, settings)) or "found")
     monkeypatch.setattr(
-        joints, "_with_draws", lambda found, given: Fitted(h, np.full(n, 0.5), np.full((SIMULATION.samples, n), 0.25), 0)
+        joints,
+        "_with_draws",
+        lambda found, given: Fitted(h, np.full(n, 0.5), np.full((SIMULATION.samples, n), 0.25), 0),
     )
 
     def result(key, compute, encode, decode):
