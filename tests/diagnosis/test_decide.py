@@ -139,8 +139,16 @@ def test_what_is_not_taken_is_as_far_behind_as_can_be_whatever_the_torques_say_o
     assert against.tolist() == [SEARCH.decisive, 0.0, SEARCH.decisive]
 
 
-@pytest.mark.parametrize(("floors", "level", "taken"), [((1.0, 1.0), 1.0, False), ((9.0, 1.0), 1.0, True),
-                                                        ((1.0, 9.0), 1.0, True), ((1.0, 1.0), 2.0, False), ((1.0, 1.0), 3.0, True)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("floors", "level", "taken"),
+    [
+        ((1.0, 1.0), 1.0, False),
+        ((9.0, 1.0), 1.0, True),
+        ((1.0, 9.0), 1.0, True),
+        ((1.0, 1.0), 2.0, False),
+        ((1.0, 1.0), 3.0, True),
+    ],
+)
 def test_a_miss_is_one_above_the_floors_of_both_and_following_is_twice_the_floor(floors, level, taken):
     """Nothing misses two windows far apart by twenty floors, of which a better one leaves ``level``."""
     first, second = np.ones((400, 1)), np.ones((400, 1))

@@ -25,8 +25,9 @@ from torchrl_athletic.diagnosis.extension import (
 )
 from torchrl_athletic.diagnosis.joint_fit import Linearised, Problem, descend, linearise, problem_of, weighed
 from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.replay import Windows
 from torchrl_athletic.diagnosis.standard import Seen, seen_in, standard_joints
-from torchrl_athletic.effects import Compliance, Parameter
+from torchrl_athletic.effects import Compliance, JointSpring, Parameter
 from torchrl_athletic.recordings import Recording
 
 SEEN = Seen(*(np.array([x]) for x in (5.0, 8.0, 2.0, 4.0, 0.1, 3.0)), period=0.01)
@@ -98,6 +99,19 @@ def test_no_law_is_offered_twice_nor_without_what_it_replaces_nor_to_a_joint_tha
         assert not names & gone
         assert names > {"hysteresis", "actuation_lag"}
     assert offers(near, swings, replace(SEEN, travel=np.array([0.9e-3]))) == []
+    assert offers(near, swings, replace(SEEN, travel=np.array([1.1e-3])))
+    half = offers(near, swings, replace(SEEN, travel=np.array([0.5])))
+    assert [x["width"] for x in started(half, "hysteresis")] == pytest.approx([0.015, 0.075])  # of its travel
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_a_law_is_offered_where_it_applies_to_some_take(near, swings, count, monkeypatch):
+    class Seldom(JointSpring):
+        def applies(self, s):
+            return any(s is own for own in swings.signals[:count])
+
+    monkeypatch.setattr(extension, "LAWS", (Seldom(),))
+    assert len(offers(near, swings, SEEN)) == bool(count)
 
 
 def test_a_base_that_leans_is_offered_once_and_to_no_joint():
@@ -148,6 +162,8 @@ def test_torques_and_dampings_go_up_to_ten_times_what_was_seen_both_ways(unit, m
     assert (tight.lower, tight.upper) == (0.5, 3.0)
     given = _bounded(Parameter("p", unit, 5e3, 0.0, 1e9, 1.0), 0, SEEN)
     assert (given.lower, given.upper) == (0.0, 5e3)
+    below = _bounded(Parameter("p", unit, -5e3, -1e9, 1e9, 1.0), 0, SEEN)
+    assert (below.lower, below.upper) == (-5e3, most)
     other = Parameter("p", "rad", 0.0, -1e9, 1e9, 1.0)
     assert _bounded(other, 0, SEEN) is other
 
@@ -210,21 +226,27 @@ def test_the_spring_is_chosen_and_fitted_and_nothing_is_begun_without_time(near,
     assert extend(slow, swings, seen, Deadline(3.9e6)) is slow  # a round takes four times as long
 
 
-def test_two_laws_that_get_into_each_others_way_leave_the_better_one_and_one_that_does_not_help_none(monkeypatch):
-    costs = {"": 1.0, "ab": 1.5, "a": 0.5, "b": 0.4}
+@pytest.mark.parametrize("size", [1.0, 1e-4])
+@pytest.mark.parametrize(("both", "kept"), [(1.5, "a"), (1.005, "a"), (0.992, "a"), (0.985, "ab"), (0.5, "ab")])
+def test_two_laws_that_get_into_each_others_way_leave_the_better_one_and_one_that_does_not_help_none(
+    monkeypatch, both, kept, size
+):
+    """Both together must save a hundredth of an error of any size."""
+    costs = {"": size, "ab": both * size, "a": 0.5 * size, "b": 0.4 * size}
     near = SimpleNamespace(name="", seconds=0.0)
     rounds = iter([["a", "b"], []])
     monkeypatch.setattr(extension, "offers", lambda *_: [])
     monkeypatch.setattr(extension, "_chosen", lambda *_: next(rounds))
     monkeypatch.setattr(extension, "_with", lambda n, chosen, *_: SimpleNamespace(name="".join(chosen), seconds=0.0))
     monkeypatch.setattr(extension, "stated", lambda n: costs[n.name])
-    assert extend(near, None, None, Deadline()).name == "a"
-    costs["a"], rounds = 0.999, iter([["a", "b"]])
+    assert extend(near, None, None, Deadline()).name == kept
+    costs["a"], costs["ab"], rounds = 0.999 * size, 1.1 * size, iter([["a", "b"]])
     assert extend(near, None, None, Deadline()) is near
 
 
-def test_a_gear_is_hinted_at_where_it_leaves_much_less_of_what_the_torques_leave_open(swings, near):
-    """By the stiffness that the torques like best; a spring to the world is no gear."""
+@pytest.mark.parametrize("drag", [0.0, 0.3])
+def test_a_gear_is_hinted_at_where_it_leaves_much_less_of_what_the_torques_leave_open(swings, near, drag):
+    """By the stiffness that the torques like best, whatever the joint's own drag; a spring to the world is no gear."""
     stiffness, rng = 40.0, np.random.default_rng(1)
     time, command, read = behind_a_spring(stiffness, link=0.05, rotor=0.04, rng=rng)
     xml = """<mujoco><option timestep="0.005" gravity="0 0 0"/><worldbody><body>
@@ -232,6 +254,7 @@ def test_a_gear_is_hinted_at_where_it_leaves_much_less_of_what_the_torques_leave
       <inertial pos="0 0 0" mass="0.1" diaginertia="0.05 0.05 0.05"/></body></worldbody>
       <actuator><motor joint="table" ctrlrange="-20 20"/></actuator></mujoco>"""
     position = read[:, None] + 1e-6 * rng.standard_normal((len(read), 1))
+    command = command + drag * np.gradient(read, time)
     take = Recording(time, ("table",), position, torque_command=command[:, None])
     bent = prepare([take], mujoco.MjModel.from_xml_string(xml))
     hints = extension._hints(standard_joints(bent, seen_in(bent)), bent)
@@ -266,23 +289,44 @@ def test_the_soft_one_of_two_joints_is_hinted_at_though_nothing_of_the_first_one
 
 def test_each_round_builds_on_the_last_one_and_must_save_a_hundredth(monkeypatch):
     costs = {"": 1.0, "a": 0.98, "ab": 0.95, "abc": 0.1}
-    seen = []
+    seen, told = [], []
     near = SimpleNamespace(name="", seconds=0.0)
-    monkeypatch.setattr(extension, "offers", lambda n, *_: seen.append(n.name) or [])
+    monkeypatch.setattr(extension, "offers", lambda n, *given: seen.append(n.name) or given)
     monkeypatch.setattr(extension, "_with", lambda n, chosen, *_: SimpleNamespace(name=n.name + chosen[0], seconds=0.0))
     monkeypatch.setattr(extension, "stated", lambda n: costs[n.name])
     for first, name in ((0.98, "ab"), (0.991, "")):
         costs["a"], rounds = first, iter([["a"], ["b"], ["c"]])
-        monkeypatch.setattr(extension, "_chosen", lambda *_, rounds=rounds: next(rounds))
-        assert extend(near, None, None, Deadline()).name == name
+        monkeypatch.setattr(
+            extension, "_chosen", lambda n, tried, _, rounds=rounds: next(rounds) if tried == ("takes", "seen") else []
+        )
+        assert extend(near, "takes", "seen", Deadline(), told.append).name == name
     assert seen == ["", "a", ""]
+    assert told == pytest.approx([0.3, 0.5, 0.8, 1.0, 0.3])
+
+
+def test_with_a_law_all_is_fitted_anew_and_the_torques_have_their_say_of_it(monkeypatch):
+    problem = Problem(None, (), np.ones(1), np.ones(3), torques="old")
+    h = SimpleNamespace(bounds=(np.zeros(2), np.array([1.0, 0.0])))
+    told = []
+    monkeypatch.setattr(extension, "_joined", lambda near, chosen: (h, f"values with {chosen}"))
+    monkeypatch.setattr(extension, "agreement", lambda h, prepared: ("torques", h, prepared))
+    monkeypatch.setattr(extension, "weighed", lambda problem, x: (problem, x))
+    monkeypatch.setattr(extension, "descend", lambda *given: told.append(given) or "fitted")
+    monkeypatch.setattr(extension, "linearise", lambda weighed, x, free: (weighed, x, free.tolist()))
+    monkeypatch.setattr(extension, "trusted", lambda near: ("trusted", *near))
+    word, (found, at_values), x, free = extension._with(SimpleNamespace(problem=problem), "laws", "takes", "deadline")
+    assert (word, at_values, x, free) == ("trusted", "fitted", "fitted", [True, False])
+    assert (found.hypothesis, found.torques) == (h, ("torques", h, "takes"))
+    (((begun, at_values), x, free, slopes, deadline),) = told
+    assert begun == found
+    assert (at_values, x, free.tolist(), slopes, deadline) == (*["values with laws"] * 2, [True, False], 2, "deadline")
 
 
 def test_of_each_joint_the_best_law_by_its_slope_is_simulated_and_the_best_of_these_comes_first(monkeypatch):
     """Costs of folds to first order and in simulation; without a law 1 and 0.9."""
     laws = {  # joint, first order, simulated
-        "misled": (0, 0.5, 0.89), "second": (0, 0.7, 0.6),  # the slope promises what is not kept
-        "good": (1, 0.75, 0.8), "better": (2, 0.8, 0.3),
+        "second": (0, 0.7, 0.6), "misled": (0, 0.5, 0.89),  # the slope promises what is not kept
+        "slight": (5, 0.95, 0.85), "good": (1, 0.75, 0.8), "better": (2, 0.8, 0.3),
         "weak": (3, 0.99, 0.1), "worse": (4, 1.2, 0.1),
     }  # fmt: skip
     tried = [SimpleNamespace(name=name, candidate=SimpleNamespace(joint=joint)) for name, (joint, *_) in laws.items()]
@@ -293,22 +337,35 @@ def test_of_each_joint_the_best_law_by_its_slope_is_simulated_and_the_best_of_th
     monkeypatch.setattr(extension, "_cost", lambda few, cost: [np.full(9, cost)])
 
     def folded(near, trials, fold, first_order=False):
+        if not hasattr(near, "name"):
+            few.append(near)
         return laws[near.name][1 if first_order else 2] if hasattr(near, "name") else 1.0 if first_order else 0.9
 
     monkeypatch.setattr(extension, "folded", folded)
-    problem = Problem(None, (), np.ones(1), np.arange(100.0), torques="said")
-    nothing = np.zeros((0, 2))
-    near = Linearised(problem, np.zeros(2), np.ones(2, dtype=bool), nothing[:, 0], nothing, nothing[:, 0], nothing)
-    assert [offer.name for offer in _chosen(near, tried, Deadline())] == ["better", "good"]
-    (few,) = parts
-    assert few.torques is None
-    assert len(few.weight) == 32
-    assert few.weight[[0, -1]].tolist() == [0, 99]  # over all of the recordings
+    windows = Windows(SimpleNamespace(period=0.005), np.arange(100), 2)  # of two rows each
+    few, problem = [], Problem(None, (windows,), np.ones(1), np.arange(100.0), torques="said")
+    rows = np.repeat(np.arange(100.0), 2)
+    near = Linearised(
+        problem, np.zeros(2), np.ones(2, dtype=bool), rows, np.stack([rows, -rows], -1), np.ones(3), np.ones((3, 2))
+    )
+    assert [offer.name for offer in _chosen(near, tried, Deadline())] == ["better", "good", "slight"]
+    (part,) = parts
+    assert part.torques is None
+    assert len(part.weight) == 32
+    assert part.weight[[0, -1]].tolist() == [0, 99]  # over all of the recordings
+    for one in few:
+        assert one.problem is part
+        assert one.errors.tolist() == np.repeat(part.weight, 2).tolist()
+        assert one.columns.tolist() == np.stack([one.errors, -one.errors], -1).tolist()
+        assert (one.pull.shape, one.pull_columns.shape) == ((0,), (0, 2))
     assert _chosen(near, tried, Deadline(0.0)) == []
 
 
+@pytest.mark.parametrize("size", [1.0, 1e-4])
 @pytest.mark.parametrize(("after", "taken"), [(0.95, True), (0.97, False)])
-def test_a_gear_is_searched_for_from_the_given_and_the_fitted_joint_at_many_stiffnesses(monkeypatch, after, taken):
+def test_a_gear_is_searched_for_from_the_given_and_the_fitted_joint_at_many_stiffnesses(
+    monkeypatch, after, taken, size
+):
     """Twice a law's share of the error must go, since all is searched for anew."""
     searched = []
 
@@ -316,21 +373,23 @@ def test_a_gear_is_searched_for_from_the_given_and_the_fitted_joint_at_many_stif
         own = tuple(Parameter(n, "1", x, 0.0, 99.0, 1.0) for n, x in (("play", 0.5), ("stiffness", 90.0)))
         return SimpleNamespace(candidate=SimpleNamespace(parameters=own), start=np.array(start))
 
-    def search(h, takes, begin, *_):
+    def search(h, takes, begin, rng, deadline, torques):
         searched.append((h, begin))
+        assert (takes, rng, torques) == ("takes", "dice", ("torques", h, prepared))
+        assert deadline.seconds == 42.0
         return found
 
     own = SimpleNamespace(parameters=(Parameter("drag", "1", 1.0, 0.0, 9.0, 1.0),))
     near = SimpleNamespace(problem=SimpleNamespace(hypothesis=extension.Hypothesis((own,))), values=np.array([2.0]),
-                           seconds=1.0)  # fmt: skip
+                           seconds=2.0)  # fmt: skip
     found = SimpleNamespace()
     hints = [hint(0.1, 10.0), hint(0.2, 20.0)]
     monkeypatch.setattr(extension, "_hints", lambda h, prepared: hints)
     monkeypatch.setattr(extension, "search", search)
-    monkeypatch.setattr(extension, "agreement", lambda h, prepared: None)
-    monkeypatch.setattr(extension, "stated", lambda n: 1.0 if n is near else after)
-    prepared = SimpleNamespace(takes=())
-    assert with_gear(near, prepared, None, Deadline(21.0)) is (found if taken else near)
+    monkeypatch.setattr(extension, "agreement", lambda h, prepared: ("torques", h, prepared))
+    monkeypatch.setattr(extension, "stated", lambda n: size if n is near else after * size)
+    prepared = SimpleNamespace(takes="takes")
+    assert with_gear(near, prepared, "dice", Deadline(42.0)) is (found if taken else near)
     ((h, begin),) = searched
     assert h.terms == (own, hints[0].candidate)
     assert begin.shape == (1 + 25 + 25 + 1, 3)
@@ -338,7 +397,7 @@ def test_a_gear_is_searched_for_from_the_given_and_the_fitted_joint_at_many_stif
     assert begin[1:51, 0].tolist() == [1.0] * 25 + [2.0] * 25
     assert (begin[1:51, 1] == 0.1).all()
     assert begin[[1, 25, 26, 50], 2] == pytest.approx([4.0, 25.0, 4.0, 25.0])
-    assert with_gear(near, prepared, None, Deadline(19.0)) is near
+    assert with_gear(near, prepared, None, Deadline(38.0)) is near
     hints.clear()
     assert with_gear(near, prepared, None, Deadline()) is near
     assert len(searched) == 1

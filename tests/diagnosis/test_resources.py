@@ -48,6 +48,15 @@ def test_a_log_whose_clock_began_long_before_is_cut_as_one_that_begins_at_zero()
     np.testing.assert_allclose(later.time - 1e5, kept.time, atol=1e-6)
 
 
+@pytest.mark.parametrize(("seconds", "share", "kept"), [(60.0, 0.25, 15.0), (60.0, 0.05, 5.0), (100.0, 0.35, 20.0)])
+def test_of_a_log_that_is_short_or_hardly_fits_its_beginning_is_used(seconds, share, kept):
+    """No less than five seconds, and no more than a stretch."""
+    log = long_log(seconds, 50.0)
+    (found,) = within_memory([log], share * need(log)).recordings
+    assert (found.time[0], found.time[-1]) == (0.0, pytest.approx(kept, abs=0.03))
+    assert len(split_at_gaps(found)) == 1
+
+
 def test_room_is_what_is_asked_for_or_half_of_what_is_free_without_what_a_run_takes_in_any_case(monkeypatch):
     monkeypatch.setattr(resources, "free_memory", lambda: 40 * GIGABYTE)
     assert room_for_data(None) == SPENDING.share * 40 * GIGABYTE - SPENDING.fixed
@@ -58,7 +67,7 @@ def test_room_is_what_is_asked_for_or_half_of_what_is_free_without_what_a_run_ta
 def test_what_fits_stays_as_it_is():
     log = long_log(60.0, 100.0)
     found = within_memory([log], need(log))
-    assert found.recordings == (log,)
+    assert (found.recordings, found.share) == ((log,), 1.0)
     assert found.warning == ""
 
 
@@ -75,6 +84,18 @@ def test_a_run_that_is_out_of_time_is_stopped_in_the_midst_of_a_stage():
     with alarm(0.05):
         pass
     time.sleep(0.1)  # it does not ring any more
+
+
+@pytest.mark.parametrize("seconds", [0.0, -5.0])
+def test_what_is_out_of_time_from_the_start_is_stopped_and_what_has_time_is_not(seconds):
+    def work() -> None:
+        with alarm(seconds):
+            time.sleep(2.0)
+
+    with pytest.raises(OutOfTime):
+        work()
+    with alarm(30.0):
+        time.sleep(0.01)
 
 
 def test_another_thread_has_no_alarm_and_runs_on():
