@@ -163,14 +163,14 @@ class Costs:
     ("stated", "weighed", "needed"),
     [
         (0.5 * WORTH, 0.5 * WORTH, False),  # not worth having
-        (2.0 * WORTH, 0.0, True),  # the stated error must not rise
-        (0.0, 0.9 * DOUBT * 0.1, False),  # within what folds leave open: 0.1
-        (0.0, 1.1 * DOUBT * 0.1, True),
+        (2.0 * WORTH, 0.0, True),  # the stated error must not rise, whatever its doubt
+        (0.0, 0.9 * DOUBT * 0.2, False),  # within what folds leave open: 0.2
+        (0.0, 1.1 * DOUBT * 0.2, True),
     ],
 )
 def test_a_parameter_goes_where_folds_do_not_ask_for_it(monkeypatch, stated, weighed, needed):
-    windows = np.tile([-1.0, 1.0], 50)  # a mean of zero, a deviation of one
-    problem = Costs(np.full(100, stated), weighed + windows * (weighed > WORTH))
+    windows = np.tile([-2.0, 2.0], 50)  # a mean of zero, a deviation of two
+    problem = Costs(stated + windows * (stated > WORTH), weighed + windows * (weighed > WORTH))
     near = SimpleNamespace(problem=problem, free=np.ones(1, dtype=bool))
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
     monkeypatch.setattr(module, "folded", lambda near, trials, fold, first_order=False: [t.any() for t in trials])
@@ -261,6 +261,7 @@ def test_few_windows_are_made_up_by_some_that_overlap_within_their_own_recording
     windows = Windows(take_like(40, (0, 20)), np.array([0, 11, 20, 31]), 8)
     denser = module._overlapping(windows, 8)
     assert denser.start.tolist() == [*range(8), 11, *range(20, 28), 31]  # 12 + 8 is the next recording's first
+    assert module._overlapping(windows, 16).start.tolist() == denser.start.tolist()  # none is there twice
     asked = []
     monkeypatch.setattr(module, "_overlapping", lambda w, times: asked.append(times) or w)
     many = Windows(take_like(90), np.arange(10), 2)
@@ -269,16 +270,20 @@ def test_few_windows_are_made_up_by_some_that_overlap_within_their_own_recording
     problem, _ = following(monkeypatch, many, many)
     take = SimpleNamespace(address=SimpleNamespace(dof=[0]))
     for seconds, most in ((0.5, 400), (0.5, 30), (0.5, 20), (0.2, 400)):
-        found = problem_of(problem.hypothesis, [take], seconds, most, None, np.zeros(1))
+        found = problem_of(problem.hypothesis, [take], seconds, most, None, np.zeros(1), "torques")
         assert len(found.weight) == 20
+        assert found.torques == "torques"
     assert asked == [3, 3, 2, 2]  # up to 60 of 20, and to no more than were asked for: 30
+    monkeypatch.setattr(module, "draw_windows", lambda takes, seconds, most, rng: ["drawn"] * 7)
+    assert len(problem_of(problem.hypothesis, [take], 0.5, 400, None, np.zeros(1)).weight) == 70
+    assert len(asked) == 4  # which are enough
 
 
 def test_starts_mix_the_best_numbers_of_each_joint():
     h = SimpleNamespace(terms=[SimpleNamespace(joint=j, parameters=[None] * n) for j, n in ((0, 2), (1, 1))])
     square = np.array([[[3, 1], [3, 1], [0, 99]], [[1, 2], [1, 2], [99, 0]], [[2, 3], [2, 3], [2, 3]]], dtype=float)
-    begin = np.arange(3.0)[:, None] * np.ones(3)
-    assert [x.tolist() for x in module._mixed(h, square, begin, 2)] == [[1, 1, 0], [2, 2, 1]]
+    begin = np.arange(3.0)[:, None] + [0.0, 0.25, 0.5]
+    assert [x.tolist() for x in module._mixed(h, square, begin, 2)] == [[1, 1.25, 0.5], [2, 2.25, 1.5]]
     assert len(module._mixed(h, square, begin, 9)) == 3
 
 
@@ -294,6 +299,43 @@ def test_of_points_the_best_are_kept_once_each_and_the_torques_have_a_say(monkey
         assert module.best_of(replace(problem, torques=told), points, 1)[0] == best
 
 
+def test_of_two_joints_the_torques_have_their_say_once(monkeypatch):
+    """Errors are a mean over joints: 12.0 and 0.9; of the torques' squares it is a hundredth, 9.0 or 13.0."""
+    problem, _ = following(
+        monkeypatch, Windows(take_like(9, truth=[1.0, 1.0]), np.array([0, 4]), 4), nominal=(0.0, 0.0)
+    )
+    points = [np.array([1.1, 1.1]), np.array([1.5, 1.5])]
+    for size, best in ((30.0, 1.1), (36.0, 1.5)):
+        told = SimpleNamespace(rows=lambda values, size=size: size * (values[:, 0] < 1.3)[None])
+        assert module.best_of(replace(problem, torques=told), points, 1)[0][0] == best
+
+
+def test_a_descent_weighs_windows_and_joints_as_its_problem_does(monkeypatch):
+    """One whole step by one slope, on two windows that ask for 1 and 3, of which the second weighs three times."""
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0))
+    monkeypatch.setattr(module, "DAMPING", (0.0,))
+    monkeypatch.setattr(module, "STEPS", 1)
+    uneven = replace(problem, weight=np.array([1.0, 3.0]), unit=np.array([0.1]))
+    assert descend(uneven, np.array([7.0]), np.array([True]), 1, Deadline()) == pytest.approx([2.5], rel=1e-4)
+
+
+def test_some_windows_follow_no_worse_by_what_they_weigh_in_units_and_with_the_torques(monkeypatch):
+    """From 2 to 1, squares of windows that ask for 0 and 4 go from 4 and 4 to 1 and 9; torques ask for 5, 7 more."""
+    torques = SimpleNamespace(rows=lambda values: 5.0 * (values[:, 0] - 5.0)[None])  # 0.02 · 2 windows · 25 = 1
+    problem, _ = following(monkeypatch, each_its_own(0.0, 4.0))
+    both, first = np.array([True, True]), np.array([True, False])
+    for weight, unit, own, windows, good in (
+        ((1.0, 3.0), 1.0, None, both, False),
+        ((3.0, 1.0), 1.0, None, both, True),
+        ((1.0, 3.0), 1.0, None, first, True),
+        ((3.0, 1.0), 1.0, torques, both, False),
+        ((3.0, 1.0), 0.5, torques, both, True),
+    ):
+        one = replace(problem, weight=np.array(weight), unit=np.array([unit]), torques=own)
+        near = linearise(one, np.array([2.0]), np.array([True]))
+        assert module._does_good(near, windows, np.array([1.0])) is good
+
+
 def test_a_step_solves_for_the_windows_that_are_asked_and_for_their_share_of_the_torques(monkeypatch):
     """By hand: (x - 1)², (x - 3)² of two windows and (x - 5)² of the torques, half of it for one window."""
     torques = SimpleNamespace(rows=lambda values: 5.0 * (values[:, 0] - 5.0)[None])  # 0.02 · 2 windows · 25 = 1
@@ -307,6 +349,7 @@ def test_a_step_solves_for_the_windows_that_are_asked_and_for_their_share_of_the
     assert near.step(both, yes).tolist() == [-1.0]
     uneven = linearise(replace(problem, torques=None, weight=np.array([1.0, 3.0])), np.array([2.0]), yes)
     assert uneven.step(both, no) == pytest.approx([(1 + 3 * 3) / 4], rel=1e-4)
+    assert replace(uneven, ridge=1.0).step(both, no) == pytest.approx([2.25], rel=1e-4)  # half of the way
     alone = linearise(replace(problem, torques=None), np.array([2.0]), yes)
     for high, ends in ((2.5, 2.5), (99.0, 3.0)):
         problem.hypothesis.bounds = (np.array([0.0]), np.array([high]))
@@ -321,6 +364,15 @@ def test_differences_are_taken_into_the_bounds(monkeypatch, x):
     assert all((a[:, 1] == 0.5).all() for a in asked)
     np.testing.assert_allclose(near.columns, [[1.0], [0.0], [1.0], [0.0]], atol=1e-9)
     assert near.errors.tolist() == [x - 3.0, -2.5] * 2
+    assert near.seconds > 0
+
+
+def test_a_difference_is_a_hundredth_of_a_unit_up_as_long_as_its_own_bound_leaves_room(monkeypatch):
+    problem, asked = following(monkeypatch, each_its_own(3.0, length=1), nominal=(0.0, 0.0), scale=0.5)
+    problem.hypothesis.bounds = (np.zeros(2), np.array([9.0, 1.0]))
+    for x, tried in ((0.992, 0.997), (0.996, 0.991)):
+        linearise(problem, np.array([0.5, x]), np.array([False, True]))
+        assert asked[-1][:, 1] == pytest.approx([x, tried])
 
 
 @pytest.mark.parametrize("first_order", [False, True])
@@ -394,6 +446,12 @@ def test_each_of_several_steps_by_one_slope_goes_on_with_what_the_last_one_learn
     x, saved = module._steps(problem, linearise(problem, np.array([12.0]), free), Deadline())
     assert x == pytest.approx([1 + 11 * (10 / 11) ** 5], rel=1e-4)
     assert saved == pytest.approx(1 - (10 / 11) ** 10, rel=1e-3)
+    out_of_time, _ = module._steps(problem, linearise(problem, np.array([12.0]), free), Deadline(0.0))
+    assert out_of_time == pytest.approx([11.0], rel=1e-4)
+    monkeypatch.setattr(module, "DAMPING", (1e4,))  # which saves two parts of ten thousand
+    assert module._steps(problem, linearise(problem, np.array([12.0]), free), Deadline())[0] == pytest.approx(
+        [12 - 11e-4], abs=1e-5
+    )
 
 
 def test_a_descent_pays_for_contradicting_the_torques(monkeypatch):
@@ -406,28 +464,48 @@ def test_a_descent_pays_for_contradicting_the_torques(monkeypatch):
 @pytest.mark.parametrize(("count", "asked"), [(400, [(0.5, 400), (0.5, 40)]), (30, [(0.5, 30)])])
 def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(monkeypatch, count, asked):
     problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
-    told, moved = [], []
+    told, moved, spent, progress = [], [], [], []
+    deadline = SimpleNamespace(part=lambda share: share)
 
     def problem_of(h, takes, seconds, most, rng, x, torques=None):
         told.append((seconds, most, torques))
+        assert (h, takes, rng) == (problem.hypothesis, "takes", "dice")
+        assert seconds != 0.5 or x is begin[0] or x.tolist() == [2.0]
         return problem
 
-    monkeypatch.setattr(module, "affordable", lambda *_: count)
+    def affordable(*given):
+        assert given == (problem.hypothesis, "takes", deadline)
+        return count
+
+    def descend(problem, x, free, slopes, until):
+        moved.append(x)
+        spent.append((slopes, until))
+        return x
+
+    monkeypatch.setattr(module, "affordable", affordable)
     monkeypatch.setattr(module, "problem_of", problem_of)
     monkeypatch.setattr(module, "more_telling", lambda near, deadline: near)
-    monkeypatch.setattr(module, "descend", lambda problem, x, *_: moved.append(x) or x)
+    monkeypatch.setattr(module, "descend", descend)
     begin = np.arange(2.0, 12.0)[:, None]
-    search(problem.hypothesis, [], begin, None, Deadline(), torques="said")
+    search(problem.hypothesis, "takes", begin, "dice", deadline, torques="said", progress=progress.append)
+    assert list(dict.fromkeys(spent)) == [(2, 0.3), (2, 0.5), (3, 0.7)]
+    assert progress == [0.25, 0.5, 0.7, 0.9]
     assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
     assert len(moved) == 2 * 2 + 2 + 2 + 1  # two that short windows like and two that long ones do are the same here
 
 
-def test_a_number_that_no_window_shows_stays_where_it_is(monkeypatch):
+def test_a_number_is_shown_by_two_ten_thousandths_of_a_typical_error_a_window():
+    curvature = 5 * 4e-8 * np.array([0.99, 1.01])
+    assert module._hidden(curvature, 5).tolist() == [True, False]
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_number_that_no_window_shows_stays_where_it_is(monkeypatch, way):
     """A nothing of a slope, by the difference of two windows, would carry it to its bound, past a stop at 5."""
     problem, _ = following(monkeypatch, each_its_own(1.0, 3.0), nominal=(0.0, 0.0))
 
     def simulate(w, build, values):
-        side = np.where(w.index > 4, 1e-7, -1e-7)[None, :, :, None]
+        side = way * np.where(w.index > 4, 1e-7, -1e-7)[None, :, :, None]
         x, hidden = values[:, :1, None, None], values[:, 1:, None, None]
         return (x + side * hidden + 50.0 * (np.abs(hidden) > 5.0)) * np.ones(2)
 
@@ -476,7 +554,7 @@ def test_windows_are_as_many_as_five_million_steps_allow(monkeypatch, step, coun
     )
     h = SimpleNamespace(nominal=np.zeros(5), bounds=(np.zeros(5), np.array([1.0, 1.0, 1.0, 1.0, 0.0])))
     assert affordable(h, [take], Deadline()) == count
-    now, sizes = [0.0], []
+    now, sizes = [1e5], []
 
     def mean_square(values):
         now[0] += 1.0
@@ -492,10 +570,10 @@ def test_windows_are_as_many_as_five_million_steps_allow(monkeypatch, step, coun
 
 def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
     name = lambda problem: "pooled" if problem.pooled else "plain" if np.isinf(problem.tuning) else "weighed"  # noqa: E731
-    errors, units = {}, []
+    errors, units, moved = {}, [], []
     monkeypatch.setattr(module, "in_units", lambda problem, square: units.append(square) or problem)
     monkeypatch.setattr(module, "weighed", lambda problem, x: problem)
-    monkeypatch.setattr(module, "descend", lambda problem, x, *_: x)
+    monkeypatch.setattr(module, "descend", lambda problem, x, *given: moved.append(given) or x)
     monkeypatch.setattr(module, "stated", lambda near: errors[name(near.problem)])
     monkeypatch.setattr(module, "linearise", lambda problem, x, free: SimpleNamespace(problem=problem))
     monkeypatch.setattr(module, "trusted", lambda near: near)
@@ -504,8 +582,12 @@ def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
         errors.update(zip(("weighed", "plain", "pooled"), told, strict=True))
         problem = Problem(None, (), np.ones(joints), np.ones(1))
         monkeypatch.setattr(Problem, "squares", lambda self, errors: "of the solution")
-        near = SimpleNamespace(problem=problem, free=None, values=None, errors=None, seconds=10.0)
-        return name(more_telling(near, Deadline(left)).problem)
+        near = SimpleNamespace(problem=problem, free="free", values=None, errors=None, seconds=10.0)
+        moved.clear()
+        deadline = Deadline(left)
+        found = more_telling(near, deadline)
+        assert all(given == ("free", 1, deadline, near) for given in moved)
+        return name(found.problem)
 
     assert best(1.0, 2.0, 3.0) == "weighed"
     assert units == ["of the solution"] * 2
@@ -552,9 +634,29 @@ def test_of_each_joint_the_least_needed_goes_and_of_two_that_stand_for_each_othe
     assert prune(near, Deadline()).tolist() == needed
 
 
-def test_what_is_held_goes_to_the_given_models_number():
+@pytest.mark.parametrize("rank", [(20.0, 0.1, 0.2), (0.1, 20.0, 0.2), (0.1, 0.2, 20.0)])
+@pytest.mark.parametrize("first", [True, False])
+def test_a_joint_gives_up_all_that_it_does_not_need_and_is_left_alone_when_it_needs_the_rest(monkeypatch, rank, first):
+    """Beside another joint, before it or after, that needs its only number; in far less time than there is."""
+    counts = (3, 1) if first else (1, 3)
+    worth = WORTH * np.array([*rank, 20.0] if first else [20.0, *rank])
+    joints = tuple(SimpleNamespace(joint=j, parameters=(None,) * n) for j, n in enumerate(counts))
+    problem = replace(Problem(None, (), np.ones(1), np.ones(100)), hypothesis=SimpleNamespace(terms=joints))
+    near, told = SimpleNamespace(problem=problem, free=np.ones(4, dtype=bool)), []
+    monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
+    monkeypatch.setattr(
+        module, "folded", lambda near, trials, fold, first_order=False: [1.0 + worth @ t for t in trials]
+    )
+    monkeypatch.setattr(module, "window_cost", lambda problem, told: np.array(told)[:, None] * np.ones(100))
+    assert prune(near, Deadline(1000.0), told.append).tolist() == (worth > WORTH).tolist()
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_what_is_held_goes_to_the_given_models_number(side):
     h = SimpleNamespace(
-        scale=np.array([0.5, 0.1]), nominal=np.array([2.0, 1.0]), bounds=(np.full(2, -9.0), np.full(2, 9.0))
+        scale=np.array([0.5, 0.1]), nominal=np.array([3.0 - side, 1.0]), bounds=(np.full(2, -9.0), np.full(2, 9.0))
     )
     problem = SimpleNamespace(hypothesis=h, row_weight=np.ones(3), window=np.array([0, 0, 0]))
     columns = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
@@ -562,6 +664,7 @@ def test_what_is_held_goes_to_the_given_models_number():
         problem, np.array([3.0, 1.0]), np.ones(2, dtype=bool), np.zeros(3), columns, np.zeros(1), np.zeros((1, 2))
     )
     one = np.ones(1, dtype=bool)
-    assert near.move(one, np.array([True, True])) == pytest.approx([-2.0, 0.0])
-    assert near.move(one, np.array([True, False])) == pytest.approx([-2.0, 1.0], rel=1e-4)  # the other makes up for it
-    assert near.step(one, np.array([True, True])) == pytest.approx([2.0, 1.0])
+    assert near.move(one, np.array([True, True])) == pytest.approx([-2.0 * side, 0.0])
+    other = near.move(one, np.array([True, False]))
+    assert other == pytest.approx([-2.0 * side, 1.0 * side], rel=1e-4)  # which makes up for it
+    assert near.step(one, np.array([True, True])) == pytest.approx([3.0 - side, 1.0])
