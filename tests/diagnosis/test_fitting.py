@@ -272,12 +272,14 @@ def test_an_interval_of_95_percent_is_1_96_deviations_to_either_side_of_its_own_
     candidate = SimpleNamespace(where="elbow", joint=0, effect=SimpleNamespace(name="drag"), parameters=tuple(p))
     free = np.array([True, True, True, False])
     near = SimpleNamespace(free=free, values=np.array([1.0, 2.0, 3.0, 0.0]), sigma=np.array([0.1, 0.2, 0.3]))
-    again = SimpleNamespace(free=np.array([True, False, True, False]), sigma=np.array([0.5, 4.0]))
+    again = SimpleNamespace(free=np.array([True, False, True, False]), sigma=np.array([0.5, 2.0]))
     monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
-    monkeypatch.setattr(fitting, "_reasons", lambda *_: ["", "", "unseen"])
+    asked = []
+    monkeypatch.setattr(fitting, "_reasons", lambda *given: asked.append(given) or ["", "", "unseen"])
     y, needed = np.array([1.5, 0.0, 3.5, 0.0]), np.array([True, False, True, False])
-    told = fitting._parameters(SimpleNamespace(terms=[candidate]), near, again, y, needed, None)
-    expected = [(1.5 - 0.98, 1.5 + 0.98), (2 - 0.392, 2 + 0.392), (0.0, 9.0)]
+    told = fitting._parameters(SimpleNamespace(terms=[candidate]), near, again, y, needed, "seen")
+    assert asked == [(near, again, needed, "seen")]
+    expected = [(1.5 - 0.98, 1.5 + 0.98), (2 - 0.392, 2 + 0.392), (0.0, 3.5 + 3.92)]
     assert [t.ci95 for t in told] == [pytest.approx(ends) for ends in expected]
     assert [t.value for t in told] == [1.5, 0.0, 3.5]
     assert [t.state for t in told] == ["identified", "not needed", "not identified"]
@@ -290,6 +292,8 @@ def test_a_bound_binds_where_it_is_neither_natural_nor_given():
     assert "torque of elbow (coulomb friction) ends at its bound of 9 N·m" in _binds(friction(value=9.0), p)
     low = Parameter("scale", "1", 1.0, 0.2, 3.0, 1.0)
     assert "bound of 0.2:" in _binds(friction(value=0.2), low)
+    wide = replace(p, lower=-9.0)  # within a millionth of what lies between its bounds
+    assert [bool(_binds(friction(value=9.0 - gap), wide)) for gap in (1.7e-5, 1.9e-5)] == [True, False]
 
 
 def solved(*, free=(True,), sigma=(0.0,), values=None, **changes):
@@ -320,7 +324,7 @@ def test_what_is_not_seen_and_what_is_one_and_the_same_has_no_number_of_its_own(
         terms.append(SimpleNamespace(where="elbow", joint=0, effect=SimpleNamespace(name=n), parameters=own))
     near = solved(free=[True] * 5)
     near.problem.hypothesis.terms = terms
-    columns = np.array([[1, 2, 0, 0, 0], [0, 0, 0.41e-3, 0, 0], [0, 0, 0, 0.39e-3, 0], [0, 0, 0, 0, 1e-9]])
+    columns = np.array([[1, 2, 0, 0, 0], [0, 0, 0.29e-3, 0, 0], [0, 0, 0.29e-3, 0.39e-3, 0], [0, 0, 0, 0, 1e-9]])
     near.normal = columns[:, :, None] * columns[:, None, :]
     seen = SimpleNamespace(travel=np.array([1.0]), asked=np.array([3.25]))
     assert fitting._doubts(near, seen) == [
@@ -329,6 +333,18 @@ def test_what_is_not_seen_and_what_is_one_and_the_same_has_no_number_of_its_own(
     ]  # fmt: skip
     seen.travel[0] = 0.9e-3
     assert fitting._doubts(near, seen)[3:] == ["elbow never moves"] * 2
+    near.free, near.normal = np.array([True, True, False, False, False]), near.normal[:, :2, :2]  # only these two
+    assert [bool(why) for why in fitting._doubts(near, seen)] == [True, True]
+
+
+def test_a_number_that_several_others_make_up_for_is_told_with_the_two_that_do_so_most():
+    """One column is the sum of two, three and four of others: of its size, these are 4, 9 and 16 of 58 parts of it."""
+    near = solved(free=[True] * 4)
+    near.problem.hypothesis.terms = [joint_term(0, name, name) for name in ("drag", "slip", "spring", "whole")]
+    columns = np.hstack([np.eye(3), [[2.0], [3.0], [4.0]]])
+    near.normal = columns[:, :, None] * columns[:, None, :]
+    most = ["whole of hip and spring of hip"] * 2 + ["whole of hip and slip of hip", "spring of hip and slip of hip"]
+    assert fitting._doubts(near, None) == [f"the same motion follows from {two}" for two in most]
 
 
 @pytest.mark.parametrize(
@@ -349,6 +365,32 @@ def test_an_interval_may_be_as_wide_as_five_changes_worth_mentioning_or_the_numb
     assert fitting._reasons(near, again, np.array([True, False]), None) == ["never moves", said]
 
 
+def test_each_interval_is_as_wide_as_its_own_number_and_its_own_unit_allow(monkeypatch):
+    """Of three numbers with units of 1, 10 and 0.1; of the needed ones the narrower deviation of both fits counts."""
+    monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
+    monkeypatch.setattr(fitting, "_doubts", lambda near, seen: [""] * 3)
+    own = [Parameter("p", "1", 0.0, -999, 999, scale) for scale in (1.0, 10.0, 0.1)]
+    needed = np.array([False, True, True])
+    wide = "its interval is wider than the number itself"
+    for centres, first, last, said in (
+        ([0.0, 0.0, 0.0], [2.0, 26.0, 1.0], [26.0, 1.0], ["", wide, wide]),
+        ([0.0, 0.0, 0.0], [2.0, 26.0, 1.0], [25.0, 0.2], ["", "", ""]),
+        ([0.0, 0.0, 0.0], [2.6, 25.0, 0.2], [99.0, 99.0], [wide, "", ""]),
+        ([9.0, 60.0, 2.0], [4.0, 30.0, 1.0], [30.0, 1.0], ["", "", ""]),
+    ):
+        near = solved(free=[True] * 3, sigma=first, values=[centres[0], 999.0, 999.0])
+        near.problem.hypothesis.parameters = own
+        again = solved(free=needed, sigma=last, values=[999.0, *centres[1:]])
+        assert fitting._reasons(near, again, needed, None) == said
+
+
+def test_what_drove_the_simulation_is_handed_back():
+    """The measured torque, or the recording as it is."""
+    take = SimpleNamespace(driven_by_measured_torque=lambda: "by the measured one")
+    assert fitting._driven([take], "measured") == ("by the measured one",)
+    assert fitting._driven([take], "command") == (take,)
+
+
 @pytest.mark.parametrize(("worse", "goes"), [(1.009, True), (1.011, False)])
 def test_what_has_no_number_of_its_own_goes_unless_the_motion_is_followed_worse_by_a_hundredth(
     monkeypatch, worse, goes
@@ -358,18 +400,18 @@ def test_what_has_no_number_of_its_own_goes_unless_the_motion_is_followed_worse_
     monkeypatch.setattr(fitting, "_reasons", lambda *_: ["no recording shows it", f"{fitting.ALSO} drag", "", "unseen"])
     monkeypatch.setattr(fitting, "weighed", lambda problem, x: problem)
     monkeypatch.setattr(
-        fitting, "descend", lambda problem, x, free, *_: started.append((x.tolist(), free.tolist())) or x
+        fitting, "descend", lambda problem, x, free, *_: started.append((x.tolist(), free.tolist(), *_)) or x
     )
     monkeypatch.setattr(fitting, "linearise", lambda problem, x, free: solved(free=free, values=x))
     monkeypatch.setattr(fitting, "window_cost", lambda problem, square: square)
     near = solved(free=[True, True, False, True, True])
     again = solved(free=[True] * 5, values=[5.0, 6.0, 7.0, 8.0, 9.0])
     again.problem.hypothesis.nominal = np.array([1.0, 2.0, 3.0, 4.0, 4.5])
-    again.problem.errors = lambda x: np.where(x[0, :1] == 5.0, 1.0, worse)[:, None]
+    again.problem.errors = lambda x: np.where(x[0, :1] == 5.0, 0.01, 0.01 * worse)[:, None]
     again.problem.squares = lambda errors: errors
     needed = np.array([True, True, False, True, False])
-    found, left = fitting._without_unknown(near, again, needed, None, None)
-    assert started == [([1.0, 6.0, 7.0, 8.0, 9.0], [False, True, False, True, False])]
+    found, left = fitting._without_unknown(near, again, needed, None, "deadline")
+    assert started == [([1.0, 6.0, 7.0, 8.0, 9.0], [False, True, False, True, False], 2, "deadline")]
     assert left.tolist() == ([False, True, False, True, False] if goes else needed.tolist())
     assert (found is again) is not goes
     assert fitting._without_unknown(near, again, np.array([False, True, True, True, False]), None, None)[0] is again
@@ -379,9 +421,13 @@ def test_what_has_no_number_of_its_own_goes_unless_the_motion_is_followed_worse_
 def test_the_first_fit_that_is_not_worse_than_the_given_model_is_stated_or_none(monkeypatch, first, second, stated):
     points = [np.array([first]), np.array([second])]
     needed = [np.array([True]), np.array([False])]
-    score = lambda takes, h, x, *_: (SimpleNamespace(before=1.0, after=x[0]),)  # noqa: E731
+
+    def score(takes, h, x, noise, rng, again):
+        assert (takes, noise, again) == ("takes", "noise", "again")
+        return SimpleNamespace(before=1.0, after=x[0]), "errors"
+
     monkeypatch.setattr(fitting, "score", score)
-    train = SimpleNamespace(takes=(), position_noise=None, repeatability=None)
+    train = SimpleNamespace(takes="takes", position_noise="noise", repeatability="again")
     x, left = fitting._no_worse(SimpleNamespace(nominal=np.array([7.0])), points, needed, train, 0)
     assert (x[0], left[0]) == ((7.0, False) if stated is None else (points[stated][0], needed[stated][0]))
 
@@ -400,7 +446,8 @@ def test_half_of_the_free_memory_is_shared_by_what_is_fitted_and_what_is_kept_as
         return SimpleNamespace(signals=[SimpleNamespace(kernel=0.125)])
 
     def take(name):
-        return SimpleNamespace(joint_names=("b", "a"), ordered=lambda order: (name, order))
+        names = ("b", "a") if name == "one" else ("a", "b")
+        return SimpleNamespace(joint_names=names, ordered=lambda order: (name, order))
 
     monkeypatch.setattr(fitting, "free_memory", lambda: 2 * (0.9e9 + 600.0 * 1000))
     monkeypatch.setattr(fitting, "cut_stretches", lambda r, longest, values: cut.append((longest, values)) or r)
@@ -421,8 +468,8 @@ def test_half_of_the_free_memory_is_shared_by_what_is_fitted_and_what_is_kept_as
 )
 def test_the_corrected_model_takes_what_the_robot_was_sent(tmp_path, monkeypatch, targets, commands):
     """Torques or targets; of recordings of both kinds, what the given model takes."""
-    told = []
-    picture = SimpleNamespace(savefig=lambda path, dpi: None)
+    told, drawn = [], []
+    picture = SimpleNamespace(savefig=lambda path, dpi: drawn.append(path))
     monkeypatch.setattr("torchrl_athletic.diagnosis.report.fit_picture.fit_picture", lambda fitted: picture)
     monkeypatch.setattr(
         fitting, "corrected_xml", lambda xml, corrected, sent: told.append((xml, corrected, sent)) or ""
@@ -431,6 +478,7 @@ def test_the_corrected_model_takes_what_the_robot_was_sent(tmp_path, monkeypatch
     corrected = SimpleNamespace(to_json=dict)
     Fit((), None, corrected, {}, (), "m", "<xml/>", 1.23456, recordings).save(tmp_path)
     assert told == [("<xml/>", corrected, commands)]
+    assert drawn == [tmp_path / "fit.png"]
     assert json.loads((tmp_path / "corrected.json").read_text()) == {"model_xml": "<xml/>"}
     assert json.loads((tmp_path / "fit.json").read_text())["seconds"] == 1.2
 
@@ -439,27 +487,36 @@ def test_the_corrected_model_takes_what_the_robot_was_sent(tmp_path, monkeypatch
 def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is_the_given_models(
     monkeypatch, extended
 ):
-    """Of four numbers the third is fixed, the fourth not needed; the first is taken back."""
+    """Of five numbers the fourth is fixed; the last is not needed, nor is one of the spring's; the first goes back."""
     names = ("drag", "spring", "fixed", "idle")
     terms = tuple(
         Candidate(
             SimpleNamespace(name=n),
             k // 2,
             ("elbow", "wrist")[k // 2],
-            (Parameter("p", "1", k / 8, 0.0, 9.0 * (n != "fixed"), 1.0),),
+            (Parameter("p", "1", k / 8, 0.0, 9.0 * (n != "fixed"), 1.0),) * (1 + (n == "spring")),
         )
         for k, n in enumerate(names)
     )
     h, told, begun = Hypothesis(terms), {}, []
-    needed = np.array([True, True, False, False])
+    needed = np.array([True, True, False, False, False])
 
     def step(windows, held):
         told["step"] = (windows.tolist(), held.tolist())
-        return np.array([1.0, 2.0, 0.25, 0.375])
+        return np.array([1.0, 2.0, 0.125, 0.25, 0.375])
+
+    class Clock:
+        """Whose parts say which shares of the time they are; it tells what was asked for."""
+
+        def __init__(self, seconds):
+            told["budget"] = seconds
+
+        def part(self, share):
+            return SimpleNamespace(share=share, allows=lambda seconds: told.update(allowed=(share, seconds)) or True)
 
     problem = SimpleNamespace(hypothesis=h)
-    near = SimpleNamespace(problem=problem, normal=np.zeros((3, 1, 1)), step=step, values=np.full(4, 5.0), seconds=0.0)
-    again = SimpleNamespace(seconds=0.0, values=np.array([1.5, 2.5, 0.25, 0.375]))
+    near = SimpleNamespace(problem=problem, normal=np.zeros((3, 1, 1)), step=step, values=np.full(5, 5.0), seconds=0.0)
+    again = SimpleNamespace(seconds=2.0, values=np.array([1.5, 2.5, 0.125, 0.25, 0.375]))
     joint = {"before": 1.0, "after": 1.0, "floor": 0.0625}
     made = iter(["train", "aside"])
 
@@ -468,52 +525,83 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         return SimpleNamespace(takes=name, position_noise=f"{name} noise", repeatability=name,
                                signals=[SimpleNamespace(kernel=1.0)])  # fmt: skip
 
-    def score(takes, h, x, noise, rng, *_):
+    def score(takes, h, x, noise, rng, *again):
         begun.append((takes, noise, x.tolist(), rng.random()))
-        return (SimpleNamespace(before=1.0, after=1.0, per_joint={"elbow": joint}),)
+        assert again == (takes,) or (takes, len(begun)) == ("aside", 2)  # the floor of what is taken back is theirs
+        return SimpleNamespace(before=1.0, after=1.0, per_joint={"elbow": joint}), "errors"
 
     def note(name, value):
         return lambda *given: told.update({name: given}) or value
 
     stand_ins = {
         "prepare": prepare, "score": score, "seen_in": lambda train: "seen", "standard_joints": lambda train, seen: h,
-        "starts": note("starts", "starts"), "search": note("search", near), "agreement": lambda h, train: "torques",
-        "with_gear": note("gear", near), "extend": note("extend", near), "prune": lambda *_: needed,
-        "best_of": note("best_of", [np.array([1.0, 2.0, 0.25, 0.375])]),
+        "starts": note("starts", "starts"), "search": note("search", near), "agreement": lambda *given: given,
+        "with_gear": note("gear", near), "extend": note("extend", near), "prune": note("prune", needed),
+        "best_of": note("best_of", [np.array([1.0, 2.0, 0.125, 0.25, 0.375])]), "Deadline": Clock,
         "weighed": lambda problem, x: (problem, x.tolist()), "descend": note("descend", again.values),
-        "linearise": note("linearise", again), "_without_unknown": lambda near, again, needed, *_: (again, needed),
+        "linearise": note("linearise", again), "_without_unknown": note("without", (again, needed)),
         "vetoed": note("vetoed", [terms[0]]), "veto_sentence": lambda gone, moved: " ".join(moved),
         "cut_stretches": lambda r, *_: r, "recorded_time": lambda r: [0.0, 1.0],
         "load_model": lambda model: (None, "<xml/>", "m"), "_binds": lambda p, bounds: "",
-        "_parameters": lambda h, near, again, y, needed, seen: tuple(
+        "_parameters": lambda *given: told.update(parameters=given) or tuple(
             friction(effect=c.effect.name, given=c.parameters[0].nominal, value=float(v))
-            for c, v in zip(terms, y, strict=True) if c.effect.name != "fixed"
+            for c in terms if c.effect.name != "fixed" for v in h.values_of(c, given[3])
         ),
     }  # fmt: skip
     for name, stand_in in stand_ins.items():
         monkeypatch.setattr(fitting, name, stand_in)
     takes = [SimpleNamespace(joint_names=("elbow",), ordered=lambda order: None) for _ in range(2)]
-    fitted = fit("model", takes[:1], takes[1:], extended=extended, seed=3)
-    assert told["step"] == ([True] * 3, [False, False, True])
-    assert told["descend"][:3] == ((problem, [1.0, 2.0, 0.25, 0.375]), pytest.approx([1.0, 2.0, 0.25, 0.375]), needed)
-    assert [x.tolist() for x in told["best_of"][1]] == [[1.0, 2.0, 0.25, 0.375], [5.0, 5.0, 0.25, 0.375]]
-    assert told["search"][1:3] == ("train", "starts")
+    stages, progress = [], SimpleNamespace(update=lambda fraction: told.update(done=fraction))
+    progress.stage = stages.append
+    fitted = fit("model", takes[:1], takes[1:], extended=extended, seed=3, time_budget=60.0, progress=progress)
+    assert stages == [name for name in fitting.STAGES if extended or name != "extend"]
+    assert (told["done"], told["budget"]) == (1.0, 60.0)
+    assert told["step"] == ([True] * 3, [False, False, True, True])
+    pruned = [1.0, 2.0, 0.125, 0.25, 0.375]
+    assert told["descend"][:3] == ((problem, pruned), pytest.approx(pruned), needed)
+    assert [x.tolist() for x in told["best_of"][1]] == [pruned, [5.0, 5.0, 0.125, 0.25, 0.375]]
+    train = told["starts"][1]
+    assert train.takes == "train"
+    assert (told["starts"][0], told["starts"][2]) == (h, "seen")
+    assert told["search"][:3] == (h, "train", "starts")
+    assert told["search"][5:] == ((h, train), progress.update)
     assert ("extend" in told, "gear" in told) == (extended, extended)
+    if extended:
+        assert told["gear"][:2] == (near, train)
+        assert told["extend"][:3] == (near, train, "seen")
+        assert told["extend"][4] is progress.update
+    assert told["prune"][0] is near
+    assert told["prune"][2] is progress.update
+    assert told["without"][:4] == (near, again, needed, "seen")
+    assert told["parameters"][:3] == (h, near, again)
+    assert told["parameters"][5] == "seen"
+    # each stage has time until a later share of all
+    parts = [told["search"][4], *((told["gear"][3], told["extend"][3]) if extended else ()), told["prune"][1],
+             told["descend"][4], SimpleNamespace(share=told["allowed"][0]), told["without"][4]]  # fmt: skip
+    shares = [part.share for part in parts]
+    assert shares == sorted(set(shares))
+    assert 0.0 < shares[0] < shares[-1] < 1.0
+    assert told["allowed"][1] == 6.0  # it takes three times as long as a slope
     assert told["vetoed"][1] is again.values
     assert told["vetoed"][2] == "aside"
+    assert told["vetoed"][3].random() == begun[1][3]  # of the same windows
     assert told["vetoed"][4].tolist() == [0.0625]
     assert [(p.effect, p.value, p.state) for p in fitted.parameters] == [
-        ("drag", 0.0, "taken back"), ("spring", 2.5, "identified"), ("idle", 0.375, "identified"),
+        ("drag", 0.0, "taken back"), ("spring", 2.5, "identified"), ("spring", 0.125, "identified"),
+        ("idle", 0.375, "identified"),
     ]  # fmt: skip
     assert fitted.corrected.hypothesis.terms == (terms[1],)
-    assert fitted.corrected.values.tolist() == [2.5]
+    assert fitted.corrected.values.tolist() == [2.5, 0.125]
     assert fitted.nominal.hypothesis.terms == ()
     assert fitted.remarks == ("elbow elbow",)
+    assert (fitted.recordings, fitted.heldout) == (tuple(takes[:1]), tuple(takes[1:]))
+    assert 0.0 <= fitted.seconds < 60.0
     assert set(fitted.scores) == {"train", "heldout"}
     # what was searched, what was decided and what is stated of a set of recordings are of the same windows
     assert [(takes, noise, x) for takes, noise, x, _ in begun] == [
-        ("train", "train noise", [1.5, 2.5, 0.25, 0.375]), ("aside", "aside noise", [1.5, 2.5, 0.25, 0.375]),
-        ("train", "train noise", [2.5]), ("aside", "aside noise", [2.5]),
+        ("train", "train noise", [1.5, 2.5, 0.125, 0.25, 0.375]),
+        ("aside", "aside noise", [1.5, 2.5, 0.125, 0.25, 0.375]),
+        ("train", "train noise", [2.5, 0.125]), ("aside", "aside noise", [2.5, 0.125]),
     ]  # fmt: skip
     assert begun[0][3] == begun[2][3] != begun[1][3] == begun[3][3]
 

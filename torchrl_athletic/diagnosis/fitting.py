@@ -221,7 +221,6 @@ def fit(
         remarks.append(veto_sentence(gone, moved))
         parameters = tuple(_taken_back(p, gone) for p in parameters)
         for c in gone:
-            h.values_of(c, y)[:] = [p.nominal for p in c.parameters]
             h.values_of(c, needed)[:] = False
     nominal = Simulation(compiled, tuple(order), Hypothesis(()), np.zeros(0))
     terms = tuple(c for c in h.terms if any(h.values_of(c, needed)))
