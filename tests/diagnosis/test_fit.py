@@ -457,3 +457,126 @@ def test_what_is_no_part_of_a_hypothesis_has_no_values_in_it():
     friction, scale = (candidate(e, r, pendulum()) for e in (ViscousFriction(), TorqueScale()))
     with pytest.raises(ValueError, match="torque_scale"):
         Hypothesis((friction,)).values_of(scale, np.zeros(1))
+
+
+# --- the order of a fit, and its parts on problems with a known answer ---
+
+
+@pytest.mark.parametrize("stepped", [False, True])
+@pytest.mark.parametrize("followed", [("b",), ()])
+def test_a_fit_goes_from_short_windows_to_telling_ones_to_takes_that_it_follows_from_end_to_end(
+    monkeypatch, stepped, followed
+):
+    """In units of a quarter of what may be, or of the scale; a loop that is stepped through has one shorter round."""
+    own = [Parameter("p0", "1", 0.0, 0.0, 2.0, 1.0), Parameter("p1", "1", 0.0, -50.0, 50.0, 2.5)]
+    h = Hypothesis((Candidate(SimpleNamespace(name="law"), 0, "hip", tuple(own)),))
+    takes, names = [SimpleNamespace(parts=("a", "b")), SimpleNamespace(parts=("c",))], fit.__globals__
+    drawn, solved, told = [], [], {}
+    rng = np.random.default_rng(0)
+
+    def telling(hypothesis, its_takes, values, windows, dice):
+        assert (hypothesis, its_takes, dice) == (h, takes, rng)
+        told["begin"] = values.tolist()
+        return [*windows, "telling"]
+
+    def solve(problem, x, low, high, iterations):
+        solved.append((problem[1], (low.tolist(), high.tolist()), iterations))
+        assert problem[0] is h
+        assert problem[2].tolist() == [0.5, 2.5]
+        np.testing.assert_array_equal(problem[3], x)
+        return x + 1.0
+
+    def bootstrap(problem, x, dice, low, high):
+        told["bootstrap"] = (problem[1], x.tolist(), low.tolist(), high.tolist())
+        return np.ones((3, 2)), 0.25
+
+    stand_ins = {
+        "_is_stepped": lambda hypothesis, take, values: stepped and take is takes[1],
+        "draw_windows": lambda its_takes, seconds, most, dice: drawn.append((seconds, most)) or [f"{seconds} s"],
+        "_with_telling": telling, "_solve": solve, "_Problem": lambda *given: given, "_bootstrap": bootstrap,
+        "simulate": lambda w, build, values: [f"end of {w} at {values.tolist()}"],
+        "window_rmse": lambda windows, ends: told.update(ends=ends) or ("typical", None),
+        "windows_of": lambda part, seconds: (part, seconds),
+        "_follows": lambda hypothesis, w, values, typical: w[0] in followed and w[1] is None and typical == "typical",
+    }  # fmt: skip
+    for name, stand_in in stand_ins.items():
+        monkeypatch.setitem(names, name, stand_in)
+    progress = []
+    found = fit(h, takes, np.array([3.0, 2.5]), rng, max_windows=60, max_iter=8, progress=progress.append)
+    bounds = ([0.0, -20.0], [4.0, 20.0])
+    whole = [(part, None) for part in followed if not stepped]
+    last = ["0.5 s", "telling"]
+    rounds = [(last, bounds, 4)] if stepped else [(["0.2 s"], bounds, 8), (last, bounds, 8)]
+    assert drawn == ([(0.5, 30)] if stepped else [(0.2, 60), (0.5, 60)])
+    assert told["begin"] == [2.0, 2.5]  # within the bounds
+    assert solved == rounds + [(last + whole, bounds, 4)] * bool(whole)
+    steps = len(solved)
+    ended = [[0.5 * (4.0 + len(rounds)), 2.5 * (1.0 + len(rounds))]]
+    assert told["ends"] == [f"end of {w} at {ended}" for w in last]
+    assert told["bootstrap"] == (last + whole, [4.0 + steps, 1.0 + steps], *bounds)
+    assert found.values.tolist() == [2.0, 2.5 * (1.0 + steps)]
+    assert (found.samples.tolist(), found.cost) == ([[0.5, 2.5]] * 3, 0.25)
+    assert progress == sorted(progress)
+    assert progress[-1] == 1.0
+
+
+def test_a_take_is_followed_within_a_tenth_of_each_joints_own_travel(monkeypatch):
+    travel = np.linspace(0.0, 1.0, 21)[None, :, None] * [1.0, 0.1] + 10.0
+    whole, names = SimpleNamespace(start=np.zeros(1), measured=travel), _follows.__globals__
+    monkeypatch.setitem(names, "simulate", lambda w, build, values: ["end"])
+    for error, loose in (((0.09, 0.009), True), ((0.11, 0.009), False), ((0.09, 0.011), False)):
+        monkeypatch.setitem(names, "window_rmse", lambda windows, ends, error=error: (np.array(error), None))
+        assert _follows(Hypothesis(()), whole, np.zeros(0), np.ones(2)) is loose
+    whole.start = np.zeros(0)
+    assert not _follows(Hypothesis(()), whole, np.zeros(0), np.ones(2))
+
+
+@pytest.mark.parametrize("at_once", [2, 200])
+def test_what_a_term_does_is_told_by_its_absence_window_by_window(monkeypatch, at_once):
+    """By hand: a reading is twice the first number and thrice the second, which are 1 and 2, and 0.5 and 0 as given."""
+    own = [(Parameter(name, "1", given, 0.0, 9.0, 1.0),) for name, given in (("p0", 0.5), ("p1", 0.0))]
+    terms = tuple(Candidate(SimpleNamespace(name=f"law{k}"), k, "hip", p) for k, p in enumerate(own))
+    h, names = Hypothesis(terms), _with_telling.__globals__
+    monkeypatch.setitem(names, "SIMULATION", replace(names["SIMULATION"], at_once=at_once))
+
+    def simulated(w, build, values):
+        assert len(w.start) <= at_once
+        return (2 * values[:, 0] + 3 * values[:, 1])[:, None, None, None] * np.array([1.0, 2.0]) * np.ones(
+            (1, len(w.start), 4, 1)
+        )
+
+    monkeypatch.setitem(names, "simulate", simulated)
+    take = SimpleNamespace(measured=np.repeat([[0.0, 0.0], [8.0, 8.0], [1.0, 1.0]], [1, 4, 16], axis=0))
+    windows = [Windows(take, np.array([0, 4, 8]), 4), Windows(take, np.array([12]), 4)]
+    values = np.array([1.0, 2.0])
+    moved, error, error_without = names["_actions"](h, windows, values)
+    assert values.tolist() == [1.0, 2.0]
+    np.testing.assert_allclose(moved, [[[1.0, 4.0]] * 4, [[36.0, 144.0]] * 4])
+    np.testing.assert_allclose(error, [[0.0, 64.0], *[[49.0, 225.0]] * 3])
+    np.testing.assert_allclose(error_without[0], [[1.0, 36.0], *[[36.0, 169.0]] * 3])
+    np.testing.assert_allclose(error_without[1], [[36.0, 16.0], *[[1.0, 9.0]] * 3])
+
+
+def test_replicates_scatter_by_the_windows_gradients_over_their_curvature_and_that_of_the_tolerances():
+    """Of 60 windows with slopes of 1 and residuals of ±1 a mean scatters by 1 / √60, and by half beside as much."""
+
+    def linear(prior):
+        slope = np.append(np.ones(60), prior)
+        rest = np.append(np.where(np.arange(60) % 2, 1.0, -1.0), -prior * 3.0)  # a tolerance that is used pulls
+        problem = SimpleNamespace(groups=lambda: np.arange(60))
+        problem.residual = lambda x: slope[:, None] * x + rest[:, None]
+        return problem
+
+    far = np.array([-99.0]), np.array([99.0])
+    for prior, spread in ((0.0, 1 / np.sqrt(60)), (np.sqrt(60.0), 0.5 / np.sqrt(60))):
+        samples, cost = _bootstrap(linear(prior), np.zeros(1), np.random.default_rng(0), *far)
+        assert samples.shape == (200, 1)
+        assert samples.std() == pytest.approx(spread, rel=0.15)
+        assert abs(samples.mean()) < 0.2 * spread
+        assert cost == pytest.approx(1.0)
+
+
+def test_least_squares_end_at_the_bound_before_their_answer():
+    problem = SimpleNamespace(residual=lambda x: np.concatenate([x - [[3.0], [-1.0]], 0.1 * x]))
+    x = fit.__globals__["_solve"](problem, np.zeros(2), np.array([-5.0, -0.5]), np.array([2.0, 5.0]), 8)
+    assert x == pytest.approx([2.0, -0.5], abs=1e-3)
