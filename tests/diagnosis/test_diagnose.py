@@ -2,6 +2,7 @@
 
 import json
 import sys
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from torchrl_athletic.diagnosis.model import ModelError, load_model
 from torchrl_athletic.diagnosis.report.words import grounds_words
 from torchrl_athletic.diagnosis.resources import OutOfTime
 from torchrl_athletic.diagnosis.stages import Decided, Given, Located, Proposed, Simulated
+from torchrl_athletic.diagnosis.thresholds import SPENDING
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings import Recording, RecordingError
 
@@ -303,6 +305,43 @@ def staged(monkeypatch, stops="", error=KeyboardInterrupt, simulated=SIMULATED):
         monkeypatch.setattr(diagnosing, name, stage(name, result))
     progress = SimpleNamespace(stage=begun.append, update=lambda share: None, now="now")
     return begun, SimpleNamespace(progress=progress, left=lambda *_: None)
+
+
+def test_each_stage_works_on_what_the_last_one_found_until_its_share_of_the_time_is_spent(monkeypatch):
+    """All but what it takes to tell is there to find; a part of that is there to tell."""
+    told, rings, shares = [], [], []
+
+    @contextmanager
+    def alarm(seconds):
+        rings.append((seconds, len(told)))
+        yield
+
+    _, run = staged(monkeypatch)
+    names = ("_prepare", "_locate", "propose", "simulate", "decide", "state", "deliver")
+    for name in names:
+        result = getattr(diagnosing, name)()
+        monkeypatch.setattr(diagnosing, name, lambda *given, result=result: told.append(given) or result)
+    monkeypatch.setattr(diagnosing, "alarm", alarm)
+    run.left = lambda *share: shares.append(share) or len(shares)
+    run.progress.update = lambda share: told.append(share)
+    assert diagnosing._diagnosed("given", run, "out") == "delivered"
+    assert told == [
+        ("given", run), ("ready",), (LOCATED, run), (SIMULATED.proposed, run), (SIMULATED,), (DECIDED,),
+        ("stated", "out"), 1.0,
+    ]  # fmt: skip
+    assert shares == [(SPENDING.to_find, SPENDING.telling), (SPENDING.to_tell,)]
+    assert rings == [(1, 2), (2, 6)]
+
+
+def test_where_the_error_is_is_looked_for_in_what_was_fitted_by_the_seed(monkeypatch):
+    monkeypatch.setattr(diagnosing, "Bank", lambda signals, candidates: (signals, candidates))
+    monkeypatch.setattr(diagnosing, "locate", lambda bank, rng: ("where", bank, rng))
+    ready = SimpleNamespace(
+        train=SimpleNamespace(signals="signals"), given=SimpleNamespace(rng=lambda purpose: f"dice for {purpose}")
+    )
+    found = diagnosing._locate(ready)
+    assert (found.ready, found.bank) == (ready, ("signals", ()))
+    assert found.locations == ("where", ("signals", ()), "dice for locate")
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])

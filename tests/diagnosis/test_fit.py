@@ -541,8 +541,10 @@ def test_what_a_term_does_is_told_by_its_absence_window_by_window(monkeypatch, a
 
     def simulated(w, build, values):
         assert len(w.start) <= at_once
-        return (2 * values[:, 0] + 3 * values[:, 1])[:, None, None, None] * np.array([1.0, 2.0]) * np.ones(
-            (1, len(w.start), 4, 1)
+        return (
+            (2 * values[:, 0] + 3 * values[:, 1])[:, None, None, None]
+            * np.array([1.0, 2.0])
+            * np.ones((1, len(w.start), 4, 1))
         )
 
     monkeypatch.setitem(names, "simulate", simulated)

@@ -1,13 +1,14 @@
 """Which combinations are tried in the simulation, and when effects are asked about alone."""
 
 import importlib
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
@@ -280,3 +281,82 @@ def test_each_set_of_recordings_is_scored_with_its_own_noise_and_windows(monkeyp
     monkeypatch.setattr(stage, "score", lambda *told: (" ".join(told), 0))
     scores = stage.scores_of(SimpleNamespace(hypothesis="h", values="x"), ready)
     assert scores == {name: f"{name} takes h x {name} noise {name} dice {name} again" for name in sets}
+
+
+def test_a_fit_that_was_kept_comes_back_as_it_was_with_the_bounds_of_its_hypothesis(monkeypatch):
+    h, kept = Hypothesis((candidate("friction"), candidate("spring"))), {}
+    samples = np.arange(10.0).reshape(5, 2)
+    monkeypatch.setattr(stage, "_adjusted", lambda option: set())
+    monkeypatch.setattr(stage, "_hypothesis", lambda option, drive, adjusted: (h, "x"))
+    monkeypatch.setattr(stage, "fit", lambda *_: Fitted(h, np.array([1.0, 2.0]), samples, 0.75))
+    monkeypatch.setattr(stage, "idle_terms", lambda *_: ())
+    monkeypatch.setattr(stage, "scored", lambda proposal, fitted, ready: fitted)
+    monkeypatch.setattr(stage, "_without_small", lambda fitted, given: fitted)
+
+    def result(key, compute, encode, decode):
+        assert key == key_of(h)
+        kept.setdefault(key, json.dumps(encode(compute())))
+        return decode(json.loads(kept[key]))
+
+    ready = SimpleNamespace(given=SimpleNamespace(rng=lambda purpose: None), train=SimpleNamespace(takes=()))
+    proposed = SimpleNamespace(located=SimpleNamespace(ready=ready), drive=None, options=())
+    found = stage._trial(None, proposed, SimpleNamespace(checkpoint=SimpleNamespace(result=result)))
+    assert (found.hypothesis.terms, found.hypothesis.trims) == (h.terms, ())
+    assert (found.values.tolist(), found.samples.tolist(), found.cost) == ([1.0, 2.0], samples.tolist(), 0.75)
+
+
+@pytest.mark.parametrize("rates", [(100.0, 50.0), (50.0, 100.0)])
+def test_what_is_too_small_for_a_name_by_the_slowest_clock_stays_as_a_trim(monkeypatch, rates):
+    h, asked = Hypothesis((candidate("friction"), candidate("clock")), (candidate("mass"),)), []
+
+    def is_trim(c, values, period, joints):
+        asked.append((c, values.tolist(), period, joints))
+        return c.effect.name == "clock"
+
+    monkeypatch.setattr(stage, "is_trim", is_trim)
+    given = SimpleNamespace(recordings=[SimpleNamespace(rate=rate) for rate in rates], joint_names=("hip", "knee"))
+    found = stage._without_small(Fitted(h, np.array([1.0, 2.0, 3.0]), np.zeros((4, 3)), 0.0), given)
+    assert asked == [(h.terms[0], [1.0], 0.02, 2), (h.terms[1], [2.0], 0.02, 2)]
+    assert (found.hypothesis.terms, found.hypothesis.trims) == (h.terms[:1], (h.terms[1], h.trims[0]))
+    assert found.values.tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "added"),
+    [({}, 1), ({"trials": ()}, 0), ({"stopped": True}, 0), ({"late": True}, 0), ({"drive": "drive"}, 0),
+     ({"kept": None}, 0)],
+)  # fmt: skip
+def test_the_standard_joints_need_time_a_first_trial_a_whole_chain_and_something_to_keep(monkeypatch, change, added):
+    work, told = Started(monkeypatch, 0.5, True, True, 9.0), []
+    fitted = change.get("kept", "fitted")
+    monkeypatch.setattr(stage, "standard_joints_of", lambda given, run: told.append(given) or fitted)
+    monkeypatch.setattr(stage, "in_torques", lambda judge, fitted: SimpleNamespace(evidence=3.0, of=(judge, fitted)))
+    monkeypatch.setattr(stage, "_without_small", lambda fitted, given: (fitted, given))
+    monkeypatch.setattr(stage, "scored", lambda *given: SimpleNamespace(proposal=given[0], given=given[1:]))
+    ready = SimpleNamespace(given="given")
+    proposed = SimpleNamespace(located=SimpleNamespace(ready=ready), drive=change.get("drive"))
+    begun = replace(work.begun, proposed=proposed, trials=change.get("trials", work.begun.trials),
+                    stopped=change.get("stopped", False))  # fmt: skip
+    run = SimpleNamespace(late=lambda: change.get("late", False))
+    new = _with_joints(begun, run).trials[len(begun.trials) :]
+    assert len(new) == added
+    for trial in new:
+        assert trial.given == (("fitted", "given"), ready)
+        assert trial.proposal.best.of == (work.begun.trials[0].proposal.judge, "fitted")
+        assert told == ["given"]
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stage, "standard_joints_of", stopped)
+    assert _with_joints(begun, run).stopped is (bool(added) or "kept" in change or "stopped" in change)
+
+
+def test_what_was_proposed_is_tried_first_then_the_standard_joints_and_then_each_effect_alone(monkeypatch):
+    told = []
+    for name in ("_tried_all", "_with_joints", "_asked_alone"):
+        monkeypatch.setattr(stage, name, lambda done, run, name=name: told.append((name, run)) or done)
+    proposed = SimpleNamespace(options=("a", "b"))
+    done = stage.simulate(proposed, "run")
+    assert told == [("_tried_all", "run"), ("_with_joints", "run"), ("_asked_alone", "run")]
+    assert (done.proposed, done.trials, done.untried, done.stopped) == (proposed, (), ("a", "b"), False)

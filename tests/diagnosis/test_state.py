@@ -56,7 +56,7 @@ def test_what_is_taken_back_is_gone_from_the_stated_errors_too(monkeypatch):
     fitted = SimpleNamespace(hypothesis="laws", values="numbers")
     ready = SimpleNamespace(given=given, held=SimpleNamespace(takes="kept aside"))
     asked = []
-    monkeypatch.setattr(stating, "vetoed", lambda *told: asked.append(told) or gone)
+    monkeypatch.setattr(stating, "vetoed", lambda *told: asked.append(told) or list(gone))
     monkeypatch.setattr(stating, "without", lambda fitted, dropped: ("the rest", dropped))
     monkeypatch.setattr(stating, "scores_of", lambda fitted, ready: {"heldout": fitted})
     monkeypatch.setattr(stating, "veto_sentence", lambda dropped, names: "taken back")
@@ -66,6 +66,16 @@ def test_what_is_taken_back_is_gone_from_the_stated_errors_too(monkeypatch):
     assert found.fitted == ("the rest", gone)
     assert found.scores == {"heldout": ("the rest", gone)}
     assert found.sentences == ("before", "taken back")
+    gone.clear()
+    own_scores = {"train": own.scores["train"]}
+    for correction, held in (
+        (stating.Correction(fitted, own.scores), ready.held),  # nothing gets worse
+        (stating.Correction(fitted, own_scores), ready.held),
+        (stating.Correction(None, own.scores), ready.held),
+        (stating.Correction(fitted, own.scores), None),
+    ):
+        assert stating._kept(correction, SimpleNamespace(given=given, held=held)) is correction
+    assert len(asked) == 2
 
 
 def logged(kd, **metadata):
@@ -176,8 +186,8 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
     own = trial(4.0)
     own.scores["train"] = Score(9.0, 9.5 if worse else 2.0, 1.0, 0.0, {})
     kept = stating.Correction(SimpleNamespace(hypothesis="laws", values="numbers"), {"heldout": "kept"}, ("Why.",))
-    told = {}
-    given = SimpleNamespace(name="m", seed=7, inputs={}, model="model", joint_names=("hip",), base="fixed")
+    told = {"remarked": []}
+    given = SimpleNamespace(name="m", seed=7, inputs="digest", model="model", joint_names=("hip",), base="fixed")
     used = {"hip": STATEMENT.exercised, "knee": 0.9 * STATEMENT.exercised}
     ready = SimpleNamespace(given=given, train=SimpleNamespace(used_share=lambda: used))
     located = SimpleNamespace(ready=ready, locations=("where",))
@@ -185,11 +195,11 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
     monkeypatch.setattr(stating, "_findings", lambda decided: ("finding",))
     monkeypatch.setattr(stating, "verdict_of", lambda *a: told.update(judged=a) or (verdict, 0.25))
     monkeypatch.setattr(stating, "_best_followed", lambda decided: "best")
-    monkeypatch.setattr(stating, "_kept", lambda best, ready: kept)
+    monkeypatch.setattr(stating, "_kept", lambda best, ready: told.update(kept=(best, ready)) or kept)
     monkeypatch.setattr(stating, "summarise", lambda *a: told.update(summed=a) or ("Summary.",))
-    monkeypatch.setattr(stating, "_quality", lambda ready: {})
-    monkeypatch.setattr(stating, "_remarks", lambda decided, corrected: ("remark",))
-    monkeypatch.setattr(stating, "_maps", lambda decided: [])
+    monkeypatch.setattr(stating, "_quality", lambda ready: "quality")
+    monkeypatch.setattr(stating, "_remarks", lambda *given: told["remarked"].append(given) or ("remark",))
+    monkeypatch.setattr(stating, "_maps", lambda decided: ["map"])
     said = stating.state(decided, stopped)
     assert (
         (said.corrected.hypothesis, said.corrected.values) == ("laws", "numbers")
@@ -213,6 +223,12 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
     assert (said.answer.complete, said.answer.stage) == (not stopped, stopped or "deliver")
     assert said.answer.remarks == (() if stopped else ("remark",))
     assert (said.answer.unexplained_share, said.answer.seed) == (0.25, 7)
+    assert (said.answer.model, said.answer.inputs, said.answer.quality) == ("m", "digest", "quality")
+    assert (said.answer.verdict, said.answer.findings, said.answer.locations) == (verdict, ("finding",), ("where",))
+    assert (said.decided, said.maps) == (decided, ("map",))
+    assert told["remarked"] == ([] if stopped else [(decided, said.corrected)])
+    if corrected:
+        assert told["kept"] == ("best", ready)
 
 
 @pytest.mark.parametrize("named", [True, False])
@@ -235,13 +251,23 @@ def test_another_name_is_that_of_an_effect_that_acts_in_every_take(monkeypatch):
         SimpleNamespace(name=name, applies=lambda take, takes=takes: take in takes)
         for name, takes in (("everywhere", ("one", "two")), ("once", ("one",)), ("nowhere", ()))
     ]
-    monkeypatch.setattr(stating, "judge_findings", lambda *given: "findings")
+    asked = []
+
+    def judged(evidence, fitted, scores, sets):
+        asked.append((evidence, fitted, list(scores), sets))
+        return "findings"
+
+    monkeypatch.setattr(stating, "judge_findings", judged)
     monkeypatch.setattr(stating, "with_alternatives", lambda *given: given)
     given = SimpleNamespace(
         catalogue=catalogue, joint_names=("hip", "knee", "foot"), recordings=[logged((3.0, 0.0, 1.0))]
     )
     located = SimpleNamespace(ready=SimpleNamespace(given=given, train=SimpleNamespace(signals=("one", "two"))))
-    found, names, applying, damped = stating._findings(Decided(located, None, trial(2.0)))
+    own = trial(2.0)
+    found, names, applying, damped = stating._findings(Decided(located, "drive", own, sets={"term": "stand-ins"}))
+    (of_evidence, *of_fit) = asked[0]
+    assert of_evidence == ("drive", own.proposal)
+    assert of_fit == [own.fitted, list(own.scores.values()), {"term": "stand-ins"}]
     assert (found, names, damped) == ("findings", given.joint_names, ["hip", "foot"])
     assert [effect.name for effect in applying] == ["everywhere"]
     assert stating._findings(Decided(located)) == ()
