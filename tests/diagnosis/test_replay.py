@@ -729,3 +729,91 @@ def test_a_window_is_as_long_as_asked_where_one_piece_holds_it_and_shorter_piece
     first = len(joined.pieces[0].time)
     windows = windows_of(joined, 0.01 * (first + 20))
     assert (windows.length, windows.start.tolist()) == (first + 20, [first])
+
+
+# --- two joints that have nothing in common ---
+
+UNLIKE = {  # of the upper and the lower joint, in two sets
+    "delay": [[0.004, 0.013], [0.0, 0.006]],
+    "lag": [[0.03, 0.0], [0.01, 0.05]],
+    "kp_scale": [[1.3, 0.8], [0.7, 1.2]],
+    "kd_scale": [[0.6, 1.5], [1.4, 0.5]],
+    "encoder_scale": [[1.1, 0.9], [0.95, 1.05]],
+    "encoder_offset": [[0.05, -0.1], [-0.02, 0.03]],
+    "torque_limit": [[0.6, 0.25], [0.3, np.inf]],
+    "torque_scale": [[0.8, 1.2], [1.1, 0.9]],
+    "torque_offset": [[0.02, -0.05], [-0.03, 0.01]],
+}
+
+
+def unlike(names):
+    """Builds a set by its number, for joints in this order; the lower one has play, and is rubbed by a law."""
+    order = [("upper", "lower").index(name) for name in names]
+    low = names.index("lower")
+
+    def build(plant, values):
+        chosen = values[:, 0].astype(int)
+        for name, table in UNLIKE.items():
+            getattr(plant, name)[:] = np.array(table)[chosen][:, order]
+        Backlash().apply(plant, low, np.array([[0.02, 40.0], [0.01, 60.0]])[chosen])
+        Hysteresis().apply(plant, low, np.array([[0.05, 0.02], [0.02, 0.05]])[chosen])
+
+    return build
+
+
+def of_two_joints(targets: bool):
+    command = np.hstack([smooth_torque(1.6, 0.8, 1), smooth_torque(1.6, 0.4, 2)])
+    motors = '<motor joint="upper" ctrlrange="-0.5 0.4"/><motor joint="lower" ctrlrange="-0.1 0.2"/>'
+    xml = double_pendulum().replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>")
+    gains = {"kp": np.array([8.0, 3.0]), "kd": np.array([0.3, 0.1])} if targets else {}
+    return xml, record(xml, command, start=(0.3, -0.2), **gains)
+
+
+@pytest.mark.parametrize("targets", [False, True])
+def test_each_joint_and_each_set_has_numbers_of_its_own_whatever_their_order(targets):
+    xml, r = of_two_joints(targets)
+    found = []
+    for names in (("upper", "lower"), ("lower", "upper")):
+        w = windows_of(take(xml, r.ordered(names)), 0.5)
+        both = simulate(w, unlike(names), np.array([[0.0], [1.0]]))
+        alone = [simulate(w, unlike(names), np.array([[k]]))[0] for k in (0.0, 1.0)]
+        np.testing.assert_allclose(both, alone, rtol=0, atol=1e-12)
+        found.append(both)
+    np.testing.assert_allclose(found[0], found[1][..., ::-1], rtol=0, atol=1e-9)
+    assert np.abs(found[0][0] - found[0][1]).max() > 0.01
+
+
+@pytest.mark.parametrize("targets", [False, True])
+def test_joints_in_another_order_are_started_and_driven_alike(targets):
+    xml, r = of_two_joints(targets)
+    r = replace(r, velocity=np.gradient(r.position, r.time, axis=0))
+    noise = np.array([1e-5, 2e-4])
+    own, turned = (
+        take_of(x, mujoco.MjModel.from_xml_string(xml), n, 10 * n)
+        for x, n in ((r, noise), (r.ordered(("lower", "upper")), noise[::-1]))
+    )
+    assert own.model.opt.timestep == turned.model.opt.timestep
+    for name in ("measured", "position", "velocity", "torque"):
+        np.testing.assert_allclose(getattr(own, name), getattr(turned, name)[:, ::-1], atol=1e-12, err_msg=name)
+    np.testing.assert_allclose(own.start_noise, turned.start_noise[:, :, ::-1])
+    for delay in (0.0, 0.007):
+        np.testing.assert_array_equal(own.commands(delay), turned.commands(delay)[:, ::-1])
+
+
+def test_half_the_step_drives_each_piece_by_its_own_command():
+    whole = record(pendulum(), smooth_torque(4.0))
+    (joined,) = join([take(pendulum(), whole.slice(*ends), period=0.01) for ends in ((0, 150), (200, 400))])
+    for delay in (0.0, 0.01):
+        fine = joined.halved().commands(delay)
+        np.testing.assert_allclose(fine.reshape(-1, 2, 1).mean(1), joined.commands(delay), atol=1e-9)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_the_step_is_short_for_the_joint_whose_gain_asks_for_it(joint):
+    xml, r = of_two_joints(True)
+    given = take(xml, r)
+    inertia = np.diag(replay.inertia_matrix(given.model, given.address, r.position[:1])[0])
+    kd = np.where(np.arange(2) == joint, inertia / STEP, 1e-6)  # three times what an explicit step bears well
+    t = take(xml, replace(r, kd=kd))
+    assert 0.2 < t.model.opt.timestep * kd[joint] / inertia[joint] <= 0.3
+    assert t.period == pytest.approx(1 / RATE)
