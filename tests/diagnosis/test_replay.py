@@ -14,7 +14,7 @@ from torchrl_athletic.diagnosis import replay
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.replay import join, simulate, take_of, windows_of
-from torchrl_athletic.effects import Backlash, Hysteresis, LoadDependentFriction, ThermalDrift
+from torchrl_athletic.effects import Backlash, Compliance, Hysteresis, LoadDependentFriction, ThermalDrift
 from torchrl_athletic.effects.base import BaseMotion
 from torchrl_athletic.effects.plant import Law
 from torchrl_athletic.recordings import Recording, sensor_noise
@@ -817,3 +817,53 @@ def test_the_step_is_short_for_the_joint_whose_gain_asks_for_it(joint):
     t = take(xml, replace(r, kd=kd))
     assert 0.2 < t.model.opt.timestep * kd[joint] / inertia[joint] <= 0.3
     assert t.period == pytest.approx(1 / RATE)
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 400.0])
+@pytest.mark.parametrize(
+    ("effect", "values", "gap"), [(Compliance(), [10.0, 0.5], 0.0), (Backlash(), [0.02, 10.0], 0.02)]
+)
+def test_what_rests_under_a_load_stays_at_rest_behind_a_gear_that_gives_way(effect, values, gap, rate):
+    """The encoder reads the motor, which is ahead of the link by half of the gap and by what the load bends."""
+    load = 0.5 * 9.81 * 0.4 * np.sin(0.5)
+    still = np.ones((int(rate), 1))
+    time, read = np.arange(len(still)) / rate, 0.5 + gap / 2 + load / 10.0
+    held = Recording(time, ("pendulum",), read * still, torque_command=load * still)
+    w = windows_of(take(pendulum(joint='armature="0.02"'), held), 0.3)
+    found = simulate(w, lambda plant, x: effect.apply(plant, 0, np.tile(values, (plant.rows, 1))), NOTHING)[0]
+    np.testing.assert_allclose(found, read, atol=2e-3)
+
+
+def test_what_is_joined_is_each_piece_after_the_other_in_all_that_was_measured():
+    whole = record(pendulum(), smooth_torque(4.0), noise=1e-3)
+    pieces = [take(pendulum(), whole.slice(*ends), 1e-3, period=0.01) for ends in ((0, 150), (200, 400))]
+    (joined,) = join(pieces)
+    for name in ("time", "measured", "position", "velocity", "torque"):
+        expected = np.concatenate([getattr(piece, name) for piece in pieces])
+        np.testing.assert_array_equal(getattr(joined, name), expected, err_msg=name)
+    np.testing.assert_array_equal(joined.start_noise, np.hstack([piece.start_noise for piece in pieces]))
+    assert np.abs(joined.measured - joined.position).max() > 1e-4
+    assert windows_of(joined, 1e-4).length == 1  # no window is shorter than a sample
+
+
+def test_a_base_that_swings_is_as_fast_as_its_path_and_as_uncertain_as_its_stamps_make_it(monkeypatch):
+    time = np.arange(600) / RATE
+    pose = np.hstack([np.sin(3 * time)[:, None], np.zeros((600, 2)), np.ones((600, 1)), np.zeros((600, 3))])
+    monkeypatch.setattr(replay, "pose_of", lambda recording, model: pose)
+    monkeypatch.setattr(replay, "base_noise", lambda recording: (1e-6, 1e-6))
+    (base, quiet), (_, late) = (replay._base_of(SimpleNamespace(time=time), None, time, 0.1, s) for s in (0.0, 1e-3))
+    inside = slice(50, -50)
+    np.testing.assert_allclose(base.velocity[inside, 0], 3 * np.cos(3 * time[inside]), atol=0.02)
+    np.testing.assert_allclose(base.acceleration[inside, 0], -9 * np.sin(3 * time[inside]), atol=0.2)
+    assert np.median(late[:, 0]) > 100 * np.median(quiet[:, 0])
+    np.testing.assert_allclose(late[:, 1:], quiet[:, 1:])  # what does not move is not off
+
+
+def test_a_rough_velocity_is_smoothed_over_the_longest_test_function_and_no_less_than_a_sample():
+    """White noise: a derivative behind a Gaussian of twice the width has 2^1.5 times less of it."""
+    noise = np.random.default_rng(0).normal(size=(4000, 8))
+    narrow, wide = (replay._rough_velocity(noise, 0.01, longest).std() for longest in (0.05, 0.1))
+    assert narrow / wide == pytest.approx(2**1.5, rel=0.05)
+    np.testing.assert_array_equal(*(replay._rough_velocity(noise, 0.01, longest) for longest in (0.01, 0.001)))
+    ramp = np.arange(50.0)[:, None]
+    np.testing.assert_allclose(replay._rough_velocity(ramp, 0.5, 0.5)[5:-5], 2.0)

@@ -42,6 +42,8 @@ ONSET = 0.02
 """Time over which the torque that it starts from is averaged [s]."""
 OBSERVER = 100.0
 """How fast the motor of an observer returns to the measured position [1/s]."""
+OBSERVED = 0.5
+"""Longest step of an observer, per the time in which its motor returns [1]: from 0.83 on it is unstable."""
 CONTACT_STEP = 0.001
 """Time step of teeth that touch and part [s]."""
 ROTOR_FLOOR = 0.02
@@ -299,7 +301,7 @@ def observed(
     Returns:
         Deflection, its rate, its acceleration, and the torque passed on. Shape (4, rows).
     """
-    substeps = _substeps(spring, period)
+    substeps = max(_substeps(spring, period), int(np.ceil(period * OBSERVER / OBSERVED - 1e-6)))
     step = period / substeps
     first = passed[: max(1, int(ONSET / period))].mean(0) / spring.stiffness
     first = first + np.sign(first) * spring.gap / 2
