@@ -194,6 +194,47 @@ def test_what_the_test_function_of_the_log_cannot_show_is_no_part_of_the_band(fo
     (found,) = found_in((answer, answer), rate=150.0)
     assert found.band == (pytest.approx(8.5, abs=0.5), pytest.approx(15.6, abs=0.7))
     assert found_in((answer, answer), rate=150.0, band=6.0) == []  # from 12 to 16 Hz is too little to tell
+    assert len(found_in((answer, answer), rate=150.0, band=5.0)) == 1
+
+
+@pytest.mark.parametrize(("rate", "kernel"), [(250.0, 4.8e-3), (400.0, 3e-3), (2000.0, 3e-3)])
+def test_the_test_function_is_as_short_as_the_log_allows_and_no_shorter_than_three_milliseconds(
+    rate, kernel, found_in, monkeypatch
+):
+    told = []
+    monkeypatch.setattr(
+        remainder, "project_recording", lambda recording, *_, kernel: told.append(kernel) or recording.fine
+    )
+    answer = hum(10.0, 20.0)[:, None] * [0.0, 1.0]
+    found_in((answer, answer), rate=rate)
+    assert told == pytest.approx([kernel])
+
+
+def test_a_take_of_fewer_than_eight_segments_says_nothing(found_in, monkeypatch):
+    answer = hum(10.0, 20.0, seconds=10.0)[:, None] * [0.0, 1.0]
+    assert len(found_in((answer, answer))) == 1
+    monkeypatch.setattr(remainder, "SEGMENT", 1.5)
+    assert found_in((answer, answer)) == []
+
+
+def test_what_the_noise_of_a_take_would_hide_is_not_taken_from_it(monkeypatch):
+    class Bank:
+        def __init__(self, takes, candidates):
+            assert (takes, candidates) == (["take"], [])
+
+        def add(self, candidate, fixed):
+            return None if candidate == "hidden" else (candidate, fixed)
+
+        def fit(self, atoms):
+            return atoms
+
+        def rows(self, fitted):
+            return fitted
+
+    monkeypatch.setattr(remainder, "Bank", Bank)
+    terms = [SimpleNamespace(candidate=name, fixed=f"{name} at") for name in ("seen", "hidden")]
+    best = SimpleNamespace(fit=SimpleNamespace(terms=terms))
+    assert remainder._left("take", best) == [("seen", "seen at")]
 
 
 def test_a_flexible_link_is_seen_up_to_where_the_log_shows_it(flexible):
