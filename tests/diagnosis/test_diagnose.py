@@ -262,6 +262,61 @@ def test_what_joins_is_fitted_behind_the_first_takes_and_the_answer_is_of_just_t
     assert len({given.inputs for given in told}) == 3
 
 
+@pytest.mark.parametrize("highest", [0.0, -1.0, float("nan")])
+def test_a_highest_frequency_that_is_none_is_refused(highest):
+    with pytest.raises(ValueError, match="highest_frequency is .* Give more than 0"):
+        diagnose(MODEL, recordings([0]), highest_frequency=highest)
+
+
+@pytest.mark.parametrize("complete", [True, False])
+def test_a_run_keeps_its_fits_in_the_folder_until_its_report_is_whole(tmp_path, monkeypatch, complete):
+    told, held = [], []
+
+    @contextmanager
+    def locked(folder):
+        held.append(folder)
+        yield
+        held.remove(folder)
+
+    def diagnosed(given, run, folder):
+        told.append((given, run, folder))
+        run.checkpoint.result("fit", lambda: 1, int, int)
+        assert held == [tmp_path]
+        return SimpleNamespace(answer=SimpleNamespace(complete=complete))
+
+    monkeypatch.setattr(diagnosing, "_diagnosed", diagnosed)
+    monkeypatch.setattr(diagnosing, "locked", locked)
+    settings = {"seed": 7, "drive": "command", "base": "recorded", "highest_frequency": 5.0}
+    diagnose(MODEL, recordings([0]), catalogue=FEW, time_budget=60.0, output=tmp_path, progress="bar", **settings)
+    ((given, run, folder),) = told
+    assert {name: getattr(given, name) for name in settings} == settings
+    assert (given.catalogue, given.name) == (FEW, "pendulum")
+    assert (run.progress, run.time_budget, folder) == ("bar", 60.0, tmp_path)
+    assert (run.checkpoint.path, run.checkpoint.digest) == (tmp_path / diagnosing.CHECKPOINT, given.inputs)
+    assert (tmp_path / diagnosing.CHECKPOINT).exists() is not complete
+
+
+FLOATING = """<mujoco><worldbody><body pos="0 0 1"><freejoint/><geom size="0.1"/>
+  <body><joint name="hip" axis="0 1 0"/><geom size="0.05" pos="0 0 -0.3"/></body></body></worldbody></mujoco>"""
+
+
+def test_a_base_is_held_only_where_it_floats_and_nobody_recorded_it():
+    time, still = np.arange(11) / 100.0, np.zeros((11, 1))
+    bare = Recording(time, ("hip",), still, torque_command=still, source="a take")
+    moved = replace(bare, base_position=np.zeros((11, 3)), base_orientation=np.tile([1.0, 0, 0, 0], (11, 1)))
+    floating = mujoco.MjModel.from_xml_string(FLOATING)
+    bolted = mujoco.MjModel.from_xml_string(FLOATING.replace("<freejoint/>", ""))
+    for model in (floating, bolted):
+        for take in (bare, moved):
+            assert diagnosing._stood(take, model, "recorded") is take
+    assert diagnosing._stood(bare, floating, "fixed").base_position is not None
+    assert diagnosing._stood(moved, bolted, "fixed").base_position is not None  # which says nothing of a joint
+    with pytest.raises(RecordingError, match="a take: base_position was recorded, and base is said to be 'fixed'"):
+        diagnosing._stood(moved, floating, "fixed")
+    with pytest.raises(ValueError, match="base is 'held', needed is one of 'recorded', 'fixed'"):
+        diagnosing._stood(bare, floating, "held")
+
+
 def test_what_is_kept_aside_is_seen_in_the_band_of_what_is_fitted(monkeypatch):
     told = []
 

@@ -25,7 +25,13 @@ def test_what_is_left_is_a_share_of_the_time_or_all_but_what_is_kept_whichever_i
     assert run(100.0, 10.0).left(0.6) == pytest.approx(50.0, abs=0.1)
     assert run(100.0, 10.0).left(0.9, kept=5.0) == pytest.approx(80.0, abs=0.1)
     assert run(100.0, 10.0).left(0.9, kept=30.0) == pytest.approx(60.0, abs=0.1)
+    assert run(100.0, 10.0).left(1.0) == pytest.approx(90.0, abs=0.1)
     assert run(None, 10.0).left(0.6) is None
+
+
+def test_joints_stand_in_the_order_of_the_first_recording():
+    takes = tuple(SimpleNamespace(joint_names=names) for names in (("hip", "knee"), ("knee", "hip")))
+    assert Given(None, "", "", takes, (), ()).joint_names == ("hip", "knee")
 
 
 def test_a_deadline_is_over_when_its_time_is_and_a_part_of_it_began_when_it_did():

@@ -27,6 +27,7 @@ def trial(aside: float, joints: bool = False, floor: float = 1.0) -> Trial:
         (4.0, 3.0, True),
         (3.0, 4.0, False),
         (3.0, 2.99, False),  # as the windows fall
+        (30.0, 29.9, False),  # so far from the noise, too
         (1.1, 0.9, False),  # noise
     ],
 )
@@ -35,7 +36,8 @@ def test_the_standard_joints_are_the_corrected_simulation_where_recordings_kept_
     found = _best_followed(Decided(None, None, chosen, (joints,)))
     assert (found.fitted is joints.fitted) is taken
     assert found.scores is (joints if taken else chosen).scores
-    assert ("standard joints instead of what is named" in " ".join(found.sentences)) is taken
+    said = " ".join(found.sentences)
+    assert ("standard joints instead of what is named: recordings that were kept aside are" in said) is taken
 
 
 def test_nothing_that_was_kept_aside_lets_the_fitted_recordings_say_so():
@@ -177,15 +179,19 @@ def test_a_remainder_is_looked_for_in_both_sets_where_the_mechanics_alone_were_n
         ("nothing_missing", False, True, "", False),
         ("partly_explained", True, True, "", False),  # of the fitted recordings
         ("unexplained", False, False, "simulate", False),
+        ("unexplained", False, False, "", False),
         ("explained", False, True, "report", True),
     ],
 )
+@pytest.mark.parametrize("last_of", ["heldout", "train"])
 def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
-    monkeypatch, verdict, worse, trials, stopped, corrected
+    monkeypatch, verdict, worse, trials, stopped, corrected, last_of
 ):
     own = trial(4.0)
+    if last_of == "train":  # nothing was kept aside
+        del own.scores["heldout"]
     own.scores["train"] = Score(9.0, 9.5 if worse else 2.0, 1.0, 0.0, {})
-    kept = stating.Correction(SimpleNamespace(hypothesis="laws", values="numbers"), {"heldout": "kept"}, ("Why.",))
+    kept = stating.Correction(SimpleNamespace(hypothesis="laws", values="numbers"), {last_of: "kept"}, ("Why.",))
     told = {"remarked": []}
     given = SimpleNamespace(name="m", seed=7, inputs="digest", model="model", joint_names=("hip",), base="fixed")
     used = {"hip": STATEMENT.exercised, "knee": 0.9 * STATEMENT.exercised}
@@ -210,12 +216,13 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
     assert said.nominal.base == "fixed"
     scores = own.scores if trials else {}
     assert told["judged"] == (decided.evidence, ("finding",), scores.get("train"), scores.get("heldout"), True)
-    last = "kept" if corrected else scores.get("heldout")
-    assert told["summed"] == (verdict, ("finding",), ("where",), last, trials, 0.25)
+    last = "kept" if corrected else scores.get(last_of)
+    assert told["summed"] == (verdict, ("finding",), ("where",), last, trials and last_of == "heldout", 0.25)
     assert said.answer.fit == (kept.scores if corrected else scores)
     sentences = said.answer.summary
-    assert ("Summary." in sentences) is trials
-    assert sentences[0].startswith("Stopped before anything was named") is not trials
+    unnamed = bool(stopped) and not trials
+    assert ("Summary." in sentences) is not unnamed
+    assert sentences[0].startswith("Stopped before anything was named") is unnamed
     assert any("makes the simulation worse" in x for x in sentences) is worse
     assert ("Why." in sentences) is corrected
     assert sentences[-1] == "knee hardly moves, so that nothing is known of it."
