@@ -264,7 +264,7 @@ def test_what_joins_is_fitted_behind_the_first_takes_and_the_answer_is_of_just_t
 
 @pytest.mark.parametrize("highest", [0.0, -1.0, float("nan")])
 def test_a_highest_frequency_that_is_none_is_refused(highest):
-    with pytest.raises(ValueError, match="highest_frequency is .* Give more than 0"):
+    with pytest.raises(ValueError, match=r"highest_frequency is .* Give more than 0"):
         diagnose(MODEL, recordings([0]), highest_frequency=highest)
 
 
