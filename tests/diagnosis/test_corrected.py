@@ -89,6 +89,9 @@ def test_what_json_holds_rolls_out_the_same(terms):
     assert [c.key for c in two.hypothesis.trims] == [("link_inertia", "pendulum")]
     (trim,) = one.to_json()["trims"]
     assert [(p["value"], p["nominal"]) for p in trim["parameters"].values()] == [(1.1, 1.0)]
+    units = {p.name: p.unit for c in one.hypothesis.terms for p in c.parameters}
+    said = {name: p["unit"] for e in one.to_json()["effects"] for name, p in e["parameters"].items()}
+    assert said == units
     for window in (0.5, None):
         np.testing.assert_array_equal(one.rollout(recording(), window), two.rollout(recording(), window))
     assert np.abs(one.rollout(recording()) - corrected({}).rollout(recording())).max() > 1e-3
@@ -101,6 +104,7 @@ def test_what_does_not_fill_a_window_is_simulated_from_where_the_last_one_ends(b
     given, pushed = (corrected(terms).rollout(r)[:, 0] for terms in ({}, {"torque_offset": [5.0]}))
     apart = np.abs(given - pushed) > 1e-3
     assert apart.tolist() == [False, *[True] * 50, *[True] * beyond]
+    np.testing.assert_array_equal(given, corrected({}).rollout(r, 0.5)[:, 0])
 
 
 def test_a_path_is_read_at_the_stamps_of_a_log_that_lost_samples():

@@ -101,7 +101,8 @@ def delivered(tmp_path, monkeypatch, *, drive="command", complete=True, warning=
     monkeypatch.setattr(Diagnosis, "overlays", ())
     monkeypatch.setattr(Diagnosis, "experiment", None)
     monkeypatch.setattr(Diagnosis, "mjcf", SimpleNamespace(warning=warning))
-    given = SimpleNamespace(xml="<mujoco/>", recordings=takes, heldout=takes[:1], drive=drive, highest_frequency=7.0)
+    aside = (replace(takes[1], source="aside loaded"), replace(takes[0], source="aside"))
+    given = SimpleNamespace(xml="<mujoco/>", recordings=takes, heldout=aside, drive=drive, highest_frequency=7.0)
     decided = SimpleNamespace(located=SimpleNamespace(ready=SimpleNamespace(given=given)), evidence=("evidence",))
     answer = Answer("explained", (), complete=complete, remarks=("first",))
     stated = SimpleNamespace(decided=decided, answer=answer, nominal="given", corrected="corrected", maps=("map",))
@@ -114,7 +115,7 @@ def delivered(tmp_path, monkeypatch, *, drive="command", complete=True, warning=
 
 def test_takes_are_handed_over_as_they_drove_the_simulation_without_those_that_carried_a_weight(tmp_path, monkeypatch):
     found = delivered(tmp_path, monkeypatch)
-    assert [r.source for r in (*found.recordings, *found.heldout)] == ["0.0", "0.0"]
+    assert [[r.source for r in takes] for takes in (found.recordings, found.heldout)] == [["0.0"], ["aside"]]
     assert (found.recordings[0].torque_command == 0).all()
     assert (found.evidence, found.highest_frequency) == (("evidence",), 7.0)
     assert found.answer.remarks == ("first",)
@@ -140,6 +141,8 @@ def test_the_highest_frequency_that_was_asked_for_limits_the_plan(monkeypatch):
     assert [given[:2] + given[3:] for given in asked] == [((part,), ("finding",), "xml")] * 2
     assert asked[0][2] is None
     assert asked[1][2].frequency == 4.0
+    _ = Diagnosis(answer, None, None, "xml", highest_frequency=4.0).experiment  # nothing says how far it may go
+    assert asked[2] == ((), ("finding",), None, "xml")
 
 
 def test_a_folder_is_read_back_with_the_base_as_it_was_held_and_effects_of_ones_own(tmp_path):

@@ -84,10 +84,29 @@ def test_what_a_bound_forbids_gains_nothing_and_what_stands_beside_it_may_not_ma
     assert stuck == pytest.approx(half)
 
 
-def test_beside_a_group_the_active_columns_move_as_far_as_each_of_them_may():
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("alike", [0.0, 0.9])
+def test_each_of_two_columns_goes_as_far_as_its_own_bounds_let_it(sign, alike):
+    """Of a group that stands alone; however alike the two are, all is as in bounded least squares."""
+    rng = np.random.default_rng(6)
+    first, second, rest = np.linalg.qr(rng.normal(size=(60, 3)))[0].T
+    columns = np.stack([first, alike * first + np.sqrt(1 - alike**2) * second], -1)
+    y = sign * (columns @ [2.0, 3.0]) + rest
+    for reach in ((9.0, 0.5), (0.5, 9.0), (9.0, 9.0)):
+        high = np.array([reach])
+        told = gains(
+            (columns.T @ columns)[None], np.zeros((1, 2, 0)), np.zeros((0, 0)), (y @ columns)[None], -high, high,
+            (np.zeros(0), np.zeros(0)),
+        )  # fmt: skip
+        after = y - columns @ lsq_linear(columns, y, (-high[0], high[0])).x
+        assert told == pytest.approx(y @ y - after @ after, rel=1e-3)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_beside_a_group_the_active_columns_move_as_far_as_each_of_them_may(sign):
     """Whatever their units; a group that must have certain coefficients leaves the rest to bounded least squares."""
     rng = np.random.default_rng(5)
-    group, y, unit = rng.normal(size=(200, 2)), rng.normal(size=200), np.array([1e-5, 1.0, 1e3])
+    group, y, unit = sign * rng.normal(size=(200, 2)), sign * rng.normal(size=200), np.array([1e-5, 1.0, 1e3])
     active = (rng.normal(size=(200, 3)) + 0.4 * group.sum(1, keepdims=True)) * unit
     left = y - active @ np.linalg.lstsq(active, y)[0]
     chosen = np.array([[2.0, -3.0]])
