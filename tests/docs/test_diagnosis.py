@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from torchrl_athletic.diagnosis import Answer, Finding, Location, Rival, Score, thresholds
+from torchrl_athletic.diagnosis import Answer, Finding, Location, Rival, Score, joint_fit, standard, thresholds
 from torchrl_athletic.diagnosis.calibration import Grounds
 from torchrl_athletic.diagnosis.corrected import SCHEMA
 from torchrl_athletic.diagnosis.result import SCHEMA as ANSWER_SCHEMA
 from torchrl_athletic.diagnosis.thresholds import SEARCH
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, TRIMS
 
+fitting, standard_fit = (importlib.import_module(f"torchrl_athletic.diagnosis.{name}") for name in ("fit", "fitting"))
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "diagnosis.md").read_text(encoding="utf-8")
 FILES = PAGE[PAGE.index("## What is written") : PAGE.index("## Stopping")]
@@ -109,3 +110,50 @@ def test_schemas_and_what_mjcf_can_say():
     drive.add("gain_mismatch")
     assert {e.name for e in every if e.mjcf == "actuator"} == drive
     assert all(word in FILES for word in (*words.values(), "offset", "limit of its torque", "scale", "lag", "`delay`"))
+
+
+COUNTED = {2: "two", 3: "three", 4: "four", 8: "eight", 10: "ten"}
+SHARES = {0.1: "a tenth", 0.25: "a quarter", 0.5: "half"}
+S, D, M, T, P = (getattr(thresholds, name) for name in ("SEARCH", "DECISION", "SIMULATION", "STATEMENT", "SPENDING"))
+SAID = {
+    "diagnosis": [
+        f"more than {S.open:g} times the floor, or one stretch {COUNTED[S.chance]} standard deviations above chance",
+        f"keeps the {COUNTED[S.beam]} best combinations",
+        f"must bring odds of 150 to 1 **and** close {SHARES[S.material]} of what is open at a joint",
+        f"where it closes {SHARES[S.richer]} of what is open and has the same strength on all recordings to "
+        f"{SHARES[S.steady]}",
+        f"unless it closes {SHARES[S.richer]} more",
+        f"scatter by more than {S.invariant:g} of their mean",
+        f"is fitted there, with up to {COUNTED[D.most_fits - 1]} more",
+        f"where these leave more than {SHARES[D.lost]} of the motion's error energy, or where nothing was named and "
+        f"the trims alone leave more than {D.follows:g} floors",
+        f"where nothing follows the recordings to {D.follows:g} floors, or closes {100 * (1 - D.closed):.0f} % of the",
+        f"leaves more than {100 * T.explained:.0f} % of the error energy, and the simulation with them is better by "
+        f"odds of 150 to 1 and leaves {SHARES[S.richer]} less",
+        "first of {:g} s and then of {:g} s".format(*fitting.SHOOTING),
+        f"has the {COUNTED[M.telling]} windows in which a term acts most",
+        f"resampling the windows {M.samples} times",
+        f"on up to {M.windows} windows of {M.window:g} s",
+        f"Others above {100 * T.least_share:.0f} % are **rivals**",
+        f"a gear on a joint that the given model follows: {T.senseless:g} at most",
+        f"is more than {COUNTED[T.near_floor]} floors off on its joint and keeps more than {SHARES[T.kept]} of the",
+        f"have more than {SHARES[1 - T.refutes]} of the evidence is stated with one {SHARES[T.equals]} at most",
+        f"errs by at most {COUNTED[T.near_floor]} floors on every joint",
+        f"at most {100 * T.explained:.0f} % of the error energy above the floor and {200 * T.explained:.0f} % of any",
+        f"at most {100 * T.partly:.0f} % is left",
+        f"predict more than {100 * S.predictable:.0f} % of the missing torque",
+        f"Once {100 * P.to_find:.0f} % is spent, whatever runs is stopped",
+        f"{SHARES[P.share]} of what is free], stretches of {P.stretch:.0f} s spread evenly",
+    ],
+    "fitting": [
+        "Windows grow from {:g} s over {:g} s to {:g} s".format(*joint_fit.HORIZONS, joint_fit.WINDOW),
+        f"cut into {COUNTED[joint_fit.FOLDS]} folds",
+        f"{COUNTED[standard.ROOM]} times what their torques, speeds and accelerations allow",
+        f"At most {standard_fit.LONGEST:.0f} s of recordings are fitted",
+    ],
+}
+
+
+@pytest.mark.parametrize(("page", "said"), [(page, said) for page, all_said in SAID.items() for said in all_said])
+def test_the_prose_says_the_numbers_that_are_in_force(page, said):
+    assert said in " ".join((DOCS / f"{page}.md").read_text(encoding="utf-8").split())
