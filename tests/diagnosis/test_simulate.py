@@ -168,6 +168,9 @@ def joints_added(monkeypatch: pytest.MonkeyPatch, work: Started, evidence: float
 def test_a_fit_in_which_a_mass_is_adjusted_is_not_taken_for_one_in_which_it_is_found():
     friction, mass = (SimpleNamespace(effect=SimpleNamespace(name=n), where="hip") for n in ("friction", "link_mass"))
     assert key_of(Hypothesis((friction, mass))) != key_of(Hypothesis((friction,), (mass,)))
+    knee = SimpleNamespace(effect=friction.effect, where="knee")
+    others = [(friction,), (knee,), (mass,), (friction, knee), ()]
+    assert len({key_of(Hypothesis(terms)) for terms in others}) == len(others)
 
 
 def candidate(name, joint=0, low=0.0, high=10.0, nominal=0.0, excludes=()):
