@@ -867,3 +867,74 @@ def test_a_rough_velocity_is_smoothed_over_the_longest_test_function_and_no_less
     np.testing.assert_array_equal(*(replay._rough_velocity(noise, 0.01, longest) for longest in (0.01, 0.001)))
     ramp = np.arange(50.0)[:, None]
     np.testing.assert_allclose(replay._rough_velocity(ramp, 0.5, 0.5)[5:-5], 2.0)
+
+
+SWUNG = """<mujoco><worldbody><body><joint name="beam" axis="0 0 1"/><geom size="0.1"/></body>
+  <body pos="0 0 1"><freejoint/><geom size="0.1"/>
+  <body><joint name="hip" axis="0 1 0"/><geom size="0.05" pos="0 0 -0.3"/></body></body></worldbody></mujoco>"""
+
+
+def swung_base(late):
+    """Ten samples in two pieces, of which the k-th has a base as fast as k squared, and rows that start in both."""
+    model = mujoco.MjModel.from_xml_string(SWUNG)
+    model.dof_armature[:] = np.arange(1.0, model.nv + 1)
+    sample = np.arange(10.0)[:, None]
+    pose = np.hstack([sample * np.ones(3), np.ones((10, 1)), np.zeros((10, 3))])
+    base = BaseMotion(pose, sample**2 * np.arange(1.0, 7.0), 0.0 * sample * np.ones(6))
+    t = SimpleNamespace(base=base, period=0.01, substeps=2, model=model)
+    start = SimpleNamespace(sample=np.array([1, 2, 7]), first=np.array([0, 0, 6]), last=np.array([5, 5, 9]))
+    return start, SimpleNamespace(rows=3, base_offset=np.array(late)), t
+
+
+@pytest.mark.parametrize(
+    ("late", "reached"),
+    [
+        ((0.0, 0.0, 0.0), [[1, 2, 3], [2, 3, 4], [7, 8, 9]]),
+        ((0.005, -0.005, 0.0), [[1.5, 2.5, 3.5], [1.5, 2.5, 3.5], [7, 8, 9]]),  # stamps that are put right
+        ((0.03, -0.03, 0.02), [[4, 5, 5], [0, 0, 1], [9, 9, 9]]),  # within the piece
+    ],
+)
+def test_a_base_is_where_it_was_at_each_rows_own_samples_between_which_it_goes_straight(late, reached):
+    start, plant, t = swung_base(late)
+    found = replay._base_from(start, plant, t, 2)
+    np.testing.assert_allclose(found.pose[..., :3], np.array(reached)[..., None] * np.ones(3))
+    whole = np.floor(reached)
+    between = (whole**2 + (np.array(reached) - whole) * (2 * whole + 1))[..., None] * np.arange(1.0, 7.0)
+    np.testing.assert_allclose(found.velocity, between)
+
+
+def test_a_base_is_carried_by_what_its_mass_asks_for_in_each_step_of_a_sample():
+    """Of a beam and a hip beside the base its six masses are the second to the seventh."""
+    start, plant, t = swung_base((0.0, 0.0, 0.0))
+    found = replay._carry(start, plant, replay.Windows(t, np.zeros(3), 2))
+    gained = np.array([[3.0, 5.0], [5.0, 7.0], [15.0, 17.0]]).repeat(2, axis=1)[..., None] * np.arange(1.0, 7.0)
+    np.testing.assert_allclose(found, np.arange(2.0, 8.0) * gained / 0.01)
+    t.base = None
+    assert replay._carry(start, plant, replay.Windows(t, np.zeros(3), 2)).shape == (3, 4, 0)
+
+
+def test_a_lag_begins_where_the_torques_before_it_in_its_piece_have_brought_it():
+    """A step of each joint's target at the eleventh of forty samples, of a drive that rests; a second piece is settled.
+
+    The torque is what is left of the way by one minus the exponential of the time since, over the lag.
+    """
+    asked, target = [], np.repeat([0.0, 1.0], [10, 30])[:, None] * [2.0, -3.0]
+    t = SimpleNamespace(
+        position=np.zeros((40, 2)), velocity=np.zeros((40, 2)), period=0.01, begins=np.array([0, 25]),
+        recording=SimpleNamespace(kp=np.array([5.0, 7.0]), kd=np.ones(2)),
+        commands=lambda late: asked.append(late) or target.repeat(4, axis=0),
+    )  # fmt: skip
+    lag, scale = np.array([[0.05, 0.1], [0.02, 0.2]]), np.array([[1.0, 2.0], [0.5, 3.0]])
+    plant = SimpleNamespace(
+        delay=np.array([[0.01, 0.02], [0.03, 0.04]]).repeat(3, 0), clock_offset=np.array([0.1, 0.2]).repeat(3),
+        kp_scale=scale.repeat(3, 0), kd_scale=np.ones((6, 2)), lag=lag.repeat(3, 0),
+    )  # fmt: skip
+    found = replay._lag_state(replay.Windows(t, np.array([5, 17, 30]), 4), plant, 2)
+    final = scale * [10.0, -21.0]
+    passed = final * (1 - np.exp(-0.07 / lag))
+    np.testing.assert_allclose(found, np.stack([0 * final, passed, final], 1).reshape(6, 2))
+    assert asked == pytest.approx([0.11, 0.12, 0.23, 0.24])
+    t.velocity += 1.0
+    plant.kd_scale[:] = scale.repeat(3, 0)
+    slowed = replay._lag_state(replay.Windows(t, np.array([5, 17, 30]), 4), plant, 2)
+    np.testing.assert_allclose(slowed, found - scale.repeat(3, 0))
