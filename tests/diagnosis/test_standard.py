@@ -71,6 +71,7 @@ def test_a_number_may_be_ten_times_what_the_recordings_hold_and_an_offset_pushes
     assert bounds["torque_scale", "scale"] == (0.05, 20.0)
     # a limit below a fiftieth of what was asked for would explain any motion; above, the effect's own bound holds
     assert bounds["torque_saturation", "limit"] == (0.1, 2 * torque_bound(model, address, 0))
+    assert -bounds["encoder_offset", "offset"][0] == bounds["encoder_offset", "offset"][1] > 0
     units = by_name(h, lambda p: p.scale)
     assert units["coulomb_friction", "torque"] == units["torque_offset", "torque"] == pytest.approx(0.16)
     assert units["viscous_friction", "damping"] == pytest.approx(0.08)
@@ -171,9 +172,11 @@ def test_a_search_begins_at_the_model_the_regression_its_neighbours_and_plausibl
     assert_drawn(h, first[9:])
 
 
-def test_gains_are_drawn_over_two_decades(followed):
-    h = standard_joints(followed, SEEN)
-    assert_drawn(h, starts(h, followed, SEEN, np.random.default_rng(0), 200)[9:])
+@pytest.mark.parametrize("kds", [(0.5,), (0.5, 1.0)])
+def test_gains_are_drawn_over_two_decades(kds):
+    takes = prepared(*(swing(k, **gains(8.0, kd)) for k, kd in enumerate(kds)))
+    h = standard_joints(takes, SEEN)
+    assert_drawn(h, starts(h, takes, SEEN, np.random.default_rng(0), 200)[9:])
 
 
 def assert_drawn(h, begun):
@@ -189,9 +192,11 @@ def assert_drawn(h, begun):
         ("torque_saturation", "limit"): (5.0, -0.5, 0.0),
         ("torque_scale", "scale"): (1.0, -0.5, 0.5),
         ("gain_mismatch", "kp_scale"): (1.0, -1.0, 1.0),
+        ("gain_mismatch", "kd_scale"): (1.0, -1.0, 1.0),
     }
+    fixed = by_name(h, lambda p: p.lower == p.upper)
     for name, (size, least, most) in decades.items():
-        if name not in names:
+        if fixed.get(name, True):
             continue
         moved = drawn[name] != model[name]
         assert 0.35 < moved.mean() < 0.65, name  # each is the given model's every other time
@@ -242,7 +247,11 @@ def test_each_joint_of_two_has_its_own_friction():
     stiff = double_pendulum().replace('name="lower" axis', 'name="lower" frictionloss="0.1" axis')
     command = np.hstack([smooth_torque(4.0, 1.5, 1), smooth_torque(4.0, 0.8, 2)])
     takes = prepared(record(stiff, command), xml=double_pendulum())
-    h = standard_joints(takes, seen_in(takes))
+    logged = prepared(replace(record(stiff, command), torque_command=0.01 * command), xml=double_pendulum())
+    least = [np.quantile(np.abs(logged.signals[0].required[:, j]), 0.99) for j in range(2)]
+    np.testing.assert_allclose(seen_in(logged).torque, least)  # each by its own motion
+    seen = seen_in(takes)
+    h = standard_joints(takes, seen)
     x = torque_domain(h, takes)
     found = {c.joint_name: h.values_of(c, x)[0] for c in h.terms if c.effect.name == "coulomb_friction"}
     assert found["lower"] == pytest.approx(0.1, abs=0.02)
