@@ -271,7 +271,7 @@ def test_an_interval_of_95_percent_is_1_96_deviations_to_either_side_of_its_own_
     ]
     candidate = SimpleNamespace(where="elbow", joint=0, effect=SimpleNamespace(name="drag"), parameters=tuple(p))
     free = np.array([True, True, True, False])
-    near = SimpleNamespace(free=free, values=np.array([1.0, 2.0, 3.0, 0.0]), sigma=np.array([0.1, 0.2, 0.3]))
+    near = SimpleNamespace(free=free, values=np.array([1.0, 8.9, 3.0, 0.0]), sigma=np.array([0.1, 0.2, 0.3]))
     again = SimpleNamespace(free=np.array([True, False, True, False]), sigma=np.array([0.5, 2.0]))
     monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
     asked = []
@@ -279,7 +279,7 @@ def test_an_interval_of_95_percent_is_1_96_deviations_to_either_side_of_its_own_
     y, needed = np.array([1.5, 0.0, 3.5, 0.0]), np.array([True, False, True, False])
     told = fitting._parameters(SimpleNamespace(terms=[candidate]), near, again, y, needed, "seen")
     assert asked == [(near, again, needed, "seen")]
-    expected = [(1.5 - 0.98, 1.5 + 0.98), (2 - 0.392, 2 + 0.392), (0.0, 3.5 + 3.92)]
+    expected = [(1.5 - 0.98, 1.5 + 0.98), (8.9 - 0.392, 9.0), (0.0, 3.5 + 3.92)]
     assert [t.ci95 for t in told] == [pytest.approx(ends) for ends in expected]
     assert [t.value for t in told] == [1.5, 0.0, 3.5]
     assert [t.state for t in told] == ["identified", "not needed", "not identified"]
@@ -365,23 +365,25 @@ def test_an_interval_may_be_as_wide_as_five_changes_worth_mentioning_or_the_numb
     assert fitting._reasons(near, again, np.array([True, False]), None) == ["never moves", said]
 
 
-def test_each_interval_is_as_wide_as_its_own_number_and_its_own_unit_allow(monkeypatch):
+@pytest.mark.parametrize("turn", range(3))
+def test_each_interval_is_as_wide_as_its_own_number_and_its_own_unit_allow(monkeypatch, turn):
     """Of three numbers with units of 1, 10 and 0.1; of the needed ones the narrower deviation of both fits counts."""
     monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
     monkeypatch.setattr(fitting, "_doubts", lambda near, seen: [""] * 3)
-    own = [Parameter("p", "1", 0.0, -999, 999, scale) for scale in (1.0, 10.0, 0.1)]
-    needed = np.array([False, True, True])
+    own = [Parameter("p", "1", 0.0, -999, 999, scale) for scale in np.roll([1.0, 10.0, 0.1], turn)]
+    needed = np.roll([False, True, True], turn)
     wide = "its interval is wider than the number itself"
     for centres, first, last, said in (
-        ([0.0, 0.0, 0.0], [2.0, 26.0, 1.0], [26.0, 1.0], ["", wide, wide]),
-        ([0.0, 0.0, 0.0], [2.0, 26.0, 1.0], [25.0, 0.2], ["", "", ""]),
-        ([0.0, 0.0, 0.0], [2.6, 25.0, 0.2], [99.0, 99.0], [wide, "", ""]),
-        ([9.0, 60.0, 2.0], [4.0, 30.0, 1.0], [30.0, 1.0], ["", "", ""]),
+        ([0.0, 0.0, 0.0], [2.0, 26.0, 1.0], [0.0, 26.0, 1.0], ["", wide, wide]),
+        ([0.0, 0.0, 0.0], [2.0, 26.0, 1.0], [0.0, 25.0, 0.2], ["", "", ""]),
+        ([0.0, 0.0, 0.0], [2.6, 25.0, 0.2], [0.0, 99.0, 99.0], [wide, "", ""]),
+        ([9.0, 60.0, 2.0], [4.0, 30.0, 1.0], [0.0, 30.0, 1.0], ["", "", ""]),
     ):
-        near = solved(free=[True] * 3, sigma=first, values=[centres[0], 999.0, 999.0])
+        centre, sigma = np.roll(centres, turn), np.roll(last, turn)[needed]
+        near = solved(free=[True] * 3, sigma=np.roll(first, turn), values=np.where(needed, 999.0, centre))
         near.problem.hypothesis.parameters = own
-        again = solved(free=needed, sigma=last, values=[999.0, *centres[1:]])
-        assert fitting._reasons(near, again, needed, None) == said
+        again = solved(free=needed, sigma=sigma, values=np.where(needed, centre, 999.0))
+        assert fitting._reasons(near, again, needed, None) == np.roll(said, turn).tolist()
 
 
 def test_what_drove_the_simulation_is_handed_back():
