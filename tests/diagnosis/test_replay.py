@@ -128,6 +128,30 @@ def test_the_native_rollout_and_the_stepwise_one_agree():
     np.testing.assert_allclose(simulate(w, stepwise, SETS), simulate(w, five_parameters, SETS), rtol=0, atol=1e-12)
 
 
+def test_what_a_motor_can_is_the_same_step_by_step_as_in_one_go():
+    """Its limit, and the model's range of what scale and offset make of it, either way."""
+    motor = '<motor joint="carriage" forcerange="-0.3 0.35"/>'
+    xml = slider().replace('<motor joint="carriage"/>', motor)
+    w = windows_of(take(xml, record(slider(), 3 * smooth_torque(2.0))), 0.5)
+
+    def build(plant, values, stepwise=False):
+        plant.torque_limit[:, 0], plant.torque_scale[:, 0], plant.torque_offset[:, 0] = values.T
+        if stepwise:
+            plant.laws.append(lambda now: np.zeros_like(now.velocity))
+
+    sets = np.array([[0.2, 1.0, 0.0], [np.inf, 1.0, 0.0], [0.25, 2.0, 0.1], [0.25, 2.0, -0.1], [9.0, 9.0, 9.0]])
+    found = simulate(w, lambda plant, values: build(plant, values, True), sets)
+    np.testing.assert_allclose(found, simulate(w, build, sets), rtol=0, atol=1e-12)
+    assert len(np.unique(found[:, 0, -1, 0].round(6))) == len(sets)
+
+
+def test_readings_lead_by_half_a_step_but_for_an_integrator_of_fourth_order():
+    model = mujoco.MjModel.from_xml_string(slider())
+    assert replay._lead(model) == STEP / 2
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    assert replay._lead(model) == 0.0
+
+
 def test_a_law_adds_its_torque_at_every_step():
     t = take(slider(), record(slider(), smooth_torque(2.0)))
     w = windows_of(t, 0.5)
@@ -624,11 +648,11 @@ def test_local_fits_are_as_noisy_as_they_say_in_the_middle_and_at_both_ends():
 
 
 def test_a_local_fit_is_the_quietest_that_agrees_with_all_noisier_ones():
-    rough, fine, wide = np.array([[1.0, 1.0, 1.0]]), np.array([[1.2, 5.0, 1.2]]), np.array([[1.1, 1.0, 9.0]])
-    estimates = [(wide, np.full((1, 3), 0.1)), (rough, np.ones((1, 3))), (fine, np.full((1, 3), 0.4))]
+    rough, fine, wide = np.array([[1.0] * 4, [1.2, 5.0, 1.2, 3.5], [1.1, 1.0, 9.0, 1.0]])[:, None]
+    estimates = [(wide, np.full((1, 4), 0.1)), (rough, np.ones((1, 4))), (fine, np.full((1, 4), 0.4))]
     best, sigma = replay._local_fit(estimates)
-    np.testing.assert_allclose(best, [[1.1, 1.0, 1.2]])  # the wide one, the rough one, the one between
-    np.testing.assert_allclose(sigma, [[0.1, 1.0, 0.4]])
+    np.testing.assert_allclose(best, [[1.1, 1.0, 1.2, 3.5]])  # the wide one, the rough one, the one between
+    np.testing.assert_allclose(sigma, [[0.1, 1.0, 0.4, 0.4]])
 
 
 def test_the_torque_of_a_position_loop_is_that_of_the_mean_state_until_the_next_sample():
@@ -829,8 +853,14 @@ def test_what_rests_under_a_load_stays_at_rest_behind_a_gear_that_gives_way(effe
     time, read = np.arange(len(still)) / rate, 0.5 + gap / 2 + load / 10.0
     held = Recording(time, ("pendulum",), read * still, torque_command=load * still)
     w = windows_of(take(pendulum(joint='armature="0.02"'), held), 0.3)
-    found = simulate(w, lambda plant, x: effect.apply(plant, 0, np.tile(values, (plant.rows, 1))), NOTHING)[0]
-    np.testing.assert_allclose(found, read, atol=2e-3)
+    seen = []
+
+    def build(plant, x):
+        effect.apply(plant, 0, np.tile(values, (plant.rows, 1)))
+        plant.laws.append(lambda now: seen.append(now.position.copy()) or np.zeros_like(now.torque))
+
+    np.testing.assert_allclose(simulate(w, build, NOTHING)[0], read, atol=2e-3)
+    np.testing.assert_allclose(seen, 0.5, atol=2e-3)  # laws beside the joint act on the link
 
 
 def test_what_is_joined_is_each_piece_after_the_other_in_all_that_was_measured():
