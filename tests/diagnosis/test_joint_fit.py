@@ -320,8 +320,8 @@ def test_a_descent_weighs_windows_and_joints_as_its_problem_does(monkeypatch):
     problem, _ = following(monkeypatch, each_its_own(1.0, 3.0))
     monkeypatch.setattr(module, "DAMPING", (0.0,))
     monkeypatch.setattr(module, "STEPS", 1)
-    uneven = replace(problem, weight=np.array([1.0, 3.0]), unit=np.array([0.1]))
-    for begin in (7.0, -7.0):
+    for begin, unit in ((7.0, 0.1), (-7.0, 10.0)):
+        uneven = replace(problem, weight=np.array([1.0, 3.0]), unit=np.array([unit]))
         assert descend(uneven, np.array([begin]), np.array([True]), 1, Deadline()) == pytest.approx([2.5], rel=1e-4)
 
 
@@ -372,7 +372,7 @@ def test_a_step_solves_for_the_windows_that_are_asked_and_for_their_share_of_the
     assert near.step(first, no) == pytest.approx([(1 + 2.5) / 1.5], rel=1e-4)
     assert near.move(both, no) == pytest.approx([2.0], rel=1e-4)  # units of 0.5
     assert near.step(both, yes).tolist() == [-1.0]
-    uneven = linearise(replace(problem, torques=None, weight=np.array([1.0, 3.0])), np.array([2.0]), yes)
+    uneven = linearise(replace(problem, torques=None, weight=np.array([2.0, 6.0])), np.array([2.0]), yes)
     assert uneven.step(both, no) == pytest.approx([(1 + 3 * 3) / 4], rel=1e-4)
     assert replace(uneven, ridge=1.0).step(both, no) == pytest.approx([2.25], rel=1e-4)  # half of the way
     alone = linearise(replace(problem, torques=None), np.array([2.0]), yes)
