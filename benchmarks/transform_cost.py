@@ -182,6 +182,7 @@ OURS: dict[str, Callable[[], Transform]] = {
     "ActionHistory, 3 long": lambda: ours.ActionHistory(3),
     "ActionDelay, up to 6": lambda: ours.ActionDelay(6, before=0.0),
     "TorqueSpeedClip": lambda: ours.TorqueSpeedClip(30.0, 10.0, torque_key="action"),
+    "OverspeedBrake": lambda: ours.OverspeedBrake(30.0, 10.0, torque_key="action"),
     "PowerClip": lambda: ours.PowerClip(200.0, torque_key="action"),
     "PowerClip of some joints": lambda: ours.PowerClip(200.0, joints="neighbours", torque_key="action"),
     "PDControl": lambda: ours.PDControl(20.0, 0.5, torque_key="action", action_key="target"),

@@ -130,10 +130,11 @@ def test_around_workers_joints_are_named_by_their_numbers():
     assert TransformedEnv(SerialEnv(2, lambda: ToyEnv(2, action="torque")), PowerClip(1.0, [0, 2])).rollout(1).numel()
 
 
+@pytest.mark.parametrize("kind", [TorqueSpeedClip, OverspeedBrake])
 @pytest.mark.parametrize("limits", [([0.0, 1.0], 1.0), (1.0, [-1.0, 1.0])])
-def test_a_motor_without_torque_or_speed_is_refused(limits):
+def test_a_motor_without_torque_or_speed_is_refused(kind, limits):
     with pytest.raises(ValueError, match="must be greater than zero"):
-        TorqueSpeedClip(*limits)
+        kind(*limits)
 
 
 # ActionDelay

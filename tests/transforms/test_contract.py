@@ -37,6 +37,7 @@ from torchrl_athletic.transforms import (
     ExternalPush,
     InitialState,
     ObservationHistory,
+    OverspeedBrake,
     PDControl,
     PowerClip,
     Push,
@@ -75,6 +76,13 @@ class TestTorqueSpeedClip(TransformContract):
 
     def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
         return TorqueSpeedClip([0.5, 1.0, 2.0], 3.0, **_keys(key, "torque", "velocity"))
+
+
+class TestOverspeedBrake(TransformContract):
+    env_settings: ClassVar = {"action": "torque"}
+
+    def make_transform(self, key: Key = str, first_row: int = 0) -> Transform:
+        return OverspeedBrake([0.5, 1.0], 0.1, [0, 2], **_keys(key, "torque", "velocity"))
 
 
 class TestPowerClip(TransformContract):

@@ -177,7 +177,28 @@ class EquivalentTarget(_Law):
         return tensordict.set(self.torque_key, torque)
 
 
-class TorqueSpeedClip(_Torque):
+class _Motors(_Torque):
+    """Changes the torque as motors with limits do."""
+
+    torque_limit: Tensor
+    velocity_limit: Tensor
+
+    def __init__(
+        self, torque_limit: PerJoint, velocity_limit: PerJoint, torque_key: NestedKey, velocity_key: NestedKey
+    ) -> None:
+        super().__init__(torque_key)
+        self.register_buffer("torque_limit", _per_joint(torque_limit))
+        self.register_buffer("velocity_limit", _per_joint(velocity_limit))
+        for name in ("torque_limit", "velocity_limit"):
+            if not (getattr(self, name) > 0).all():
+                raise ValueError(
+                    f"{name} {getattr(self, name).tolist()} must be greater than zero for every joint: a motor without "
+                    "torque or speed would never move. Leave joints without a limit out, or give them a large one."
+                )
+        self.velocity_key = velocity_key
+
+
+class TorqueSpeedClip(_Motors):
     """A motor's torque falls with its speed (:func:`~.functional.actuation.clip_torque_speed`).
 
     Args:
@@ -197,9 +218,6 @@ class TorqueSpeedClip(_Torque):
         tensor([[15.]])
     """
 
-    torque_limit: Tensor
-    velocity_limit: Tensor
-
     def __init__(
         self,
         torque_limit: PerJoint,
@@ -209,16 +227,8 @@ class TorqueSpeedClip(_Torque):
         velocity_key: NestedKey = "joint_velocity",
         scale_key: NestedKey = "torque_limit_scale",
     ) -> None:
-        super().__init__(torque_key)
-        self.register_buffer("torque_limit", _per_joint(torque_limit))
-        self.register_buffer("velocity_limit", _per_joint(velocity_limit))
-        for name in ("torque_limit", "velocity_limit"):
-            if not (getattr(self, name) > 0).all():
-                raise ValueError(
-                    f"{name} {getattr(self, name).tolist()} must be greater than zero for every joint: a motor without "
-                    "torque or speed would never move. Leave joints without a limit out, or give them a large one."
-                )
-        self.velocity_key, self.scale_key = velocity_key, scale_key
+        super().__init__(torque_limit, velocity_limit, torque_key, velocity_key)
+        self.scale_key = scale_key
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         limit = scaled(self.torque_limit, tensordict, self.scale_key)
@@ -227,7 +237,7 @@ class TorqueSpeedClip(_Torque):
         return tensordict
 
 
-class OverspeedBrake(_Torque):
+class OverspeedBrake(_Motors):
     """A motor brakes where something else turns it faster than it can (:func:`~.functional.actuation.brake_overspeed`).
 
     It belongs next to the joint, before all that makes torques in Compose. :class:`TorqueSpeedClip`, as in the paper,
@@ -247,9 +257,6 @@ class OverspeedBrake(_Torque):
         tensor([[  5., -15.]])
     """
 
-    torque_limit: Tensor
-    velocity_limit: Tensor
-
     def __init__(
         self,
         torque_limit: PerJoint,
@@ -259,10 +266,8 @@ class OverspeedBrake(_Torque):
         torque_key: NestedKey = "torque",
         velocity_key: NestedKey = "joint_velocity",
     ) -> None:
-        super().__init__(torque_key)
-        self.register_buffer("torque_limit", _per_joint(torque_limit))
-        self.register_buffer("velocity_limit", _per_joint(velocity_limit))
-        self.joints, self.velocity_key = joints, velocity_key
+        super().__init__(torque_limit, velocity_limit, torque_key, velocity_key)
+        self.joints = joints
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         index = joint_index(self, self.joints)
