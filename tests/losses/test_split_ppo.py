@@ -9,7 +9,7 @@ from torchrl.modules import IndependentNormal, NormalParamExtractor, OneHotCateg
 from torchrl.objectives import ClipPPOLoss
 
 from torchrl_athletic.losses import SplitClipPPOLoss, clipped_surrogate, gaussian_kl, sampled_kl
-from torchrl_athletic.losses.split_ppo import divergence, explained_variance, masked_mean, standardized
+from torchrl_athletic.losses.split_ppo import divergence, explained_variance, masked_mean, movement, standardized
 
 OPTIONS = [
     {},
@@ -87,10 +87,59 @@ def test_the_actor_needs_no_critic(case):
 
 def test_the_batch_is_left_as_it_was(case):
     policy, value, batch = case
-    before = batch.clone()
-    SplitClipPPOLoss(policy, value)(batch)
-    assert set(batch.keys()) == set(before.keys())
-    assert (batch == before).all()
+    before, loss = batch.clone(), SplitClipPPOLoss(policy, value)
+    for part in (loss, loss.loss_actor, loss.loss_critic):
+        part(batch)
+        assert set(batch.keys()) == set(before.keys())
+        assert (batch == before).all()
+
+
+def test_only_losses_carry_a_gradient(case):
+    policy, value, batch = case
+    report = SplitClipPPOLoss(policy, value, clip_value=0.2)(batch)
+    assert {key for key in report.keys() if report[key].requires_grad} == {
+        "loss_objective", "loss_entropy", "loss_critic",
+    }  # fmt: skip
+
+
+def test_it_runs_the_networks_with_the_parameters_it_is_given(case):
+    """As for a gradient through an update, which puts other parameters in the place of the loss's own."""
+    policy, value, batch = case
+    loss = SplitClipPPOLoss(policy, value)
+    others = TensorDict.from_module(loss).clone().apply(lambda parameter: parameter.detach() * 1.5)
+    before = loss(batch)
+    with others.to_module(loss):
+        within = loss(batch)
+    for key in ("loss_objective", "loss_critic"):
+        assert within[key] != before[key]
+        assert loss(batch)[key] == before[key]
+
+
+@pytest.mark.parametrize("separate", [False, True])
+def test_shared_parameters_learn_from_the_critic_unless_losses_are_kept_apart(separate):
+    policy, value = networks()
+    shared = policy[0].module.network.mlp[0]
+    value.module.mlp[0] = shared
+    loss = SplitClipPPOLoss(policy, value, separate_losses=separate)
+    loss.loss_critic(collected(policy, 8))["loss_critic"].backward()
+    assert (shared.weight.grad is None or not shared.weight.grad.any()) is separate
+    assert value.module.mlp[-1].weight.grad.any()
+
+
+def test_what_is_not_said_is_as_documented_and_what_is_said_is_passed_on(case):
+    policy, value, _ = case
+    plain = SplitClipPPOLoss(policy, value)
+    torch.testing.assert_close(plain.clip_epsilon, torch.tensor(0.2))
+    assert (plain.entropy_bonus, plain.samples_mc_entropy, plain.reduction) == (True, 1, "mean")
+    assert (plain.normalize_advantage, plain.separate_losses, plain.functional) == (False, False, True)
+    assert (plain.loss_critic_type, plain.clip_value, plain.log_explained_variance) == ("smooth_l1", None, True)
+    torch.testing.assert_close(plain.entropy_coeff, torch.tensor(0.01))
+    torch.testing.assert_close(plain.critic_coeff, torch.tensor(1.0))
+    told = SplitClipPPOLoss(policy, functional=False, device=torch.device("meta"))
+    assert not told.functional
+    assert told.clip_epsilon.device.type == "meta"
+    told.out_keys = ["loss_objective"]
+    assert told.out_keys == ["loss_objective"]
 
 
 def with_next(batch):
@@ -313,9 +362,11 @@ def test_keys_can_be_renamed(case):
     policy, value, batch = case
     loss = SplitClipPPOLoss(policy, value)
     expected = loss(batch)
-    renamed = batch.rename_key_("advantage", ("gae", "adv")).rename_key_("value_target", "returns")
-    loss.set_keys(advantage=("gae", "adv"), value_target="returns")
-    found = loss(renamed)
+    names = {"advantage": ("gae", "adv"), "value_target": "returns", "action": "act", "action_log_prob": "log"}
+    for name, other in names.items():
+        batch.rename_key_(name, other)
+    loss.set_keys(advantage=("gae", "adv"), value_target="returns", action="act", sample_log_prob="log")
+    found = loss(batch)
     assert all(found[key] == expected[key] for key in ("loss_objective", "loss_critic"))
 
 
@@ -350,6 +401,13 @@ def test_data_that_carries_a_gradient_is_refused(case):
         SplitClipPPOLoss(policy, value)(batch)
 
 
+def test_several_advantages_are_refused(case):
+    policy, value, batch = case
+    batch["advantage"] = TensorDict({"one": torch.zeros(64, 1)}, [64])
+    with pytest.raises(TypeError, match="take ClipPPOLoss"):
+        SplitClipPPOLoss(policy, value)(batch)
+
+
 def test_an_unknown_reduction_is_refused(case):
     policy, value, _ = case
     with pytest.raises(ValueError, match="'mean', 'sum' or 'none'"):
@@ -363,6 +421,18 @@ def test_a_mean_of_no_sample_is_zero_and_alike_advantages_say_nothing():
     kept = torch.tensor([[True], [True], [False]])
     found = standardized(torch.tensor([[1.0], [3.0], [torch.nan]]), kept)
     torch.testing.assert_close(found, torch.tensor([[-1.0], [1.0], [0.0]]) / 2**0.5)
+
+
+def test_the_greatest_ratio_is_of_samples_that_count_and_may_be_less_than_one():
+    log_ratio = torch.tensor([[0.5], [0.25], [1.0]]).log()
+    found = movement(log_ratio.masked_fill(log_ratio == 0, 0.0), log_ratio < 0, torch.tensor(-0.2), torch.tensor(0.2))
+    torch.testing.assert_close(found["max_ratio"], torch.tensor(0.5))
+    torch.testing.assert_close(found["clip_fraction"], torch.tensor(1.0))
+
+
+def test_a_perfect_critic_explains_returns_that_are_all_alike():
+    alike = torch.full((4, 1), 3.0)
+    assert explained_variance(alike, alike) == 1
 
 
 def test_the_entropy_that_is_reported_is_of_samples_that_count():

@@ -221,7 +221,7 @@ def test_processes_speak_once_a_step_before_gradients_are_cut():
             tensor.add_(7.0)
         tensors[0].zero_()
 
-    stepper = make(epochs=3, minibatches=2, critic_minibatches=1, average=average, max_grad_norm=1e-3)
+    stepper = make(epochs=3, minibatches=2, micro_batch=5, average=average, max_grad_norm=1e-3)
     batch = collected(stepper.loss.actor_network, 32)
     batch["shifted_valid"] = torch.arange(32) < 16
     report = stepper.update(batch)
@@ -237,6 +237,8 @@ def test_all_processes_capture_if_one_of_many_has_to():
     stepper = make(average=lambda tensors, weight: tensors[0].div_(64))
     assert stepper._anywhere(True)
     assert not stepper._anywhere(False)
+    another = make(average=lambda tensors, weight: tensors[0].fill_(1 / 64))
+    assert another._anywhere(False)
 
 
 def test_a_graph_fits_only_while_all_that_it_reads_in_place_lies_where_it_was():
@@ -284,6 +286,29 @@ def test_both_networks_are_given_what_their_losses_read_and_nothing_else():
     acted = {"action", "action_log_prob", "advantage", "loc", "scale"}
     assert set(stepper._actor_keys(batch)) == shared | acted
     assert set(stepper._critic_keys(batch)) == shared | {"value_target", "state_value"}
+
+
+def test_an_update_finds_every_entry_under_the_name_it_is_told():
+    """Also the networks' inputs, which need not be the same."""
+    trained = []
+    for renamed in (False, True):
+        torch.manual_seed(0)
+        seen, known = ("seen", "known") if renamed else ("observation", "observation")
+        policy, value = actor(5, 3, in_keys=(seen,)), critic(5, in_keys=(known,))
+        loss = SplitClipPPOLoss(policy, value)
+        batch = collected(networks()[0], 16)
+        move(policy)
+        if renamed:
+            batch["known"] = batch["observation"]
+            names = {"action": "act", "advantage": "gain", "value_target": "returns", "action_log_prob": "log"}
+            for name, other in (names | {"observation": "seen"}).items():
+                batch.rename_key_(name, other)
+            names["sample_log_prob"] = names.pop("action_log_prob")
+            loss.set_keys(**names)
+        stepper = SplitOptimizationStepper(loss, epochs=1, minibatches=2)
+        report = stepper.update(batch)
+        trained.append([*parameters(policy, value), report["explained_variance"]])
+    agree(*trained, rtol=0, atol=0)
 
 
 def test_where_no_sample_counts_nothing_is_learnt_and_nothing_breaks():
@@ -371,6 +396,8 @@ def test_networks_may_share_an_encoder_that_does_not_learn():
     ("options", "advice"),
     [
         ({"epochs": 0}, "epochs is 0.*Give 1 or more"),
+        ({"minibatches": 0}, "minibatches is 0.*Give 1 or more"),
+        ({"critic_minibatches": 0}, "critic_minibatches is 0.*Give 1 or more"),
         ({"micro_batch": 0}, "None for no limit"),
         ({"actor_lr": 0.1}, "Start within the bounds"),
         ({"actor_lr": 1e-3, "adaptive_kl": AdaptiveKL(bounds=(1e-5, 1e-4))}, "Start within the bounds"),
