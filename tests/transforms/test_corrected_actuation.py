@@ -1,6 +1,7 @@
 """A correction in the chain moves the robot as the diagnosis' own corrected simulation does."""
 
 import json
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -350,3 +351,172 @@ def test_a_centre_of_mass_counts_by_its_distance_from_the_axis():
         '<inertial pos="0.4 0.2 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>'
     )
     assert _in_model(model, "link_com", "one", (0.3,)) == pytest.approx((0.3, 0.3))
+
+
+class Mounted(CorrectedActuation):
+    """As if on an environment, so that single steps can be asked of it without one."""
+
+    parent = TransformedEnv
+
+
+STILL, TURNS = (0.5, 0.5), (2.0, 2.0)
+
+
+def entry(effect, values, joint="b"):
+    names = (IN_THE_CHAIN | IN_THE_MODEL)[effect]
+    return {
+        "effect": effect,
+        "joint": joint,
+        "parameters": {name: {"value": value} for name, value in zip(names, values, strict=True)},
+    }
+
+
+def correction(*effects, names=("a", "b")):
+    return {"schema": "torchrl_athletic/corrected/1", "joint_names": list(names), "effects": effects, "trims": []}
+
+
+def mounted(*effects, kind=Mounted, **options):
+    return kind(correction(*effects), timestep=STEP, **options)
+
+
+def step_of(chain, command=(1.0, 1.0), position=STILL, velocity=TURNS, **entries):
+    """One physics step from the start of an episode, and what it left."""
+    step = TensorDict(joint_position=torch.tensor([position]), joint_velocity=torch.tensor([velocity]), batch_size=[1])
+    step.update(chain.initial(step)).update(entries)
+    return chain._inv_call(step.set(chain.policy_key, torch.tensor([command])))
+
+
+@pytest.mark.parametrize(
+    ("effects", "b"),
+    [
+        ([entry("torque_scale", [1.3])], 1.3),
+        ([entry("torque_offset", [-0.2])], 0.8),
+        ([entry("torque_saturation", [0.25])], 0.25),
+        ([entry("speed_torque_limit", [0.8, 4.0])], 0.4),  # half of its speed, half of its torque
+        ([entry("speed_torque_limit", [0.8, 4.0]), entry("torque_saturation", [0.6])], 0.3),  # the lesser at standstill
+        ([entry("speed_torque_limit", [0.6, 4.0]), entry("torque_saturation", [0.8])], 0.3),
+        ([entry("speed_torque_limit", [0.8, 4.0]), entry("encoder_scale", [2.0])], 0.6),  # turns half as fast
+        ([entry("asymmetric_friction", [0.15, 0.05, 0.06, 0.02])], 0.91),  # brakes 0.27, of which the model has 0.18
+        ([entry("stribeck_friction", [0.1, 0.06, 0.3])], 1.06),  # slides long since: nothing of the 0.06 is left
+        ([entry("joint_stop", [0.4, 2.0, 3.0])], 0.7),
+        ([entry("joint_stop", [0.6, -2.0, 3.0])], 1.3),
+        ([entry("joint_stop", [0.6, 2.0, 3.0])], 1.0),
+        ([entry("joint_stop", [0.4, 1.0, 3.0]), entry("encoder_offset", [0.08])], 0.94),  # 0.02 behind the stop
+        ([entry("joint_stop", [0.2, 1.0, 3.0]), entry("encoder_scale", [2.0])], 0.85),  # 0.05 behind the stop
+        ([entry("joint_stop", [0.4, 1.0, 3.0]), entry("torque_scale", [9.0])], 1.2),  # the motor gives its most, 1.5
+        ([entry("torque_ripple", [0.1, 0.3, np.pi])], 1.1),  # a quarter of a period from 0: all sine
+        ([entry("torque_ripple", [0.1, 0.3, 2 * np.pi])], 0.7),  # half a period: the cosine against it
+        ([entry("torque_ripple", [0.1, 0.3, np.pi]), entry("encoder_offset", [0.5])], 1.3),  # is at 0: all cosine
+        ([entry("hysteresis", [0.2, 0.05])], 1.0),  # unbent at first
+    ],
+)
+def test_each_effect_acts_at_its_own_joint_by_its_own_numbers(effects, b):
+    found = step_of(mounted(*effects, torque_limit=1.5))
+    torch.testing.assert_close(found["torque"], torch.tensor([[1.0, b]]))
+
+
+def test_joints_that_were_not_found_different_stay_as_they_are_beside_all_that_were():
+    effects = [entry(name, VALUES[name]) for name in IN_THE_CHAIN if name in VALUES and name != "clock_offset"]
+    chain = mounted(*effects, kp=2.0, kd=0.5)
+    first = step_of(chain, velocity=(-2.0, -2.0))
+    later = chain._inv_call(first.set("action", torch.tensor([[3.0, 3.0]])).set("joint_position", torch.ones(1, 2)))
+    assert first["torque"].isfinite().all()
+    torch.testing.assert_close(later["torque"][0, 0], torch.tensor(2.0 * (3.0 - 1.0) + 0.5 * 2.0))
+
+
+def test_hysteresis_holds_back_by_all_of_its_torque_once_it_has_built_up():
+    chain = mounted(entry("hysteresis", [0.2, 0.05]))
+    first = step_of(chain)
+    for place, torque in ((1.5, 0.8), (0.5, 1.2), (0.5, 1.2)):
+        found = chain._inv_call(
+            first.set("torque", torch.ones(1, 2)).set("joint_position", torch.tensor([[place, place]]))
+        )
+        torch.testing.assert_close(found["torque"], torch.tensor([[1.0, torque]]))
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_lag_of_one_joint_starts_at_its_first_torque_and_moves_on_from_there(closed):
+    """Over a step the mean of a torque acts, unless a drive closes the loop: then that at the end."""
+    gains = {"kp": 1.0, "kd": 0.0} if closed else {}
+    chain = mounted(entry("actuation_lag", [STEP]), **gains)
+    first = step_of(chain, position=(0.0, 0.0))
+    torch.testing.assert_close(first["torque"], torch.ones(1, 2))
+    found = chain._inv_call(first.set(chain.policy_key, torch.full((1, 2), 2.0)))["torque"]
+    left = np.exp(-1.0)
+    torch.testing.assert_close(found, torch.tensor([[2.0, 2.0 - (left if closed else 1 - left)]], dtype=torch.float32))
+
+
+def test_gains_and_their_scales_belong_to_stiffness_and_damping_each():
+    chain = mounted(entry("gain_mismatch", [0.5, 3.0]), kp=10.0, kd=1.0)
+    scales = {"kp_scale": torch.tensor([[2.0, 2.0]]), "kd_scale": torch.tensor([[0.1, 0.1]])}
+    found = step_of(chain, **scales)
+    torch.testing.assert_close(found["torque"], torch.tensor([[10.0 - 0.2, 5.0 - 0.6]]))
+
+
+def test_the_target_that_is_noted_is_the_one_that_acts():
+    chain = mounted(entry("actuation_delay", [STEP]), kp=10.0, kd=0.0)
+    first = step_of(chain)
+    found = chain._inv_call(first.set("action", torch.full((1, 2), 7.0)))
+    assert found["position_target"].tolist() == [[7.0, 1.0]]
+
+
+def test_one_gain_without_the_other_is_refused():
+    for gains in ({"kp": 1.0}, {"kd": 1.0}):
+        with pytest.raises(ValueError, match="one of kp and kd"):
+            mounted(**gains)
+
+
+TWO_JOINTS = mujoco.MjModel.from_xml_string(
+    '<mujoco><worldbody><body><joint name="a" damping="0.1" armature="0.01" stiffness="2" frictionloss="0.2"/>'
+    '<geom size="0.1" mass="1.5"/><body><joint name="b" damping="0.3" armature="0.02" stiffness="4" '
+    'frictionloss="0.16"/><geom size="0.1" mass="2.5"/></body></body></worldbody></mujoco>'
+)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "wanted", "has"),
+    [
+        ("coulomb_friction", (0.1,), 0.1, 0.16),
+        ("asymmetric_friction", (0.15, 0.05, 0.0, 0.0), 0.1, 0.16),
+        ("stribeck_friction", (0.1, 0.06, 0.3), 0.16, 0.16),
+        ("viscous_friction", (0.1,), 0.1, 0.3),
+        ("reflected_inertia", (0.05,), 0.05, 0.02),
+        ("joint_spring", (1.0, 0.5), 1.0, 4.0),
+        ("link_mass", (1.0,), 1.0, 2.5),
+        ("gravity_tilt", (0.05, -0.2), -0.2, 0.0),
+    ],
+)
+def test_what_the_model_should_have_is_looked_up_where_it_stands(effect, values, wanted, has):
+    assert _in_model(TWO_JOINTS, effect, "b", values) == pytest.approx((wanted, has))
+
+
+@pytest.mark.parametrize(
+    ("effects", "names", "timestep", "advice"),
+    [
+        ([entry("reflected_inertia", [0.0202])], "ab", STEP, "reflected_inertia of 'b'"),
+        ([entry("reflected_inertia", [0.0198])], "ab", STEP, "reflected_inertia of 'b'"),
+        ([entry("payload", [1.0]), entry("viscous_friction", [0.2])], "ab", STEP, "viscous_friction of 'b'"),
+        ([entry("payload", [1.0], "a"), entry("link_mass", [9.0])], "ab", STEP, "link_mass of 'b'"),
+        ([], "ba", STEP, "corrections would act on other joints"),
+        ([], "ab", 1.01 * STEP, "counts steps"),
+        ([], "ab", 0.99 * STEP, "counts steps"),
+        ([], "ab", STEP, None),
+        ([entry("reflected_inertia", [0.02])], "ab", STEP, None),
+        ([entry("payload", [1.0]), entry("link_mass", [9.0]), entry("link_com", [9.0])], "ab", STEP, None),
+    ],
+)
+def test_only_an_environment_that_is_as_corrected_is_accepted(effects, names, timestep, advice):
+    class Placed(CorrectedActuation):
+        parent = SimpleNamespace(
+            physics=SimpleNamespace(joint_names=tuple(names), timestep=timestep, model=TWO_JOINTS), batch_size=[1]
+        )
+
+    chain = mounted(*effects, kind=Placed)
+    if advice is None:
+        chain._check_environment(2)
+    else:
+        with pytest.raises(ValueError, match=advice):
+            chain._check_environment(2)
+    for joints in (1, 3):
+        with pytest.raises(ValueError, match="is for 2 joints"):
+            chain._check_environment(joints)
