@@ -95,3 +95,12 @@ def test_the_true_position_is_shown_where_the_environment_resets_itself():
     torch.testing.assert_close(shown["true"], plain["joint_position"])
     torch.testing.assert_close(shown["joint_position"], shown["true"] + shown["encoder_offset"])
     assert (shown["encoder_offset"].diff(dim=1) != 0).any()
+
+
+@pytest.mark.parametrize("joints", [[2], [2, 0], slice(1, 3)])
+def test_encoders_of_other_joints_read_true(joints):
+    shown = TransformedEnv(ToyEnv(4), EncoderOffset(joints=joints)).reset()["encoder_offset"]
+    chosen = torch.zeros(3, dtype=torch.bool)
+    chosen[joints] = True
+    assert (shown[:, chosen] != 0).all()
+    assert (shown[:, ~chosen] == 0).all()

@@ -1,7 +1,9 @@
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs import Compose, TransformedEnv
 
+from torchrl_athletic.functional import streams
 from torchrl_athletic.functional.phase import Phase, PhaseSchedule
 from torchrl_athletic.testing import ToyEnv, TransformContract
 from torchrl_athletic.transforms import ReferenceKeys, ReferenceTrajectory, TaskPhase
@@ -237,3 +239,18 @@ def test_what_is_shown_is_as_large_as_announced(flatten: bool, lookahead: tuple[
     shown = env.reset()
     assert [env.observation_spec[key].shape for key in keys] == [shown[key].shape for key in keys]
     assert sum(shown[key].numel() for key in keys) == 2 * len(lookahead) * 6
+
+
+def test_a_random_start_lies_at_a_sample_where_samples_hold_and_anywhere_in_either_reference():
+    """Two steps to a sample: between two of them an episode starts as the sample that was passed."""
+    tables = [torch.arange(5.0).unsqueeze(-1), torch.arange(50.0).unsqueeze(-1)]
+    reference = ReferenceTrajectory(
+        {"shown": tables, "qpos": tables}, 0.2, 0.1,
+        random_start=True, interpolate=False, reset_state={"reset_qpos": "qpos"},
+    )  # fmt: skip
+    starts = reference._reset_env_preprocess(TensorDict(batch_size=[400]))["reset_qpos"]
+    assert torch.equal(starts, starts.round())
+    number, step = reference._choose(streams.stream(0, torch.arange(2000)))
+    for k, last in enumerate((8, 98)):
+        assert step[number == k].unique().tolist() == list(range(last + 1))
+        assert abs(step[number == k].float().mean() / last - 0.5) < 0.05
