@@ -13,12 +13,16 @@ from torchrl_athletic.transforms import (
     BallFlight,
     CommandSampler,
     CorrectedActuation,
+    CorrectedKeys,
     DomainRandomization,
     EncoderOffset,
     ExternalPush,
     GaitClock,
     InitialState,
+    InPhase,
+    LimitedTarget,
     ObservationHistory,
+    PDControl,
     PeakPower,
     PoseError,
     Push,
@@ -29,7 +33,9 @@ from torchrl_athletic.transforms import (
     StaggeredEpisodes,
     StartRanges,
     TaskPhase,
+    TorqueSpeedClip,
     UANCorrection,
+    UANKeys,
 )
 
 
@@ -112,3 +118,47 @@ from torchrl_athletic.transforms import (
 def test_what_is_not_said_is_as_documented(made, defaults):
     parameters = inspect.signature(made).parameters
     assert {name: parameters[name].default for name in defaults} == defaults
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        [(PDControl, "scale_keys"), (CorrectedKeys, "scales"), (LimitedTarget, "scale_keys")],
+        [
+            (DomainRandomization, "torque_limit_key"),
+            (TorqueSpeedClip, "scale_key"),
+            (CorrectedKeys, "limit_scale"),
+            (LimitedTarget, "limit_scale_key"),
+        ],
+        [(PDControl, "target_key"), (CorrectedKeys, "target"), (UANKeys, "target"), (ActuatorNet, "target_key")],
+        [(PDControl, "torque_key"), (CorrectedKeys, "torque"), (UANKeys, "torque"), (ActuatorNet, "torque_key")],
+        [(PDControl, "action_key"), (CorrectedKeys, "action"), (LimitedTarget, "action_key")],
+        [
+            (PDControl, "position_key"),
+            (CorrectedKeys, "position"),
+            (UANKeys, "position"),
+            (EncoderOffset, "position_key"),
+        ],
+        [
+            (PDControl, "velocity_key"),
+            (CorrectedKeys, "velocity"),
+            (UANKeys, "velocity"),
+            (TorqueSpeedClip, "velocity_key"),
+        ],
+        [(TaskPhase, "index_key"), (BallFlight, "phase_key"), (AddedMass, "phase_key"), (InPhase, "phase_key")],
+        [(CommandSampler, "pose_key"), (PoseError, "command_key")],
+        [(CommandSampler, "base_keys"), (PoseError, "base_keys")],
+        [(CommandSampler, "height_key"), (PoseError, "height_key")],
+        [(CommandSampler, "end_effector_keys"), (PoseError, "pose_keys")],
+    ],
+    ids=str,
+)
+def test_what_one_writes_is_what_the_others_read(told):
+    names = {inspect.signature(made).parameters[argument].default for made, argument in told}
+    assert len(names) == 1
+
+
+def test_scales_are_written_where_drives_read_them():
+    written = inspect.signature(DomainRandomization).parameters
+    read = inspect.signature(PDControl).parameters["scale_keys"].default
+    assert (written["kp_key"].default, written["kd_key"].default) == read

@@ -5,6 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from tensordict import TensorDict
+from torchrl.data import Unbounded
 from torchrl.envs import Compose, TransformedEnv
 
 from torchrl_athletic import transforms
@@ -19,7 +21,7 @@ from torchrl_athletic.transforms import (
     RandomTransform,
     StatefulTransform,
 )
-from torchrl_athletic.transforms.stateful import joint_index, spread
+from torchrl_athletic.transforms.stateful import base_env_of, joint_index, spread, unbounded_like
 
 NEEDED = {
     "dt": 0.005,
@@ -116,3 +118,50 @@ def test_a_clone_in_another_chain_knows_nothing_of_the_first_one() -> None:
     scaled = TransformedEnv(ToyEnv(5), copied)
     assert scaled.reset()["action_history"].shape == (5, 2, 3)
     assert first.reset()["action_history"].shape == (2, 2, 3)
+
+
+def test_in_another_chain_it_asks_anew_what_lies_further_in() -> None:
+    part = TransformedEnv(ToyEnv(2), ActionHistory(2)).transform
+    first = TransformedEnv(ToyEnv(2), part.clone())
+    assert first.reset()["action_history"].shape == (2, 2, 3)
+    moved = first.transform
+    for forget in (moved.empty_cache, moved.reset_parent):
+        moved._specs["action"] = moved._specs["reward"] = object()
+        forget()
+        assert not moved._specs
+
+
+def test_rows_of_another_batch_have_streams_of_their_own_and_no_episodes_yet() -> None:
+    part = EncoderOffset(seed=5, first_row=2)
+    larger = EncoderOffset(seed=5)
+    larger._count_episodes_of(TensorDict(batch_size=[10]))
+    for size in ([3], [2, 4], [5]):
+        part._count_episodes_of(TensorDict(batch_size=size))
+        assert part.episode.tolist() == torch.zeros(size).tolist()
+        part.episode += 1
+        assert torch.equal(part.row_stream.flatten(), larger.row_stream[2 : 2 + part.row_stream.numel()])
+
+
+def test_a_row_starts_anew_if_any_of_its_flags_says_so() -> None:
+    part = EncoderOffset()
+    part._count_episodes_of(TensorDict(batch_size=[3]))
+    asked = TensorDict(_reset=torch.tensor([[True, False], [False, False], [True, True]]), batch_size=[3])
+    assert part._starts(asked).tolist() == [True, False, True]
+    assert part._starts(TensorDict(batch_size=[3])) == 1
+
+
+def test_what_lies_under_all_transforms_is_found_in_any_depth() -> None:
+    base = env = ToyEnv(2)
+    for _ in range(3):
+        env = TransformedEnv(env, Compose(), auto_unwrap=False)
+        assert base_env_of(env) is base
+
+
+def test_an_entry_like_another_has_its_type() -> None:
+    like = unbounded_like(Unbounded((2, 3), dtype=torch.float64), [2, 7])
+    assert (like.shape, like.dtype) == ((2, 7), torch.float64)
+
+
+def test_entries_on_the_way_in_are_told_to_torchrl() -> None:
+    part = StatefulTransform(["a"], ["b"], ["c"], ["d"])
+    assert (part.in_keys, part.out_keys, part.in_keys_inv, part.out_keys_inv) == (["a"], ["b"], ["c"], ["d"])
