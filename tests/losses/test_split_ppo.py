@@ -106,7 +106,9 @@ def test_it_runs_the_networks_with_the_parameters_it_is_given(case):
     """As for a gradient through an update, which puts other parameters in the place of the loss's own."""
     policy, value, batch = case
     loss = SplitClipPPOLoss(policy, value)
-    others = TensorDict.from_module(loss).clone().apply(lambda parameter: parameter.detach() * 1.5)
+    others = TensorDict.from_module(loss).detach().clone()
+    for name in ("actor_network_params", "critic_network_params"):
+        others[name] = others[name] * 1.5
     before = loss(batch)
     with others.to_module(loss):
         within = loss(batch)
@@ -365,7 +367,9 @@ def test_keys_can_be_renamed(case):
     names = {"advantage": ("gae", "adv"), "value_target": "returns", "action": "act", "action_log_prob": "log"}
     for name, other in names.items():
         batch.rename_key_(name, other)
-    loss.set_keys(advantage=("gae", "adv"), value_target="returns", action="act", sample_log_prob="log")
+    loss = SplitClipPPOLoss(policy, TensorDictModule(value.module, ["observation"], ["worth"]))
+    told = {"action": "act", "sample_log_prob": "log", "value": "worth"}
+    loss.set_keys(advantage=("gae", "adv"), value_target="returns", **told)
     found = loss(batch)
     assert all(found[key] == expected[key] for key in ("loss_objective", "loss_critic"))
 
