@@ -339,3 +339,35 @@ def test_torques_that_somebody_else_holds_are_left_as_they_are():
             changed = link._inv_call(data.copy())["torque"]
             assert not torch.equal(changed, given)
             assert (given == 9.0).all()
+
+
+def test_before_the_episode_each_joint_has_a_command_of_its_own():
+    delay = ActionDelay(2, 1, before=[1.0, 2.0, 3.0], queue_key=("robot", "queue"), action_key="torque")
+    shown = TransformedEnv(ToyEnv(2, action="torque"), delay).reset()
+    assert shown["robot", "queue"].tolist() == [[[1.0, 2.0, 3.0]] * 3] * 2
+    assert ("robot", "queue_age") not in shown.keys(True)
+    fresh = ActionDelay(2, queue_key=("robot", "queue"), action_key="torque")
+    assert TransformedEnv(ToyEnv(2, action="torque"), fresh).reset()["robot", "queue_age"].tolist() == [[0], [0]]
+
+
+def test_limits_are_each_joint_s_own():
+    """Of three joints the last two are a group, which turns too fast by 5 rad/s and by 2 rad/s."""
+    brake = OverspeedBrake([30.0, 8.0], [10.0, 4.0], joints=[1, 2])
+    seen = TensorDict(
+        torque=torch.tensor([[1.0, 1.0, 1.0]]), joint_velocity=torch.tensor([[15.0, 15.0, 6.0]]), batch_size=[1]
+    )
+    assert brake.inv(seen.clone())["torque"].tolist() == [[1.0, -15.0, -4.0]]
+    clip = TorqueSpeedClip([30.0, 8.0, 6.0], [20.0, 30.0, 12.0])
+    seen["torque"] = torch.full((1, 3), 50.0)
+    assert clip.inv(seen)["torque"].tolist() == [[7.5, 4.0, 3.0]]
+
+
+def test_each_gain_is_scaled_by_its_own_scale():
+    law = PDControl([20.0, 10.0], [2.0, 1.0])
+    seen = TensorDict(
+        action=torch.ones(1, 2), joint_position=torch.zeros(1, 2), joint_velocity=torch.ones(1, 2), batch_size=[1]
+    )
+    seen["kp_scale"], seen["kd_scale"] = torch.tensor([[2.0, 1.0]]), torch.tensor([[1.0, 3.0]])
+    found = law.inv(seen)
+    assert found["torque"].tolist() == [[40.0 - 2.0, 10.0 - 3.0]]
+    assert found["position_target"].tolist() == [[1.0, 1.0]]

@@ -160,3 +160,10 @@ def test_a_pose_is_told_from_a_shoulder_and_in_a_frame_of_one_s_own():
 )
 def test_goals_last_the_number_of_steps_next_to_their_time(interval: float, dt: float, steps: int) -> None:
     assert CommandSampler(CommandRanges(interval=interval, duration=(0.01, 0.01)), dt).interval_steps == steps
+
+
+def test_memory_stands_in_the_group_that_is_named():
+    sampler = CommandSampler(CommandRanges(), 0.02, memory_key=("robot", "command"))
+    assert {("robot", f"command_{name}") for name in ("start", "goal", "duration", "stream", "step")} <= set(
+        sampler.out_keys
+    )
