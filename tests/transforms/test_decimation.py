@@ -4,6 +4,7 @@ from functools import partial
 
 import pytest
 import torch
+from torchrl.data import Composite
 from torchrl.envs import Compose, FrameSkipTransform, SerialEnv, StepCounter, Transform, TransformedEnv
 
 from torchrl_athletic.testing import ToyEnv, difference, make_actions, play, rows_together
@@ -202,3 +203,19 @@ def test_only_the_last_step_of_an_action_has_to_show_all(steps):
     env = TransformedEnv(Recording(2, shortest=9), Decimation(steps))
     env.step(env.reset().set("action", torch.ones(2, 3)))
     assert env.base_env.substeps == [True] * (steps - 1) + [False]
+
+
+def test_every_reward_is_summed():
+    class TwoRewards(ToyEnv):
+        def _make_specs(self, dtype):
+            super()._make_specs(dtype)
+            reward = self.reward_spec
+            self.reward_spec = Composite(reward=reward.clone(), bonus=reward.clone(), shape=self.batch_size)
+
+        def _step(self, tensordict):
+            step = super()._step(tensordict)
+            return step.set("bonus", 2 * step["reward"] + 1)
+
+    steps = TransformedEnv(TwoRewards(2, shortest=20), Decimation(4)).rollout(3)["next"]
+    assert steps["reward"].abs().min() > 0
+    torch.testing.assert_close(steps["bonus"], 2 * steps["reward"] + 4)

@@ -64,3 +64,12 @@ def test_data_that_do_not_tell_how_far_off_a_target_is_are_refused(missing: str)
     seen = TensorDict({name: torch.zeros(1, 2) for name in ("action", "joint_position", "joint_velocity")}, [1])
     with pytest.raises(KeyError, match="cannot tell how far off"):
         LimitedTarget(20.0, 0.5, 4.0, 10.0).inv(seen.exclude(missing))
+
+
+def test_motors_without_load_turn_at_speeds_of_their_own() -> None:
+    near = LimitedTarget(20.0, 0.0, 4.0, [10.0, 2.0])
+    seen = TensorDict(
+        action=torch.ones(1, 2), joint_position=torch.zeros(1, 2), joint_velocity=torch.ones(1, 2), batch_size=[1]
+    )
+    target = near.inv(seen)["action"]
+    torch.testing.assert_close(target, torch.tensor([[4.0 * 0.9 / 20.0, 4.0 * 0.5 / 20.0]]))

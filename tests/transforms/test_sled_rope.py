@@ -264,3 +264,22 @@ def test_a_rope_of_one_s_own_is_as_stiff_and_damps_as_much_as_it_is_told():
 def test_a_sled_on_ice_and_a_rope_that_does_not_damp_are_none_that_cannot_be():
     rope = SledRope(DT, friction=(0.0, 0.0), damping=0.0)
     assert (rope.friction, rope.damping) == ((0.0, 0.0), 0.0)
+
+
+def test_a_hand_that_moves_is_held_less_whether_it_goes_or_comes_and_towards_the_sled():
+    rope = SledRope(DT, stiffness=100.0, damping=20.0)
+    one = torch.ones(3, 1)
+    values = (torch.tensor([[2.0, 0.0]] * 3), torch.zeros(3, 2), 50 * one, one, 0 * one, 2 * one, 0 * one)
+    before = TensorDict(dict(zip(rope.out_keys, (*values, torch.zeros(3, 3)), strict=True)), batch_size=[3])
+    after = TensorDict(
+        handle_position=torch.tensor([[-0.3, 0.0, 0.0]] * 3),
+        handle_linear_velocity=torch.tensor([[-0.5, 0.0, 0.0], [0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]),
+        batch_size=[3],
+    )
+    rope.advance(before, after)
+    away, still, back = after["rope_tension"].flatten().tolist()
+    assert still > away > 0
+    assert away == pytest.approx(back)
+    torch.testing.assert_close(after["rope_force"], after["rope_tension"] * torch.tensor([1.0, 0.0, 0.0]))
+    for name in ("sled_mass", "sled_friction", "sled_hook_height", "rope_length"):
+        assert torch.equal(after[name], before[name])
