@@ -398,6 +398,7 @@ def step_of(chain, command=(1.0, 1.0), position=STILL, velocity=TURNS, **entries
         ([entry("speed_torque_limit", [0.8, 4.0]), entry("encoder_scale", [2.0])], 0.6),  # turns half as fast
         ([entry("asymmetric_friction", [0.15, 0.05, 0.06, 0.02])], 0.91),  # brakes 0.27, of which the model has 0.18
         ([entry("stribeck_friction", [0.1, 0.06, 0.3])], 1.06),  # slides long since: nothing of the 0.06 is left
+        ([entry("stribeck_friction", [0.1, 0.06, 2e3])], 1.0),  # too slow to slide yet
         ([entry("joint_stop", [0.4, 2.0, 3.0])], 0.7),
         ([entry("joint_stop", [0.6, -2.0, 3.0])], 1.3),
         ([entry("joint_stop", [0.6, 2.0, 3.0])], 1.0),
