@@ -371,3 +371,22 @@ def test_each_gain_is_scaled_by_its_own_scale():
     found = law.inv(seen)
     assert found["torque"].tolist() == [[40.0 - 2.0, 10.0 - 3.0]]
     assert found["position_target"].tolist() == [[1.0, 1.0]]
+
+
+def test_a_net_sees_positions_velocities_and_torques_of_its_group_in_this_order():
+    seen = []
+
+    def net(features):
+        seen.append(features)
+        return features[..., :1]
+
+    state = {
+        "joint_position": torch.tensor([[1.0, 2.0, 3.0]]),
+        "joint_velocity": torch.tensor([[10.0, 20.0, 30.0]]),
+        "torque": torch.tensor([[100.0, 200.0, 300.0]]),
+        "position_target": torch.zeros(1, 3),
+        "error_history": torch.zeros(1, 2, 2, 1),
+    }
+    UANCorrection(net, joints=[2, 0], length=1, state=True)._inv_call(TensorDict(state, batch_size=[1]))
+    group = [3.0, 1.0, 30.0, 10.0, 300.0, 100.0]
+    assert seen[0].tolist() == [[[-3.0, -30.0, *group], [-1.0, -10.0, *group]]]

@@ -4,11 +4,13 @@ from functools import partial
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.data import Composite
 from torchrl.envs import Compose, FrameSkipTransform, SerialEnv, StepCounter, Transform, TransformedEnv
 
 from torchrl_athletic.testing import ToyEnv, difference, make_actions, play, rows_together
 from torchrl_athletic.transforms import Decimation, ObservationHistory, PDControl
+from torchrl_athletic.transforms.decimation import _done
 
 OURS = ("joint_position", "joint_velocity", "observation", "reward", "done", "terminated", "truncated")
 
@@ -219,3 +221,13 @@ def test_every_reward_is_summed():
     steps = TransformedEnv(TwoRewards(2, shortest=20), Decimation(4)).rollout(3)["next"]
     assert steps["reward"].abs().min() > 0
     torch.testing.assert_close(steps["bonus"], 2 * steps["reward"] + 4)
+
+
+@pytest.mark.parametrize("raised", ["done", "terminated", "truncated"])
+def test_a_row_is_at_its_end_by_any_of_its_flags(raised):
+    env = ToyEnv(3)
+    flags = dict.fromkeys(env.done_keys, torch.zeros(3, 1, dtype=torch.bool))
+    flags |= {raised: torch.tensor([[True], [False], [True]])}
+    assert _done(env, TensorDict(flags, batch_size=[3])).equal(flags[raised])
+    assert _done(env, TensorDict({raised: flags[raised]}, batch_size=[3])).equal(flags[raised])
+    assert not _done(env, TensorDict(batch_size=[3])).any()
