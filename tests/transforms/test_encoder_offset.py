@@ -104,3 +104,16 @@ def test_encoders_of_other_joints_read_true(joints):
     chosen[joints] = True
     assert (shown[:, chosen] != 0).all()
     assert (shown[:, ~chosen] == 0).all()
+
+
+@pytest.mark.parametrize("out_key", [None, "reading"])
+def test_rows_that_reset_themselves_in_the_step_get_another_offset_and_the_others_keep_theirs(out_key):
+    env = TransformedEnv(ToyEnv(3), EncoderOffset(out_key=out_key))
+    before = env.reset()
+    starts = torch.tensor([[True], [False], [True]])
+    shown = before.select("joint_position") if out_key is None else before.select("joint_position", "reading")
+    after = env.transform._reset_on_native_autoreset(before.copy().set("_reset", starts), shown.clone())
+    changed = (after["encoder_offset"] != before["encoder_offset"]).all(-1, keepdim=True)
+    assert changed.equal(starts)
+    true = before["joint_position"] - (before["encoder_offset"] if out_key is None else 0.0)
+    torch.testing.assert_close(after[out_key or "joint_position"], true + after["encoder_offset"])
