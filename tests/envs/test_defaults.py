@@ -18,14 +18,21 @@ from torchrl_athletic.envs import (
     draw_command,
     draw_sled,
     dumbbell_snatch_env,
+    dumbbell_snatch_rewards,
     reach_errors,
     reachable_poses,
     replay_env,
     sled_pull_env,
+    sled_pull_rewards,
     throw_env,
     throw_task,
     whole_body_env,
+    whole_body_rewards,
 )
+from torchrl_athletic.envs.gymnasium_env import GymnasiumVectorEnv
+from torchrl_athletic.envs.task_parts import auxiliary_rewards
+from torchrl_athletic.envs.throw import AroundReference
+from torchrl_athletic.envs.whole_body import PRIVILEGED, TrackingErrors
 
 
 @pytest.mark.parametrize(
@@ -46,6 +53,15 @@ from torchrl_athletic.envs import (
             },
         ),
         (Takes, {"driven": "position"}),
+        *(
+            (made, {"position_key": "joint_position"})
+            for made in (whole_body_rewards, auxiliary_rewards, sled_pull_rewards, dumbbell_snatch_rewards)
+        ),
+        (GymnasiumVectorEnv, {"num_envs": 1, "autoreset": True}),
+        (AroundReference, {"share": 0.25, "reference_key": "reference", "phase_key": "task_phase_index"}),
+        (TrackingErrors, {"length": 0.3}),
+        (whole_body_env, {"device": "cpu", "privileged": PRIVILEGED, "objects": (), "extra": ()}),
+        (throw_env, {"device": "cpu", "sensing": (), "extra": (), "privileged": ()}),
         (TorqueEnv.__init__, {"num_envs": 1, "device": "cpu", "every_step": (), "substeps": 1, "footprint": 0.5}),
         (ThrowFailure, {"tolerance": 0.01, "clearance": 0.1, "ends": True}),
         (actuation_chain, {"max_delay": 0, "min_delay": 0, "decimation": 4, "seed": 0, "first_row": 0}),

@@ -80,3 +80,15 @@ def test_a_sled_stands_behind_its_hook_in_line_with_a_rope_that_is_red_while_it_
     np.testing.assert_allclose(ends(slack)[1], rope / np.linalg.norm(rope), atol=1e-6)
     assert slack.rgba[0] == slack.rgba[1]
     assert taut.rgba[0] > 2 * taut.rgba[1]
+
+
+def test_a_sled_straight_below_the_hand_is_drawn_all_the_same(scene):
+    step = TensorDict(
+        handle_position=torch.tensor([1.0, 2.0, 0.8]),
+        sled_position=torch.tensor([1.0, 2.0]),
+        rope_tension=torch.tensor([0.0]),
+    )
+    draw_sled(scene, step)
+    for geom in scene.geoms[:2]:
+        assert np.isfinite(geom.pos).all()
+        assert np.isfinite(geom.mat).all()

@@ -15,6 +15,7 @@ from torchrl.envs import TransformedEnv
 
 from torchrl_athletic.envs.gymnasium_env import TASKS, GymnasiumEnv, GymnasiumVectorEnv
 from torchrl_athletic.envs.registration import TASKS as NAMES
+from torchrl_athletic.envs.registration import register_with_gymnasium
 from torchrl_athletic.testing import ToyEnv
 from torchrl_athletic.transforms import GaitClock, ObservationHistory
 
@@ -181,3 +182,9 @@ def test_a_single_robot_tells_a_fall_from_the_end_of_its_time(ends):
     terminated, truncated = (np.array([end]) for end in ends)
     env.rows = SimpleNamespace(step=lambda action: (np.ones((1, 770)), np.ones(1), terminated, truncated, {}))
     assert env.step(np.zeros(19, np.float32))[2:4] == ends
+
+
+def test_without_gymnasium_there_is_nothing_to_register(monkeypatch):
+    monkeypatch.setattr("torchrl_athletic.envs.registration.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "gymnasium", None)  # whose import would fail
+    register_with_gymnasium()

@@ -235,3 +235,17 @@ def test_near_the_default_is_near_the_robots_own_keyframe():
     lift = replace(lift, joint_groups={"arm": (0, 1)}, sensors=sensors, keyframe="high")
     height = reachable_poses(lift, count=20, spread=0.01)[:, 2]
     assert ((height >= 1.27) & (height <= 1.29)).all()
+
+
+def test_an_attitude_that_is_met_is_met_though_its_square_is_a_little_more_than_one_to_a_computer():
+    """The arccosine of that would be no number."""
+    turned = torch.tensor([[0.5, 0.5, 0.5, 0.5 + 1e-6]]).expand(1, 30, 4)
+    assert (turned * turned).sum(-1).max() > 1
+    place = torch.zeros(1, 30, 3)
+    after = {"end_effector_position": place, "end_effector_quaternion": turned}
+    after["command"] = torch.cat((place, turned), -1)
+    assert reach_errors(TensorDict(next=after, batch_size=[1, 30]))["attitude_deg"] == 0.0
+
+
+def test_a_single_goal_is_a_table_too():
+    assert (goal_env(poses=POSES[1:]).reset()["command"] == POSES[1]).all()

@@ -15,8 +15,8 @@ from torchrl_athletic.envs.task_parts import (
     stance,
 )
 from torchrl_athletic.envs.whole_body_rewards import AUXILIARY
-from torchrl_athletic.functional.phase import sled_phases, throw_phases
-from torchrl_athletic.robots import b2z1
+from torchrl_athletic.functional.phase import sled_phases, snatch_phases, throw_phases
+from torchrl_athletic.robots import b2z1, read_motion
 
 ROBOT = b2z1()
 
@@ -113,3 +113,12 @@ def test_a_base_that_stands_level_at_its_height_costs_nothing():
 def test_shared_terms_read_the_joints_that_they_are_told():
     terms, _ = auxiliary_rewards(ROBOT, "true_joint_position")
     assert terms["joint_limits"].keys == terms["joint_deviation"].keys == ("true_joint_position",)
+
+
+def test_a_motion_that_was_read_before_is_taken_and_one_of_other_phases_is_refused_however_many_it_has():
+    motion = read_motion("sled")
+    one, other = ([part.table for part in references(given, ROBOT, sled_phases())] for given in (motion, "sled"))
+    for ours, theirs in zip(one, other, strict=True):
+        torch.testing.assert_close(ours, theirs, equal_nan=True)
+    with pytest.raises(ValueError, match=r"has the phases \['sled-set-up', 'pull'\], the task \['snatch-set-up'"):
+        references(motion, ROBOT, snatch_phases())

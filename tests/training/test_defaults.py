@@ -5,7 +5,10 @@ import inspect
 import pytest
 
 from torchrl_athletic.training import (
+    FINE_TUNE,
     PPO,
+    PRE_TRAIN,
+    UAN,
     CapturedRollout,
     Checkpoints,
     Condition,
@@ -18,6 +21,7 @@ from torchrl_athletic.training import (
     draw_curves,
     draw_episode,
     examine,
+    iterate,
     join_processes,
     learn_remainder,
     make_logger,
@@ -72,6 +76,16 @@ from torchrl_athletic.training import (
         (Processes, {"rank": 0, "count": 1, "device": "cpu"}),
         (join_processes, {"device": "cpu"}),
         (validation_of, {"device": "cpu"}),
+        (Condition.env, {"actuation": "uan", "seed": 0, "first_row": 0}),
+        (wbc_learner, {"config": PRE_TRAIN, "start": None}),
+        (Learner, {"config": PRE_TRAIN, "watch": ()}),
+        (task_learner, {"config": FINE_TUNE, "known": {}}),
+        (uan_learner, {"config": UAN}),
+        (units_of, {"memory": ()}),
+        (RayRollout, {"address": None, "device": None, "keys": None}),
+        (learn_remainder, {"output": None, "iterations": None}),
+        (train, {"show": ("reward", "kl"), "step": iterate, "iterations": None, "minutes": None}),
+        (examine, {"device": "cpu"}),
         (Learner, {"normalized": "observation", "seed": 0, "collector": False, "cuda_graph": False}),
         (RayRollout, {"seed": 0}),
         (Rollout, {"collector": False}),
@@ -97,3 +111,7 @@ from torchrl_athletic.training import (
 def test_what_is_not_said_is_as_documented(made, defaults):
     parameters = inspect.signature(made).parameters
     assert {name: parameters[name].default for name in defaults} == defaults
+
+
+def test_a_task_is_tuned_by_the_numbers_for_tuning_unless_told_otherwise():
+    assert FineTune().ppo == FINE_TUNE != PRE_TRAIN

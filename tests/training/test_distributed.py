@@ -252,3 +252,15 @@ def test_torchrun_starts_them(tmp_path):
     norms = [line for line in run.stdout.splitlines() if line.startswith("norm")]
     assert len(norms) == 2
     assert norms[0] == norms[1]
+
+
+def test_what_nobody_gives_weight_to_is_nothing_and_no_nan(monkeypatch):
+    monkeypatch.setattr(torch.distributed, "all_reduce", lambda flat: None)
+    found = torch.tensor([torch.nan, 2.0])
+    Processes(0, 2).average_([found], weight=torch.tensor(0.0))
+    assert found.tolist() == [0.0, 0.0]
+
+
+def test_each_process_has_the_rows_behind_those_of_the_ones_before():
+    firsts = [Processes(rank, 3).first_row(12) for rank in range(3)]
+    assert firsts == [0, 4, 8]

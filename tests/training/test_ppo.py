@@ -497,3 +497,20 @@ def test_what_is_watched_in_a_group_is_reported_by_its_whole_path(watch):
     report = iterate(arm_learner(env=env, watch=[watch]))
     assert {"reward", "told/speed"} <= set(report.keys())
     assert "speed" not in report.keys()
+
+
+def test_states_are_saved_every_so_many_iterations_and_at_the_end():
+    learner, saved = counting(), []
+    states = SimpleNamespace(resume=lambda *_: False, save=lambda learner, log: saved.append(learner.iteration))
+    train(learner, iterations=7, checkpoints=states, checkpoint_every=3, step=one_more, progress=False)
+    assert saved == [3, 6, 7]
+
+
+def test_values_are_taken_in_small_pieces_and_their_slopes_are_not_kept():
+    learner, sizes = arm_learner(), []
+    learner.config = replace(learner.config, micro_batch=5)
+    learner.critic.register_forward_hook(lambda net, given, values: sizes.append(values["state_value"].shape[0]))
+    batch = learner.rollout()
+    estimate_advantage(learner, batch)
+    assert max(sizes) == 5
+    assert not any(batch[key].requires_grad for key in ("state_value", "advantage", "value_target"))

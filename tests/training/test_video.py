@@ -115,6 +115,10 @@ def test_the_camera_looks_at_the_middle_of_all_bodies_of_the_first_keyframe_from
     centre, distance = _centre_and_distance(mujoco.MjModel.from_xml_string(TWO))
     np.testing.assert_allclose(centre, [6.0, 0.0, 1.5 + 13.0 / 4])
     assert distance == pytest.approx(14.2)
+    ahead = TWO.replace('name="ball"', 'name="ball" pos="8 0 0"')  # the world's own origin is no body to be seen
+    centre, distance = _centre_and_distance(mujoco.MjModel.from_xml_string(ahead))
+    np.testing.assert_allclose(centre, [10.0, 0.0, 1.5 + 0.25 * 41**0.5])
+    assert distance == pytest.approx(1.2 + 41**0.5)
 
 
 def test_ffmpeg_is_told_width_before_height_and_the_rate_and_given_every_frame(tmp_path, monkeypatch):
@@ -161,6 +165,8 @@ def test_every_other_frame_goes_into_a_gif_at_its_time(tmp_path):
         assert video.n_frames == 5
         assert video.info["duration"] == 40
         assert video.info["loop"] == 0  # again and again
+        video.seek(0)
+        assert np.asarray(video.convert("RGB")).max() == 0  # the first one is among them
 
 
 def test_where_nothing_can_draw_the_error_says_what_to_install(monkeypatch, tmp_path):
@@ -189,6 +195,31 @@ def test_the_first_way_to_draw_that_works_is_taken_and_what_needs_no_screen_is_t
     monkeypatch.setattr("importlib.import_module", module)
     assert _gl_context(64, 48) == ("mujoco.osmesa", 64, 48)
     assert asked == ["mujoco.egl", "mujoco.osmesa"]
+
+
+def test_a_screen_is_tried_at_last_and_a_way_that_fails_in_silence_is_named(monkeypatch):
+    def module(name):
+        raise OSError if name == "mujoco.osmesa" else ImportError(f"no {name}\nand more")
+
+    monkeypatch.setattr("importlib.import_module", module)
+    told = r"Tried: egl: no mujoco\.egl; osmesa: OSError; glfw: no mujoco\.glfw\."
+    with pytest.raises(RuntimeError, match=told):
+        _gl_context(64, 48)
+
+
+def test_a_picture_may_be_larger_than_a_model_says():
+    if not can_draw():
+        pytest.skip("nothing here can draw")
+    model = mujoco.MjModel.from_xml_string(BALL)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    larger = (model.vis.global_.offheight + 40, model.vis.global_.offwidth + 60)
+    with renderer(model, larger) as draw:
+        frame = draw(data, look_at=data.body("ball").xpos)
+    assert frame.shape == (*larger, 3)
+    rows, columns = np.nonzero(redness(frame) > 50)
+    assert rows.mean() == pytest.approx(larger[0] / 2, abs=5)
+    assert columns.mean() == pytest.approx(larger[1] / 2, abs=5)
 
 
 def test_a_gif_is_a_gif_also_where_there_is_ffmpeg(tmp_path, monkeypatch):
