@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.objectives.value import GAE
 from training import together as jobs
 from training.tasks import arm_env, arm_learner
@@ -14,8 +15,8 @@ from training.together import together
 
 from torchrl_athletic.losses import SplitClipPPOLoss, SplitOptimizationStepper
 from torchrl_athletic.networks import actor, critic
-from torchrl_athletic.training import Checkpoints, CSVTable, Processes, join_processes
-from torchrl_athletic.training.distributed import ALONE, check_seeds_differ
+from torchrl_athletic.training import Checkpoints, CSVTable, NonFiniteError, Processes, join_processes
+from torchrl_athletic.training.distributed import ALONE, check_finite_everywhere, check_seeds_differ
 
 module = sys.modules["torchrl_athletic.training.distributed"]
 
@@ -178,6 +179,7 @@ def test_seeds_differ_between_processes_and_between_trainings():
     seeds = [process.seed(seed) for process in (first, second) for seed in (7, 8)]
     assert len(set(seeds)) == 4
     assert seeds[:2] == [7, 8]
+    assert len({Processes(rank, 4).seed(7) for rank in range(4)}) == 4
 
 
 @pytest.fixture
@@ -264,3 +266,8 @@ def test_what_nobody_gives_weight_to_is_nothing_and_no_nan(monkeypatch):
 def test_each_process_has_the_rows_behind_those_of_the_ones_before():
     firsts = [Processes(rank, 3).first_row(12) for rank in range(3)]
     assert firsts == [0, 4, 8]
+
+
+def test_one_process_alone_stops_at_a_nan_too():
+    with pytest.raises(NonFiniteError, match="reward"):
+        check_finite_everywhere(TensorDict(reward=torch.tensor([[1.0], [torch.nan]]), batch_size=[2]), ALONE)

@@ -458,3 +458,14 @@ def test_a_period_of_the_robot_is_a_whole_number_of_steps_of_the_simulation(step
     model = mujoco.MjModel.from_xml_string(THREE.replace("0.005", step))
     plant = Plant(model, JointAddress.of(model, robot.joint_names), 1)
     assert LearnedTorque(Brake(0.0), robot, plant, np.ones((1, 1))).stride == stride
+
+
+def test_what_sensors_of_torque_read_is_no_part_of_a_training():
+    still = np.zeros((40, 3))
+    logged = ("three", "one", "two")
+    torques = {"torque_command": still, "torque_measured": still, "torque_semantics": "link_side"}
+    take = Recording(np.arange(40) * 0.005, logged, still + np.array([3.0, 1.0, 2.0]), **torques)
+    found = remainder._named(take, driven_robot(THREE, [take]))
+    assert (found.torque_measured, found.torque_semantics) == (None, None)
+    assert found.joint_names == ("one", "two", "three")
+    assert found.position[0].tolist() == [1.0, 2.0, 3.0]

@@ -441,3 +441,16 @@ def test_a_net_that_is_told_which_joint_is_which_cannot_be_credited_joint_by_joi
     env = SimpleNamespace(observation_spec={"observation": torch.zeros(2, 6, 2 * HISTORY)}, device="cpu")
     with pytest.raises(ValueError, match="credit='arm', or the gradient method"):
         uan_learner(env, uan(joints=6), replace(UAN, num_envs=2), credit="joint")
+
+
+@pytest.mark.parametrize("kind", ["_ArmValue", "_JointValue"])
+def test_a_critic_sees_small_errors_as_a_net_does_and_is_smooth(kind):
+    """In its unit an error of one is seen as an actuator net sees it; what is negative still has a slope."""
+    torch.manual_seed(0)
+    value = getattr(module, kind)(torch.full((3,), 2.0), 2, (4,), None)
+    alike = uan(unit=(2.0, 2.0))[0]
+    error = torch.tensor([0.02, 2.0, -5.0])
+    torch.testing.assert_close(value.units(error), alike(torch.cat((error, torch.zeros(37))))[:3])
+    low, high = value.mlp[1](torch.tensor([-1.0, 9.0])).tolist()
+    assert low < -0.5
+    assert high == 9.0

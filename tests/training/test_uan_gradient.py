@@ -454,3 +454,26 @@ def test_rows_are_made_where_they_are_asked_for_and_read_nothing_but_joints(monk
     with pytest.raises(NotImplementedError):
         DifferentiableTorqueEnv(z1(), num_envs=3, device="cuda:1")
     assert made == [({}, {"num_envs": 3, "device": "cuda:1"})]
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_joints_may_be_told_in_another_order_than_the_model_has_them(known):
+    """Each slope is that of the same joint, measured where the arm is or along takes of it."""
+    arm = robot()
+    names = ("joint_names", "default_pose", "kp", "kd", "torque_limit", "velocity_limit", "position_limit")
+    turned = replace(arm, **{name: getattr(arm, name)[::-1] for name in names}, joint_groups={})
+    took, slopes = take(samples=60), []
+    assert arm.torque_limit[0] != arm.torque_limit[1]
+    for each in (arm, turned):
+        env = DifferentiableTorqueEnv(each, num_envs=8, along=takes_of([took], each) if known else None)
+        if not known:
+            shown = env.reset()
+            by_name = torch.tensor([0.4, -0.9]) if each is arm else torch.tensor([-0.9, 0.4])
+            env._nudge_copies(by_name.expand(8, 2))
+            env.physics.apply_torque(by_name.expand(8, 2))
+            env.physics.step()
+            assert shown["joint_position"].shape == (8, 2)
+        jacobian = env._jacobian() if env.known is None else env.known[0]
+        slopes.append(jacobian.unflatten(-1, (2, 2)).unflatten(1, (3, 2)))
+    torch.testing.assert_close(slopes[1], slopes[0].flip(2, 4), rtol=1e-3, atol=1e-5)
+    assert (slopes[1] - slopes[0]).abs().max() > 1e-3

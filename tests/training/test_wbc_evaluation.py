@@ -258,3 +258,10 @@ def test_each_row_of_the_picture_bears_its_conditions_name_and_each_panel_its_ti
     shown = [ERRORS[name] for name in ("position", "attitude", "velocity", "yaw_rate")]
     assert [axis.get_title() for axis in axes] == ["falls [%]", *shown]
     assert all(axis.get_xlim()[0] == 0 for axis in axes)
+
+
+def test_a_table_of_another_policy_is_refused(played, tmp_path):
+    told = {"episodes": 2, "steps": 11, "progress": False}
+    examine(pretrained("wbc"), {"one": "first"}, tmp_path / "table.json", **told)
+    with pytest.raises(ValueError, match="holds an examination with policy"):
+        examine(pretrained("wbc_critic"), {"one": "first"}, tmp_path / "table.json", **told)
