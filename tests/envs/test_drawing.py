@@ -56,6 +56,9 @@ def test_a_ball_is_drawn_once_it_is_there(scene):
     assert scene.ngeom == 1
     np.testing.assert_allclose(scene.geoms[0].pos, [1.0, 0.0, 0.5])
     np.testing.assert_allclose(scene.geoms[0].size, 0.05)
+    red, green, blue, opacity = scene.geoms[0].rgba
+    assert red > green > blue  # orange
+    assert opacity == 1
 
 
 def test_a_sled_stands_behind_its_hook_in_line_with_a_rope_that_is_red_while_it_pulls(scene):

@@ -157,7 +157,7 @@ def test_rows_start_anew_one_by_one_as_they_end(toy):
 def test_of_a_list_of_seeds_the_first_one_counts(toy):
     envs = GymnasiumVectorEnv("Toy", 2)
     envs.reset(seed=[4, 9])
-    assert envs.env.transform[-1].seed == 4
+    assert (envs.env.transform[-1].seed, envs.np_random_seed) == (4, 4)
 
 
 @pytest.mark.parametrize("seed", [0, [0, 9]])

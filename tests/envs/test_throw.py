@@ -468,3 +468,13 @@ def test_the_reference_waits_for_the_phase_of_throwing_swings_in_it_and_waits_un
     times = torch.arange(STEPS) * DT
     swings = (times >= 2.5 - 1e-6) & (times < 2.9 - 1e-6)
     assert moves.equal((times < 1.9 - 1e-6) | swings | (times >= 3.5 - 1e-6))
+
+
+def test_an_episode_that_ended_otherwise_stays_ended_though_its_throw_counts():
+    before = TensorDict(task_phase_index=[[1]], throw_failed=[[False]], batch_size=[1])
+    no, yes = torch.zeros(1, 1, dtype=torch.bool), torch.ones(1, 1, dtype=torch.bool)
+    pose, high = torch.tensor([ROBOT.default_pose]), torch.tensor([[0.5, 0.0, 0.5]])
+    after = {"joint_position": pose, "bucket_position": high, "ball_away": no, "done": yes, "terminated": no}
+    after = TensorDict(after, [1])
+    ThrowFailure(ROBOT).advance(before, after)
+    assert [bool(after[key]) for key in ("throw_failed", "done", "terminated")] == [False, True, False]

@@ -148,3 +148,15 @@ def test_both_networks_go_to_the_device_and_all_else_that_is_told_to_the_learner
     assert (steps, config) == ("another" if collects else env, FEW)
     for network in networks:
         assert {tensor.device.type for tensor in (*network.parameters(), *network.buffers())} == {"meta"}
+
+
+def test_a_name_is_that_of_a_shipped_policy_and_a_file_is_read_as_it_is(monkeypatch, tmp_path):
+    read = []
+    monkeypatch.setattr(module, "shipped_path", lambda name: tmp_path / f"{name}.npz")
+    monkeypatch.setattr(module, "read_network", lambda path, trainable: read.append((path.name, trainable)))
+    for name in ("mine", "mine_critic", "a", "a_critic"):
+        (tmp_path / f"{name}.npz").touch()
+    read_wbc("mine", trainable=True)
+    read_wbc(tmp_path / "a.npz")
+    both = [("mine.npz", True), ("mine_critic.npz", True), ("a.npz", False), ("a_critic.npz", False)]
+    assert read == both
