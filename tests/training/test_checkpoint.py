@@ -199,6 +199,9 @@ def test_a_robot_of_another_mass_that_is_being_pushed_goes_on_as_it_was():
     stood = deepcopy(state)
     restore_env(twin, shown.clone(), {**state, "wrenches": {}})
     assert not any(wrench.any() for wrench in twin.base_env.wrenches.values())
+    restore_env(fresh := make(1), shown.clone(), state)  # where no episode has begun yet
+    for name, value in env_state(fresh)["buffers"].items():
+        assert value.equal(state["buffers"][name]), name
     current = restore_env(twin, shown.clone(), state)
     assert torch.equal(twin.base_env.physics.xfrc_applied, env.base_env.physics.xfrc_applied)
     began = shown["push_on"].clone()
