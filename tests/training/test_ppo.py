@@ -10,6 +10,7 @@ from tensordict import TensorDict
 from torchrl.envs import RenameTransform
 from training.tasks import arm_env, arm_learner
 
+from torchrl_athletic.functional.phase import sled_phases
 from torchrl_athletic.networks import RunningNormalizer, actor, critic
 from torchrl_athletic.physics import CapacityError
 from torchrl_athletic.training import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, NonFiniteError, Processes, iterate, train
@@ -514,3 +515,11 @@ def test_values_are_taken_in_small_pieces_and_their_slopes_are_not_kept():
     estimate_advantage(learner, batch)
     assert max(sizes) == 5
     assert not any(batch[key].requires_grad for key in ("state_value", "advantage", "value_target"))
+
+
+def test_tuning_begins_slowly_and_after_the_longest_set_up_of_a_task():
+    """By the paper's rate; the curve would otherwise begin with the sled's set-up and fall as it ends."""
+    assert FINE_TUNE.actor_lr == 1e-5
+    passed = FINE_TUNE.warm_up * FINE_TUNE.horizon * 0.02
+    assert passed > sled_phases().phases[0].duration
+    assert FINE_TUNE.critic_first == PRE_TRAIN.warm_up == UAN.warm_up == 0

@@ -8,6 +8,7 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_athletic.envs import NO_DISTURBANCES, whole_body_env
+from torchrl_athletic.functional.rewards import WBC_SCALES
 from torchrl_athletic.networks import RunningNormalizer, actor, digest_of, pretrained, read_metadata, trunk_of
 from torchrl_athletic.robots import b2z1
 from torchrl_athletic.training import PPO, Rollout, iterate, save_wbc, wbc_learner
@@ -60,7 +61,7 @@ def test_a_new_pair_is_as_large_and_as_bold_as_told_and_watches_what_curves_are_
     assert learner.stepper.generator.initial_seed() == 4
     assert learner.watch == WATCHED
     report = iterate(learner)
-    assert set(CURVES) <= set(report.keys())
+    assert set(CURVES) | {f"reward_terms/{name}" for name in WBC_SCALES} <= set(report.keys())
 
 
 def test_what_collects_in_place_of_the_environment_stores_what_critic_and_curves_need():
