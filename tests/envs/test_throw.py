@@ -239,10 +239,11 @@ def test_what_makes_a_throw_not_count():
 
 
 def test_a_failed_throw_is_of_no_length():
-    entries = {"ball_position": torch.tensor([[1.0, 0.0, 1.0]] * 3), "ball_linear_velocity": torch.zeros(3, 3)}
-    away, failed = torch.tensor([[True], [True], [False]]), torch.tensor([[False], [True], [False]])
-    step = TensorDict({**entries, "ball_away": away, "throw_failed": failed}, batch_size=[3])
-    assert throw_distance(step).tolist() == [1.0, 0.0, 0.0]
+    place = torch.tensor([[1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [-2.0, 0.0, 1.0]])
+    entries = {"ball_position": place, "ball_linear_velocity": torch.zeros(4, 3)}
+    away, failed = torch.tensor([[True], [True], [False], [True]]), torch.tensor([[False], [True], [False], [False]])
+    step = TensorDict({**entries, "ball_away": away, "throw_failed": failed}, batch_size=[4])
+    assert throw_distance(step).tolist() == [1.0, 0.0, 0.0, -2.0]  # behind the base is less than nothing
 
 
 def test_a_ball_that_is_lost_in_the_set_up_ends_the_episode():

@@ -219,6 +219,8 @@ def test_a_torque_is_held_for_as_many_steps_as_told():
     *_, last = roll(TorqueEnv(ARM, num_envs=2), action.repeat(3, 1, 1))
     for key in ("joint_position", "joint_velocity"):
         assert once[key].equal(last[key])
+    assert once["applied_torque"].equal(action[0])
+    torch.testing.assert_close(once["joint_power"], action[0] * once["joint_velocity"])
 
 
 def test_what_every_step_shows_must_be_a_sensor_and_forces_are_averaged_over_an_action_as_power_is():

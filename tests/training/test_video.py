@@ -110,6 +110,22 @@ def test_it_is_drawn_from_the_camera_that_is_named():
     assert red[2] == 0
 
 
+def test_a_camera_that_is_carried_sees_all_that_stands_about(monkeypatch):
+    """However much that is."""
+    if not can_draw():
+        pytest.skip("nothing here can draw")
+    behind = '<geom size="0.1" pos="0 -9 0"/>' * 100
+    model = mujoco.MjModel.from_xml_string(f"""
+        <mujoco><worldbody>{behind}<geom size="0.3" pos="5 2 0" rgba="1 0 0 1"/>
+          <body pos="0 0 0.01"><joint type="slide" axis="1 0 0"/><geom size="0.05" pos="0 0 -3"/>
+            <camera name="eye" xyaxes="1 0 0 0 0 1"/></body></worldbody></mujoco>""")
+    monkeypatch.setattr("torchrl_athletic.training.video.acting", lambda *_: [None])
+    env = SimpleNamespace(physics=SimpleNamespace(model=model, qpos=torch.tensor([[5.0]])))
+    (frame,) = draw_episode(env, None, 1, (40, 60), "eye")
+    rows, columns = np.nonzero(redness(frame) > 50)
+    assert (rows.mean(), columns.mean()) == pytest.approx((19.5, 29.5), abs=2)
+
+
 def test_the_camera_looks_at_the_middle_of_all_bodies_of_the_first_keyframe_from_beyond_them():
     """A ball 4 m up and a post 12 m ahead, 1 m down: a little above their middle, with 1.2 m to spare."""
     centre, distance = _centre_and_distance(mujoco.MjModel.from_xml_string(TWO))
