@@ -226,16 +226,15 @@ def test_a_screen_is_tried_at_last_and_a_way_that_fails_in_silence_is_named(monk
 def test_a_picture_may_be_larger_than_a_model_says():
     if not can_draw():
         pytest.skip("nothing here can draw")
-    model = mujoco.MjModel.from_xml_string(BALL)
+    wall = '<camera name="above" pos="0 0 2"/><body><geom type="box" size="50 50 0.1" rgba="1 0 0 1"/></body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{wall}</worldbody></mujoco>")
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     larger = (model.vis.global_.offheight + 40, model.vis.global_.offwidth + 60)
-    with renderer(model, larger) as draw:
-        frame = draw(data, look_at=data.body("ball").xpos)
+    with renderer(model, larger, "above") as draw:
+        frame = draw(data)
     assert frame.shape == (*larger, 3)
-    rows, columns = np.nonzero(redness(frame) > 50)
-    assert rows.mean() == pytest.approx(larger[0] / 2, abs=5)
-    assert columns.mean() == pytest.approx(larger[1] / 2, abs=5)
+    assert redness(frame).min() > 10  # up to its edges
 
 
 def test_a_gif_is_a_gif_also_where_there_is_ffmpeg(tmp_path, monkeypatch):
