@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,11 +15,13 @@ from diagnosis.plants import pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import command, fit_command
 from torchrl_athletic.diagnosis.command import Config, inputs, main
+from torchrl_athletic.diagnosis.model import ModelError
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.result import Answer
-from torchrl_athletic.recordings import RecordingError, read_recordings, write_recording
+from torchrl_athletic.recordings import FetchError, RecordingError, read_recordings, write_recording
 
 RECIPE = Path(__file__).parents[2] / "recipes/diagnose.py"
+CONFIGS = {command: Config, fit_command: fit_command.FitConfig}
 
 
 @pytest.fixture
@@ -303,3 +306,68 @@ def test_a_remainder_that_cannot_be_learnt_leaves_the_diagnosis_and_says_why(fol
     found = main(parsed("--model", "robot.xml", "--recordings", "train", "--uan"), hand_over)
     assert found.answer.summary == ("All is well.",)
     assert "No UAN was trained: the takes have several gains" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        (Config, {"drive": "command", "base": "recorded", "output": Path("out/diagnosis")}),
+        (fit_command.FitConfig, {"drive": "command", "output": Path("out/fit")}),
+    ],
+)
+def test_nothing_is_asked_for_unless_it_is_said(config, said):
+    """No flag is up and no number is other than none or zero, but for where it writes and what drives a robot."""
+    assert {name: value for name, value in asdict(tyro.cli(config, args=[])).items() if value} == said
+
+
+@pytest.mark.parametrize("module", [command, fit_command])
+@pytest.mark.parametrize("kind", [RecordingError, FetchError, ModelError, OSError, ImportError])
+def test_whatever_is_wrong_with_the_inputs_is_said_in_one_line(module, kind, tmp_path, monkeypatch):
+    def refuse(*_args):
+        raise kind("take.npz:\n  it lies\t elsewhere")
+
+    monkeypatch.setattr(module, "inputs", refuse)
+    config = CONFIGS[module](output=tmp_path / "out")
+    with pytest.raises(SystemExit) as stopped:
+        module.main(config)
+    assert stopped.value.code == "error: take.npz: it lies elsewhere"
+
+
+@pytest.mark.parametrize("module", [command, fit_command])
+def test_a_fit_that_is_stopped_or_has_nowhere_to_write_ends_in_a_sentence(module, tmp_path, monkeypatch):
+    def stop(*_args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "inputs", stop)
+    (tmp_path / "file").touch()
+    (tmp_path / "there").mkdir()  # as of an earlier run
+    stopped, nowhere = "Stopped before there was anything to report", "file is a file. Name a folder."
+    for output, says in (("new", stopped), ("there", stopped), ("file", nowhere)):
+        with pytest.raises(SystemExit, match=says):
+            module.main(CONFIGS[module](output=tmp_path / output))
+
+
+@pytest.mark.parametrize("notes", [[], ["A first note.", "A second one."]])
+@pytest.mark.parametrize("module", [command, fit_command])
+def test_what_is_unusual_about_the_inputs_is_said_first_a_line_each(
+    module, notes, asked, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(module, "inputs", lambda *_: SimpleNamespace(model="", recordings=[], heldout=[], notes=notes))
+    monkeypatch.setattr(fit_command, "fit", lambda *_, **__: SimpleNamespace(parameters=(), scores={}, remarks=()))
+    config = CONFIGS[module]
+    module.main(config(output=tmp_path / "out"))
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[: len(notes)] == notes
+    assert lines[len(notes)]  # and no empty line after them
+    if module is command:
+        assert asked[0][0] == ("", [], [])
+
+
+def test_a_check_says_what_it_found_and_ends_with_whether_the_inputs_will_do(monkeypatch, capsys):
+    for module, config in ((command, Config(check=True)), (fit_command, fit_command.FitConfig(check=True))):
+        for usable in (True, False):
+            monkeypatch.setattr(module, "checked", lambda given, usable=usable: (f"usable: {usable}", usable))
+            with pytest.raises(SystemExit) as ended:
+                module.main(config)
+            assert ended.value.code == int(not usable)
+            assert capsys.readouterr().out == f"usable: {usable}\n"
