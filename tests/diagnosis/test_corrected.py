@@ -444,6 +444,7 @@ URDF = f"""
                 'inertiafromgeom="true" fusestatic="true"',
                 'boundmass="0.2" boundinertia="0.001"',
                 'boundinertia="0.01"',
+                'boundmass="0.9"',
             )
         ),
         pytest.param(
@@ -452,7 +453,7 @@ URDF = f"""
         ),
         URDF,
     ],
-    ids=["fused", "geometry", "both", "bounds", "inertia", "total", "urdf"],
+    ids=["fused", "geometry", "both", "bounds", "inertia", "mass", "total", "urdf"],
 )
 def test_a_mass_reaches_its_own_link_past_whatever_the_compiler_does(given):
     model = mujoco.MjModel.from_xml_string(given)
@@ -705,3 +706,63 @@ def test_behind_a_gear_the_motors_range_limits_its_ripple_and_not_the_links_fric
     model = mujoco.MjModel.from_xml_string(result.xml)
     assert model.jnt_actfrcrange[model.joint("pendulum").id] == pytest.approx([-1.0, 1.0])
     assert not model.jnt_actfrclimited[model.joint("pendulum_link").id]
+
+
+@pytest.mark.parametrize("name", [*DRIVE, *PASSIVE, "compliance", "link_mass", "encoder_scale"])
+def test_a_file_does_not_tell_whether_a_number_was_named_or_trimmed(name):
+    given, numbers = driven(MOTOR), (NATIVE_TERMS | MEMORY_TERMS)[name]
+    named, trimmed = corrected({name: numbers}, xml=given), corrected({}, {name: numbers}, xml=given)
+    assert written(given, trimmed, "torques") == written(given, named, "torques")
+
+
+CRANE = """<mujoco><option timestep="0.002"/><worldbody>
+  <body><joint name="rail" type="slide" axis="1 0 0"/><geom size="0.1" mass="2"/>
+    <body pos="0 0 -0.1"><joint name="arm" axis="0 1 0"/><geom size="0.05" pos="0 0 -0.4" mass="0.5"/></body>
+  </body></worldbody><actuator>{}</actuator></mujoco>"""
+CRANE_MOTORS = '<motor name="r" joint="rail" {}/><motor name="a" joint="arm" {}/>'
+
+
+@pytest.mark.parametrize(
+    ("actuators", "effect", "rail", "arm", "found"),
+    [
+        ('forcerange="-1 3"', "torque_ripple", [0.1, 0.0, 5.0], [0.0, 0.2, 7.0],
+         {("jnt_actfrcrange", "rail"): [-1.0, 3.0], ("jnt_actfrcrange", "arm"): [-2.0, 4.0],
+          ("actuator_forcelimited", "r"): [0], ("actuator_forcelimited", "a"): [0]}),
+        ("", "torque_scale", [1.2], [0.8], {("actuator_gainprm", "r"): [1.2], ("actuator_gainprm", "a"): [0.8]}),
+        ("", "hysteresis", [0.3, 0.05], [0.1, 0.02], {}),
+        ("", "torque_saturation", [3.0], [2.0], {("jnt_actfrcrange", "rail"): [-3.0, 3.0]}),
+        ("", "compliance", [400.0, 2.0], [40.0, 0.1], {}),
+        ("servo", "gain_mismatch", [2.0, 3.0], [0.5, 4.0],
+         {("actuator_gainprm", "r"): [20.0], ("actuator_biasprm", "r"): [0.0, -20.0, -3.0],
+          ("actuator_gainprm", "a"): [4.0], ("actuator_biasprm", "a"): [0.0, -4.0, -2.0]}),
+    ],
+)  # fmt: skip
+def test_each_joint_gets_its_own_numbers_in_whatever_order_the_joints_are_named(actuators, effect, rail, arm, found):
+    """A rail and a hinge, whose ripples are counted by the metre and by the turn."""
+    motors = CRANE_MOTORS.format(actuators, actuators.replace("-1 3", "-2 4"))
+    if actuators == "servo":
+        motors = CRANE_MOTORS.format('kp="9"', 'kp="9"').replace("motor", "position")
+    given, numbers, models = CRANE.format(motors), {"rail": rail, "arm": arm}, []
+    plain = mujoco.MjModel.from_xml_string(given)
+    for names in (("rail", "arm"), ("arm", "rail")):
+        address = JointAddress.of(plain, names)
+        law = EFFECTS[effect]
+        terms = tuple(Candidate(law, j, n, law.parameters(plain, address, j)) for j, n in enumerate(names))
+        simulation = Simulation(plain, names, Hypothesis(terms), np.array([v for n in names for v in numbers[n]]))
+        result = written(
+            given, simulation, "targets" if actuators else "torques", gains={"rail": (10.0, 1.0), "arm": (8.0, 0.5)}
+        )
+        assert result.left_out == ()
+        models.append(mujoco.MjModel.from_xml_string(result.xml))
+    one, other = models
+    for kind, count in (("actuator", one.nu), ("jnt", one.njnt), ("tendon", one.ntendon), ("eq", one.neq)):
+        named = {"jnt": "joint", "eq": "equality"}.get(kind, kind)
+        fields = [n for n in dir(one) if n.startswith(f"{kind}_") and isinstance(getattr(one, n), np.ndarray)]
+        numeric = [n for n in fields if not n.endswith(("adr", "id", "_bodyid", "num", "plugin"))]
+        for at, name in ((i, getattr(one, named)(i).name) for i in range(count)):
+            for field in numeric:
+                mine, its = getattr(one, field)[at], getattr(other, field)[getattr(other, named)(name).id]
+                np.testing.assert_allclose(its, mine, rtol=1e-5, atol=1e-8, err_msg=f"{field} of {name}")
+    for (field, name), expected in found.items():
+        at = getattr(one, "joint" if field.startswith("jnt") else "actuator")(name).id
+        assert np.ravel(getattr(one, field)[at])[: len(expected)] == pytest.approx(expected), field

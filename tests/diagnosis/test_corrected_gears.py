@@ -9,11 +9,13 @@ from diagnosis.plants import pendulum, record, slider, smooth_torque
 from diagnosis.test_corrected import EFFECTS, MOTOR, corrected
 from torchrl.envs import TransformedEnv
 
+from torchrl_athletic.diagnosis import corrected_gears
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.corrected_xml import corrected_xml
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import JointAddress
+from torchrl_athletic.effects.gear import ROTOR_FLOOR
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.robots import from_mjcf
 from torchrl_athletic.transforms import CorrectedActuation
@@ -195,7 +197,9 @@ def test_the_motor_turns_about_the_links_own_hinge_and_sensors_of_other_joints_s
     """Wherever the hinge is in its link, and the link on its parent."""
     given = ARM.replace('axis="0 1 0" range', 'axis="0.6 0.8 0" pos=".03 -.02 .05" range')
     given = given.replace('name="tip" axis', 'name="tip" range="-2 2" axis')
-    given = given.replace("<sensor>", '<sensor><jointlimitfrc name="stop" joint="tip"/>')
+    stays = "jointlimitpos", "jointlimitvel", "jointlimitfrc"
+    ends = "".join(f'<{kind} name="{kind}" joint="pendulum"/>' for kind in stays)
+    given = given.replace("<sensor>", f'<sensor><jointlimitfrc name="stop" joint="tip"/>{ends}')
     model = mujoco.MjModel.from_xml_string(parted_arm(given))
     data = mujoco.MjData(model)
     for j in range(model.njnt):
@@ -206,6 +210,7 @@ def test_the_motor_turns_about_the_links_own_hinge_and_sensors_of_other_joints_s
     np.testing.assert_allclose(data.xanchor[motor], data.xanchor[link], atol=1e-6)
     np.testing.assert_allclose(data.xaxis[motor], data.xaxis[link], atol=1e-6)
     assert model.sensor("stop").objid[0] == model.joint("tip").id
+    assert [model.sensor(kind).objid[0] for kind in stays] == [link] * 3
 
 
 @pytest.mark.parametrize(
@@ -233,11 +238,15 @@ def test_a_gear_stays_in_json_where_the_joint_is_coupled_or_nothing_could_couple
     assert "its link" not in xml
 
 
-def test_what_holds_a_body_of_the_joints_number_does_not_couple_the_joint():
+def test_what_holds_a_body_or_a_site_of_the_joints_number_does_not_couple_the_joint():
     model = mujoco.MjModel.from_xml_string(ARM)
     body = model.body(model.joint("pendulum").id).name
     held = f'<equality><connect body1="{body}" anchor="0 0 0" active="false"/></equality></mujoco>'
-    assert mujoco.MjModel.from_xml_string(parted_arm(ARM.replace("</mujoco>", held))).nv == model.nv + 1
+    sites = "".join(f'<site name="{name}" pos="0 0 {name}"/>' for name in range(model.njnt))
+    cord = '<tendon><spatial name="cord"><site site="0"/><site site="1"/></spatial></tendon></mujoco>'
+    strung = ARM.replace('<body name="tail"', sites + '<body name="tail"').replace("</mujoco>", cord)
+    for given in (ARM.replace("</mujoco>", held), strung):
+        assert mujoco.MjModel.from_xml_string(parted_arm(given)).nv == model.nv + 1
 
 
 def test_two_gears_of_one_joint_stay_in_json():
@@ -274,3 +283,12 @@ def test_the_rest_of_a_correction_acts_in_the_chain_beside_a_gear_that_the_model
     at_rest = td["joint_position"].item()  # 0.1 N·m against weight and spring, within the dry friction
     assert abs(0.5 * 9.81 * 0.4 * np.sin(at_rest) + 0.3 * at_rest - 0.1) < 0.06
     assert abs(td["joint_velocity"].item()) < 1e-2
+
+
+def test_a_motor_without_a_rotor_gets_a_share_of_its_own_links_inertia():
+    """Two carriages beside each other, the second four times as heavy; a rotor that is there stays."""
+    body = '<body><joint name="{0}" type="slide" armature="{2}"/><inertial pos="0 0 0" mass="{1}" diaginertia="1 1 1"/>'
+    bodies = "".join(body.format(*row) + "</body>" for row in (("a", 2, 0), ("b", 8, 0), ("c", 8, 3)))
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    rotors = [corrected_gears._rotor(model, dof) for dof in range(3)]
+    assert rotors == pytest.approx([2 * ROTOR_FLOOR, 8 * ROTOR_FLOOR, 3.0])

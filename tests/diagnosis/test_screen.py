@@ -378,7 +378,7 @@ def test_a_number_at_either_bound_is_no_estimate(value, stands_in):
 def test_a_number_that_stops_at_zero_or_at_the_given_value_is_one():
     assert not fit_of(0.0, 0.0, 4.0, nominal=2.0).at_bound
     assert not fit_of(2.0, 2.0, 4.0, nominal=2.0).at_bound
-    assert fit_of(0.5, 0.5, 4.0, nominal=2.0).at_bound
+    assert all(fit_of(x, x, 4.0, nominal=2.0).at_bound for x in (0.5, 0.05, 1.95, 2.05))
 
 
 def fit_of(value, low, high, nominal=1.0):

@@ -461,3 +461,22 @@ def test_of_two_ways_to_one_combination_the_better_one_is_kept(values, monkeypat
     for step in ("_refine", "_polish"):
         monkeypatch.setattr(steps, step, lambda judge, scored: scored)
     assert [s.evidence for s in search(told)] == [3.0]
+
+
+def test_every_term_of_a_combination_has_rivals_of_its_own(monkeypatch):
+    told = Told({"ab": -50.0, "bc": -47.0, "ad": -48.0, "bd": -10.0}, A, B, C, D)
+    best = told["ab"]
+    others = {A: [best, told["bc"], told["bd"]], B: [best, told["ad"]]}
+    monkeypatch.setattr(steps, "alternatives", lambda judge, best, term: others[term])
+    assert [(names(s), behind) for s, behind in steps.rivals(told, best, within=6.0)] == [("ad", 2.0), ("bc", 3.0)]
+
+
+def test_effects_alone_are_material_by_the_share_that_they_close():
+    """What is not comes by its evidence."""
+    shares = {"a": 1.1, "b": 1.2, "c": 0.9, "d": 0.8}
+    told = Told({"": 100.0, "a": 1.0, "b": 2.0, "c": 4.0, "d": 3.0}, A, B, C, D,
+                closes={("", name): share * SEARCH.material for name, share in shares.items()})  # fmt: skip
+    for name in shares:
+        told[name].fit.at_bound = False
+    material, others = steps.singles(told)
+    assert ([names(s) for s in material], [names(s) for s in others]) == (["b", "a"], ["d", "c"])
