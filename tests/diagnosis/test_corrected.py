@@ -706,6 +706,8 @@ def test_behind_a_gear_the_motors_range_limits_its_ripple_and_not_the_links_fric
     model = mujoco.MjModel.from_xml_string(result.xml)
     assert model.jnt_actfrcrange[model.joint("pendulum").id] == pytest.approx([-1.0, 1.0])
     assert not model.jnt_actfrclimited[model.joint("pendulum_link").id]
+    acts_at = {name: model.joint(model.actuator(f"pendulum_{name}").trnid[0]).name for name in ("hysteresis", "ripple")}
+    assert acts_at == {"hysteresis": "pendulum_link", "ripple": "pendulum"}
 
 
 @pytest.mark.parametrize("name", [*DRIVE, *PASSIVE, "compliance", "link_mass", "encoder_scale"])

@@ -173,6 +173,10 @@ def test_the_motor_takes_the_drive_and_the_link_keeps_the_rest():
     assert [float(np.ravel(x)[0]) for x in of_tendon] == [0.0] * 4
     assert from_mjcf(parted_arm(), torque_limit=9.0).position_limit[0] == pytest.approx((-1.0, 1.0))
     np.testing.assert_allclose(model.qpos0[[motor.qposadr[0], link.qposadr[0]]], 0.2)
+    free = mujoco.MjModel.from_xml_string(
+        parted_arm(ARM.replace("actuatorfrcr", 'actuatorfrclimited="false" actuatorfrcr'))
+    )
+    assert not free.jnt_actfrclimited.any()  # a range that does not act does not begin to
 
 
 def test_keyframes_start_the_motor_where_the_link_is_and_keep_all_else():

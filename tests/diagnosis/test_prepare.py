@@ -153,6 +153,8 @@ def test_a_piece_too_short_to_see_a_motion_in_is_left_out(takes):
     prepared = prepare([gapped], arm())
     assert len(prepared.signals) == len(prepared.takes) == 1
     assert prepared.signals[0].recording.time[0] == pytest.approx(first.time[200])
+    (why,) = prepared.report()["left_out"]
+    assert "the take lasts 0.08 s" in why
 
 
 def test_only_short_pieces_are_refused_with_the_mend(takes):

@@ -370,7 +370,9 @@ def test_takes_behind_different_test_functions_are_weighed_by_their_own_noise(rn
     np.testing.assert_allclose(bank.weight[:N] / bank.weight[N:], 100, rtol=1e-3)
 
 
-@pytest.mark.parametrize(("value", "stands_in"), [(1.5, True), (4.0, True), (2.5, False), (1.51, False), (3.99, False)])
+@pytest.mark.parametrize(
+    ("value", "stands_in"), [(1.5, True), (4.0, True), (2.5, False), (1.501, False), (3.999, False)]
+)
 def test_a_number_at_either_bound_is_no_estimate(value, stands_in):
     assert fit_of(value, 1.5, 4.0).at_bound is stands_in
 
@@ -420,9 +422,9 @@ def test_on_one_joint_no_two_of_a_name_nor_what_excludes_another(one, other, tog
 
 def test_the_second_of_two_terms_may_be_the_one_at_its_bound():
     """Of a law with two numbers and one with one, of which the last number stops."""
-    two, one = Given("two", np.zeros((2, 2)), 0.0, 4.0), Given("one", np.zeros(2), 1.0, 4.0)
+    two, one = Given("two", np.zeros((2, 2)), 0.0, 9.0), Given("one", np.zeros(2), 1.0, 4.0)
     atoms = tuple(Atom(candidate(law), {}, linear, linear) for law, linear in ((two, (0, 1)), (one, (0,))))
-    low, high, nothing = np.array([0.0, 0.0, 1.0]), np.full(3, 4.0), np.zeros((2, 1))
+    low, high, nothing = np.array([0.0, 0.0, 1.0]), np.array([9.0, 9.0, 4.0]), np.zeros((2, 1))
     for last, stops in ((4.0, True), (2.0, False)):
         fit = Fit(atoms, 2, np.array([2.0, 3.0, last]), (low, high), 0.0, nothing, nothing)
         assert fit.at_bound is stops
@@ -609,3 +611,10 @@ def test_the_energy_of_each_term_is_that_of_what_it_predicts_on_each_joint(rng, 
     fit = bank.fit(bank.atoms)
     for atom, energy in zip(fit.terms, fit.energy, strict=True):
         np.testing.assert_allclose(energy, ((bank.weight * bank.prediction(fit, atom)) ** 2).sum(0))
+
+
+def test_the_numbers_of_a_law_are_those_of_all_takes_on_its_own_joint(take, monkeypatch):
+    law, asked = Given("law", np.zeros((1, 1))), []
+    monkeypatch.setattr(Given, "parameters_of", lambda self, takes, joint: asked.append((takes, joint)) or ())
+    assert candidates_for([take, take], [law]) == []  # of no numbers there is none
+    assert asked == [([take, take], j) for j in range(take.num_joints)]

@@ -763,9 +763,9 @@ def test_one_stretch_is_open_beyond_what_chance_makes_of_its_samples(one, others
 def test_evidence_is_likelihood_price_strain_and_doubt():
     """A trim that has to take up a torque of twice its tolerance speaks against the combination, as a ridge would."""
     rng = np.random.default_rng(0)
-    a, b = smooth(rng, (2, N))
+    a, b, c = smooth(rng, (3, N))
     take = on_shoulder(5 * a + 0.8 * b, rng.normal(size=(N, 2)))
-    doubtful = Given("a", a)
+    doubtful = Given("a", np.stack([a, c], -1))
     doubtful.odds = 0.2  # type: ignore[misc]
     trim = Given("trim", b, lower=-1.0, upper=1.0)
     trim.odds = 0.1  # type: ignore[misc]  # which is no name, so that nothing speaks against it
@@ -773,7 +773,7 @@ def test_evidence_is_likelihood_price_strain_and_doubt():
     for atoms, doubt in (((), 0.0), (weigh.bank.atoms, -2 * np.log(0.2))):
         scored = weigh.score(atoms)
         likelihood = float((weigh.independent * np.log(np.maximum(weigh.mean_square(scored.fit), weigh.floor))).sum())
-        price = (np.log(2 * N) + SEARCH.term) * len(atoms)
+        price = (2 * np.log(2 * N) + SEARCH.term) * len(atoms)  # of two numbers
         assert scored.fit.strain > 1.0
         assert scored.evidence == pytest.approx(likelihood + price + scored.fit.strain + doubt)
         promised = weigh.promise(atoms, scored.fit)  # with the weights that it has itself: the same but for the name
