@@ -670,6 +670,9 @@ def test_an_actuator_keeps_what_it_had_beside_what_is_corrected(actuator, joint,
         (GENERAL.format('dyntype="integrator" actrange="-1 1"'), "", "", "torque_scale", False),
         (GENERAL.format('biastype="affine" biasprm="0 0 -1"'), "", "", "torque_scale", False),
         (GENERAL.format('gear="0"'), "", "", "torque_scale", False),
+        (GENERAL.format('gaintype="affine" gainprm="1 0.5 0"'), "", "", "torque_scale", False),
+        # of a range nothing may be left
+        ('<motor joint="pendulum"/>', 'actuatorfrcrange="2 3"', "", "torque_saturation", False),
         (GENERAL.format('gainprm="6" biastype="affine" biasprm="0 -5 -0.4"'), "", "", "gain_mismatch", False),
     ],
 )  # fmt: skip

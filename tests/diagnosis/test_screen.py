@@ -255,6 +255,7 @@ def test_one_joint_may_be_late_on_a_clock_that_is_a_little_off():
     [
         (GainMismatch(), (1.014, 1.024), 0.005, 2, True),
         (GainMismatch(), (1.014, 1.2), 0.005, 2, False),
+        (GainMismatch(), (1.014, 1.2), 1.0, 1, False),  # a gain is not off by half a sample
         (ClockOffset(), (-0.0005,), 0.001, 2, True),
         (ClockOffset(), (-0.002,), 0.001, 2, False),
         (ClockOffset(), (-0.002,), 0.005, 2, True),  # half a sample is nobody's fault

@@ -792,6 +792,8 @@ def test_a_parameter_costs_the_logarithm_of_the_samples_that_are_said_to_be_inde
     few = np.full((2, 5), 2.0)
     price = weigh.score(weigh.bank.atoms, few).evidence - weigh.score((), few).evidence
     assert price == pytest.approx(np.log(20.0) + SEARCH.term, abs=0.1)
+    dear, free = (weigh.score(weigh.bank.atoms, few, own).evidence for own in (7.0, 0.0))
+    assert dear - free == pytest.approx(7.0)  # unless another price is said
 
 
 def test_the_joint_on_which_a_step_does_most_is_that_of_the_evidence_and_not_of_the_energy():
@@ -1029,3 +1031,16 @@ def test_a_grid_is_gone_down_either_way(found, true):
     weigh = judge(on_shoulder(shifted(time, true)), late)
     start = weigh.score([next(a for a in weigh.bank.atoms if a.fixed["delay"] == found)])
     assert [a.fixed["delay"] for a in _down(weigh, start, late, "delay").fit.terms] == [true]
+
+
+def test_what_is_usual_asks_nothing_of_any_joint_that_is_noisy():
+    take = signals(np.stack([levels(*[4.0] * 5), levels(*[9.0] * 5)], -1), np.ones((N, 2), dtype=bool))
+    floor = Judge(Bank([take], [], noise=np.ones(2)), noisy=[0, 1]).floor
+    np.testing.assert_allclose(floor, SEARCH.open * np.repeat([[4.0], [9.0]], 5, axis=1))
+
+
+def test_an_effect_alone_closes_nothing_of_what_trims_take():
+    law, trim = candidate(Given("law", SLOW)), candidate(Given("trim", SLOW))
+    material, others = singles(Judge(Bank([on_shoulder(3 * SLOW)], [law], [trim], noise=np.ones(2))))
+    assert material == []
+    assert len(others) == 1

@@ -163,8 +163,9 @@ def test_pairs_of_one_joint_are_merged_as_long_as_that_gains_and_pairs_of_two_jo
 
 
 def test_a_pair_is_merged_into_an_effect_of_its_own_joint():
-    told = Told({"ab": -10.0, "m": -20.0, "": 0.0}, A, B, law("m", joint=1))
-    assert names(steps._merge(told, told["ab"])) == "ab"
+    for joint, merged in ((0, "ab"), (1, "m")):
+        told = Told({"ab": -10.0, "m": -20.0, "": 0.0}, law("a", joint), law("b", joint), law("m", joint=1))
+        assert names(steps._merge(told, told["ab"])) == merged
 
 
 def test_what_two_are_merged_into_is_judged_at_its_own_best_value():
@@ -246,6 +247,10 @@ def test_effects_are_asked_about_that_act_where_something_is_open(of_parent, str
 def test_with_nothing_named_yet_a_joint_is_open_that_trims_alone_close():
     told = Told({"": 0.0, "a": -20.0}, A, is_open={"": (False, False), "bare": (True, False)})
     assert grown(told, "") == ["a"]
+
+
+def test_what_grows_comes_by_its_evidence_and_not_by_what_it_promised():
+    assert grown(Told({"": 100.0, "a": 50.0, "b": 40.0}, A, B, promise={"a": 1.0, "b": 2.0}), "") == ["b", "a"]
 
 
 def test_of_a_grid_the_point_that_promises_most_is_weighed():
@@ -480,3 +485,10 @@ def test_effects_alone_are_material_by_the_share_that_they_close():
         told[name].fit.at_bound = False
     material, others = steps.singles(told)
     assert ([names(s) for s in material], [names(s) for s in others]) == (["b", "a"], ["d", "c"])
+
+
+def test_any_combination_may_be_weighed_as_a_rival_is(monkeypatch):
+    """By the samples that the best one's residual has, at the price of a rival."""
+    monkeypatch.setattr(steps, "_independent", lambda judge, best: f"of {best}")
+    judge = SimpleNamespace(score=lambda *given: given)
+    assert steps.as_rival(judge, "the best", [A]) == ([A], "of the best", SEARCH.rival_price)
