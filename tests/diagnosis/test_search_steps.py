@@ -492,3 +492,11 @@ def test_any_combination_may_be_weighed_as_a_rival_is(monkeypatch):
     monkeypatch.setattr(steps, "_independent", lambda judge, best: f"of {best}")
     judge = SimpleNamespace(score=lambda *given: given)
     assert steps.as_rival(judge, "the best", [A]) == ([A], "of the best", SEARCH.rival_price)
+
+
+def test_the_alternatives_of_each_term_are_remembered_as_its_own(monkeypatch):
+    asked = []
+    monkeypatch.setattr(steps, "_alternatives", lambda judge, best, term: asked.append(term) or [term])
+    judge, best = SimpleNamespace(_alternatives={}), SimpleNamespace(fit=SimpleNamespace(terms=(A, B)))
+    assert [steps.alternatives(judge, best, term) for term in (A, B, A)] == [[A], [B], [A]]
+    assert asked == [A, B]
