@@ -732,7 +732,8 @@ CRANE_MOTORS = '<motor name="r" joint="rail" {}/><motor name="a" joint="arm" {}/
     [
         ('forcerange="-1 3"', "torque_ripple", [0.1, 0.0, 5.0], [0.0, 0.2, 7.0],
          {("jnt_actfrcrange", "rail"): [-1.0, 3.0], ("jnt_actfrcrange", "arm"): [-2.0, 4.0],
-          ("actuator_forcelimited", "r"): [0], ("actuator_forcelimited", "a"): [0]}),
+          ("actuator_forcelimited", "r"): [0], ("actuator_forcelimited", "a"): [0],
+          ("actuator_biasprm", "rail_ripple"): [0.1, 10 * np.pi], ("actuator_biasprm", "arm_ripple"): [0.2, 7.0]}),
         ("", "torque_scale", [1.2], [0.8], {("actuator_gainprm", "r"): [1.2], ("actuator_gainprm", "a"): [0.8]}),
         ("", "hysteresis", [0.3, 0.05], [0.1, 0.02], {}),
         ("", "torque_saturation", [3.0], [2.0], {("jnt_actfrcrange", "rail"): [-3.0, 3.0]}),
