@@ -89,6 +89,16 @@ def test_every_flag_reaches_the_diagnosis(folder, asked, capsys):
     assert "The same command goes on from here." in capsys.readouterr().out
 
 
+def test_what_the_first_run_was_told_is_told_again_where_a_recording_joins(folder, asked):
+    first = "--model robot.xml --recordings train --heldout c.npz --drive measured --seed 4"
+    main(parsed(*first.split(), "--output", "there"))
+    main(parsed(*"--output there --continue train/a.npz".split()))
+    for (model, *groups), settings in asked:
+        assert Path(model).name == "robot.xml"
+        assert [[Path(r.source).name for r in group] for group in groups] == [["a.npz", "b.npz"], ["c.npz"]]
+        assert (settings["drive"], settings["seed"]) == ("measured", 4)
+
+
 @pytest.mark.parametrize(("weight", "said"), [(0.0, "new_recording.npz\n"), (0.5, "new_recording.npz --payload 0.5\n")])
 def test_how_the_diagnosis_goes_on_is_said_with_the_weight_that_the_plan_asks_for(
     folder, monkeypatch, capsys, weight, said
