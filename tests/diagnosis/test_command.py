@@ -15,6 +15,7 @@ from diagnosis.plants import pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import command, fit_command
 from torchrl_athletic.diagnosis.command import Config, inputs, main
+from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.model import ModelError
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.result import Answer
@@ -272,7 +273,7 @@ def test_a_second_run_in_the_folder_is_refused_while_the_first_one_runs(folder, 
     monkeypatch.setattr(command, "diagnose", meanwhile)
     with pytest.raises(SystemExit):
         main(parsed(*flags.split()))
-    assert str(refused[0]).startswith("error: there: another diagnosis is writing there")
+    assert str(refused[0]).startswith("error: there: another run is writing there")
 
 
 def test_a_mistake_leaves_no_empty_folder(folder):
@@ -355,6 +356,26 @@ def test_a_fit_that_is_stopped_or_has_nowhere_to_write_ends_in_a_sentence(module
     for output, says in (("new", stopped), ("there", stopped), ("file", nowhere)):
         with pytest.raises(SystemExit, match=says):
             module.main(CONFIGS[module](output=tmp_path / output))
+
+
+@pytest.mark.parametrize(
+    ("module", "flags", "other"),
+    [(command, {}, "fit.json"), (fit_command, {}, "diagnosis.json"), (command, {"fit_only": True}, "diagnosis.json")],
+)
+def test_a_fit_and_a_diagnosis_do_not_share_a_folder_which_is_said_before_the_work(module, flags, other, tmp_path):
+    (tmp_path / other).write_text("{}")
+    with pytest.raises(SystemExit) as refused:
+        module.main(CONFIGS[module](output=tmp_path, **flags))
+    assert str(refused.value.code).startswith(f"error: {tmp_path} holds {other}")
+
+
+@pytest.mark.parametrize("module", [command, fit_command])
+def test_a_second_run_in_a_folder_is_refused_before_the_work(module, tmp_path):
+    """From another thread, which the lock takes for a stranger as it does another process."""
+    with ThreadPoolExecutor(1) as pool, locked(tmp_path):
+        run = pool.submit(module.main, CONFIGS[module](output=tmp_path))
+        with pytest.raises(SystemExit, match="another run is writing there"):
+            run.result()
 
 
 @pytest.mark.parametrize("notes", [[], ["A first note.", "A second one."]])

@@ -1,10 +1,13 @@
 """One process at a time writes a diagnosis, and what a killed one left is cleared away."""
 
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import pytest
 
+from torchrl_athletic.diagnosis.fitting import Fit
 from torchrl_athletic.diagnosis.folder import locked
+from torchrl_athletic.diagnosis.outcome import Diagnosis
 
 
 def enter(folder):
@@ -21,10 +24,28 @@ def from_outside(folder):
 def test_who_is_outside_stays_out_until_the_first_one_has_left(tmp_path):
     with (
         locked(tmp_path),
-        pytest.raises(BlockingIOError, match=f"^{tmp_path}: another diagnosis is writing there.*Wait"),
+        pytest.raises(BlockingIOError, match=f"^{tmp_path}: another run is writing there.*Wait"),
     ):
         from_outside(tmp_path)
     assert from_outside(tmp_path) == "entered"
+
+
+SAVED = {
+    "fit.json": Diagnosis(SimpleNamespace(), None, None, ""),
+    "diagnosis.json": Fit((), None, None, {}, (), "", "", 0.0),
+}
+"""What may be saved, by the file that says that another kind of answer lies there."""
+
+
+@pytest.mark.parametrize(("other", "answer"), SAVED.items())
+def test_what_is_saved_waits_for_nobody_and_is_not_mixed_with_an_answer_of_another_kind(tmp_path, other, answer):
+    with locked(tmp_path), ThreadPoolExecutor(1) as pool, pytest.raises(BlockingIOError):
+        pool.submit(answer.save, tmp_path).result()
+    tmp_path.mkdir(exist_ok=True)  # it was left empty
+    (tmp_path / other).write_text("{}")
+    with pytest.raises(FileExistsError, match=f"^{tmp_path} holds {other}.*another --output"):
+        answer.save(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [other]
 
 
 def test_who_is_inside_enters_again_and_stays_inside(tmp_path):

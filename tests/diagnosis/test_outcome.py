@@ -92,6 +92,25 @@ def test_all_files_are_written_and_the_answer_that_says_so_comes_last(tmp_path, 
     assert files[4] == (out / "diagnosis.json", {"verdict": "explained"})
 
 
+def test_a_kill_while_it_is_saved_leaves_no_older_answer_beside_newer_files(tmp_path, monkeypatch):
+    model = mujoco.MjModel.from_xml_string(pendulum())
+    given = Simulation(model, ("pendulum",), Hypothesis(()), np.zeros(0))
+    monkeypatch.setattr(Diagnosis, "overlays", ())
+    for said in ("The first.", "The second."):
+        diagnosis = Diagnosis(Answer("nothing_missing", (said,)), given, given, pendulum())
+        diagnosis.save(tmp_path)
+        assert Diagnosis.load(tmp_path).answer.summary == (said,)
+
+    def killed(*_given):
+        raise SystemExit
+
+    monkeypatch.setattr(outcome, "write_report", killed)
+    with pytest.raises(SystemExit):
+        diagnosis.save(tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"holds no diagnosis\.json"):
+        Diagnosis.load(tmp_path)
+
+
 def delivered(tmp_path, monkeypatch, *, drive="command", complete=True, warning="", output=True):
     """What is handed over of three takes, one of which carried a weight, and where it was saved."""
     measured = {"torque_measured": STILL + 5.0, "torque_semantics": "link_side"}

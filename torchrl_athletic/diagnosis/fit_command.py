@@ -10,6 +10,7 @@ from typing import Literal
 
 from torchrl_athletic.diagnosis.extension import GEARS, LAWS
 from torchrl_athletic.diagnosis.fitting import STAGES, Fit, JointParameter, fit
+from torchrl_athletic.diagnosis.folder import locked, refuse_mixture
 from torchrl_athletic.diagnosis.inputs import checked, inputs
 from torchrl_athletic.diagnosis.model import ModelError
 from torchrl_athletic.diagnosis.progress import Progress
@@ -58,20 +59,8 @@ def main(config: FitConfig) -> Fit:
     try:
         if config.output.is_file():  # said now, not after the fit
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
-        given = inputs(config)
-        print("\n".join(given.notes), end="\n" if given.notes else "")
-        with Progress(STAGES) as progress:
-            fitted = fit(
-                given.model,
-                given.recordings,
-                given.heldout,
-                drive=config.drive,
-                seed=config.seed,
-                time_budget=config.time_budget,
-                memory=config.memory,
-                output=config.output,
-                progress=progress,
-            )
+        with locked(config.output):
+            fitted = _fitted(config)
     except (RecordingError, FetchError, ModelError, OSError, ImportError) as error:
         sys.exit(f"error: {' '.join(str(error).split())}")
     except KeyboardInterrupt:
@@ -79,6 +68,24 @@ def main(config: FitConfig) -> Fit:
     print(fit_table(fitted))
     print(f"\nFiles: {config.output}")
     return fitted
+
+
+def _fitted(config: FitConfig) -> Fit:
+    refuse_mixture(config.output, "diagnosis.json")
+    given = inputs(config)
+    print("\n".join(given.notes), end="\n" if given.notes else "")
+    with Progress(STAGES) as progress:
+        return fit(
+            given.model,
+            given.recordings,
+            given.heldout,
+            drive=config.drive,
+            seed=config.seed,
+            time_budget=config.time_budget,
+            memory=config.memory,
+            output=config.output,
+            progress=progress,
+        )
 
 
 def fit_table(fitted: Fit) -> str:

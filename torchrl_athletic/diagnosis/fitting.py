@@ -17,6 +17,7 @@ from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.extension import extend, with_gear
 from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.folder import locked, refuse_mixture
 from torchrl_athletic.diagnosis.joint_fit import (
     Linearised,
     best_of,
@@ -118,16 +119,26 @@ class Fit:
         }
 
     def save(self, output: str | Path) -> None:
-        """Write ``fit.json``, ``fit.png``, ``corrected.json`` and ``corrected.xml``."""
+        """Write ``fit.png``, ``corrected.json``, ``corrected.xml`` and, last, ``fit.json``.
+
+        Raises:
+            BlockingIOError: If another diagnosis or fit is writing there.
+            FileExistsError: If the folder holds a diagnosis.
+        """
+        with locked(Path(output)):
+            self._save(Path(output))
+
+    def _save(self, output: Path) -> None:
         from torchrl_athletic.diagnosis.report.fit_picture import fit_picture
 
-        output = Path(output)
-        write_json(output / "fit.json", self.to_json())
+        refuse_mixture(output, "diagnosis.json")
+        (output / "fit.json").unlink(missing_ok=True)
         write_json(output / "corrected.json", {**self.corrected.to_json(), "model_xml": self.xml})
         kinds = {r.position_target is None for r in self.recordings}
         commands: Commands | None = None if len(kinds) != 1 else "torques" if kinds.pop() else "targets"
         write_atomically(output / "corrected.xml", corrected_xml(self.xml, self.corrected, commands))
         fit_picture(self).savefig(output / "fit.png", dpi=150)
+        write_json(output / "fit.json", self.to_json())
 
 
 def fit(

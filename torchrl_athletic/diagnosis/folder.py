@@ -1,4 +1,4 @@
-"""The folder of a diagnosis: one process writes there at a time."""
+"""The folder of a diagnosis or a fit: one process writes there at a time, and answers of one kind."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _HELD: ContextVar[frozenset[Path]] = ContextVar("folders that are locked here", 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Make the folder, and keep every other diagnosis out of it; one within this one may enter.
+    """Make the folder, and keep every other run out of it; one within this one may enter.
 
     What a process that was killed there left half written is removed; so is the folder, if nothing comes into it. File
     systems that know no locks are not locked.
 
     Raises:
-        BlockingIOError: If another diagnosis is in it.
+        BlockingIOError: If another diagnosis or fit is in it.
 
     Example:
         >>> with locked(Path("out")), locked(Path("out")):
@@ -49,12 +49,28 @@ def locked(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+def refuse_mixture(folder: Path, other: str) -> None:
+    """Refuse a folder that holds the answer of another kind of run, whose ``corrected.json`` would be overwritten.
+
+    Args:
+        folder: Where to write.
+        other: File that says so: ``diagnosis.json`` to a fit, ``fit.json`` to a diagnosis.
+
+    Raises:
+        FileExistsError: If it is there.
+    """
+    if (folder / other).exists():
+        raise FileExistsError(
+            f"{folder} holds {other}, and its corrected.json would no longer be that one's. Name another --output."
+        )
+
+
 def _lock(descriptor: int, folder: Path) -> bool:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise BlockingIOError(
-            f"{folder}: another diagnosis is writing there, and two would mix their answers. Wait until it has ended, "
+            f"{folder}: another run is writing there, and two would mix their answers. Wait until it has ended, "
             "or name another --output."
         ) from error
     except OSError:
