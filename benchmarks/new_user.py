@@ -141,8 +141,8 @@ def table(seconds: dict[str, float], answer: dict[str, object]) -> str:
         [
             "# A new user, from nothing to a report",
             "",
-            f"`python benchmarks/new_user.py` at {commit.strip()}, {platform.machine()}, {os.cpu_count()} cores. An arm "
-            "of four joints as URDF, 55 s of CSV at 250 Hz, a column map written by hand.",
+            f"`python benchmarks/new_user.py` at {commit.strip()}, {platform.machine()}, {os.cpu_count()} cores. An "
+            "arm of four joints as URDF, 55 s of CSV at 250 Hz, a column map written by hand.",
             "",
             "| step | time |",
             "|---|---|",

@@ -71,6 +71,14 @@ def test_links_lead_to_files_that_exist(path):
     assert [target for target in ours if not (path.parent / target).is_file()] == []
 
 
+@having(r"^\|-")
+def test_a_table_s_rows_follow_its_header_at_once(path):
+    """A blank line after the rule ends the table, and what follows is shown as raw text."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    rules = [k for k, line in enumerate(lines) if re.fullmatch(r"\|(\s*:?-+:?\s*\|)+", line)]
+    assert all(lines[k + 1].startswith("|") for k in rules)
+
+
 def test_pictures_are_pictures():
     for picture in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", README):
         assert (ROOT / picture).read_bytes().startswith(b"\x89PNG")
