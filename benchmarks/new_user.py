@@ -136,7 +136,7 @@ def table(seconds: dict[str, float], answer: dict[str, object]) -> str:
     assert isinstance(findings, list)
     said = "; ".join(f"{f['effect']} of {f['joint']}, {f['probability']:.0%}" for f in findings) or "nothing"
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True).stdout
-    rows = [*seconds.items(), ("all", sum(seconds.values()))]
+    rows = [*((f"`{name}`", took) for name, took in seconds.items()), ("all", sum(seconds.values()))]
     return "\n".join(
         [
             "# A new user, from nothing to a report",
@@ -146,7 +146,7 @@ def table(seconds: dict[str, float], answer: dict[str, object]) -> str:
             "",
             "| step | time |",
             "|---|---|",
-            *(f"| `{name}` | {value:.0f} s |" for name, value in rows),
+            *(f"| {name} | {took:.0f} s |" for name, took in rows),
             "",
             f"Hidden: {HIDDEN} N·m of dry friction in the elbow. Said: {said}.",
             "",
