@@ -1,5 +1,7 @@
 """What the tasks share."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -122,3 +124,6 @@ def test_a_motion_that_was_read_before_is_taken_and_one_of_other_phases_is_refus
         torch.testing.assert_close(ours, theirs, equal_nan=True)
     with pytest.raises(ValueError, match=r"has the phases \['sled-set-up', 'pull'\], the task \['snatch-set-up'"):
         references(motion, ROBOT, snatch_phases())
+    backwards = replace(sled_phases(), phases=sled_phases().phases[::-1])
+    with pytest.raises(ValueError, match="in one order"):
+        references(motion, ROBOT, backwards)

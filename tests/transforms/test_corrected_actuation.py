@@ -425,6 +425,14 @@ def test_joints_that_were_not_found_different_stay_as_they_are_beside_all_that_w
     torch.testing.assert_close(later["torque"][0, 0], torch.tensor(2.0 * (3.0 - 1.0) + 0.5 * 2.0))
 
 
+def test_a_late_clock_delays_the_joints_that_were_diagnosed_and_no_others():
+    late = entry("clock_offset", [20 * STEP], joint=None)
+    chain = Mounted(correction(late, names=("b",)), timestep=STEP, joint_names=("a", "b"), kp=1.0, kd=0.0)
+    first = step_of(chain)
+    found = chain._inv_call(first.set("action", torch.full((1, 2), 7.0)))
+    assert found["position_target"].tolist() == [[7.0, 1.0]]
+
+
 def test_hysteresis_holds_back_by_all_of_its_torque_once_it_has_built_up():
     chain = mounted(entry("hysteresis", [0.2, 0.05]))
     first = step_of(chain)
