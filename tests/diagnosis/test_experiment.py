@@ -640,7 +640,7 @@ def test_the_most_doubtful_of_several_findings_is_asked_about_first(monkeypatch)
 
 
 def two_jointed() -> Experiment:
-    """Of an arm, by hand: two joints that differ in all numbers, three samples."""
+    """An experiment with an arm, written by hand: two joints that differ in all numbers, three samples."""
     pose, wave = np.array([0.1, 0.2]), np.zeros((3, 2))
     keys = (("drag", "hip"), ("rotor", "knee"), ("tilt", None))
     return Experiment(
@@ -897,7 +897,7 @@ class SignalsWithNoise:
 
 
 def test_a_plan_is_weighed_by_the_noise_of_each_set_of_recordings(monkeypatch):
-    """Of those at hand it is one mean square, of what is planned its own, as a search through all would have it."""
+    """Recordings at hand share one mean square of noise and a plan has its own, as in a search through all of them."""
     asked = []
 
     class Scene:
@@ -1071,7 +1071,7 @@ def test_corners_are_rounded_about_a_rest_long_enough_that_nothing_is_cut_off():
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, -0.4])
 def test_readings_of_a_plan_are_as_loud_at_low_frequencies_as_those_of_quicker_logs(memory, monkeypatch):
-    """Of noise with a memory that is its deviation's square times (1 + c) / (1 - c), over the rate."""
+    """Noise with a memory has a density of its deviation's square times (1 + c) / (1 - c), over the rate."""
     log = SimpleNamespace(rate=4 * PLAN.rate)
     readings = iter([(np.array([1.0]), np.array([10.0])), (np.array([9.0]), np.array([90.0])),
                      (np.array([2.0]), np.array([20.0]))] * 2)  # fmt: skip

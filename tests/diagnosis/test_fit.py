@@ -306,7 +306,7 @@ def test_what_becomes_a_trim_keeps_its_value():
 
 
 def windows_like(length, *starts):
-    """Of two joints that rest, every 10 ms."""
+    """Windows of a take of two joints that rest, sampled every 10 ms."""
     t = SimpleNamespace(period=0.01, measured=np.zeros((300, 2)))
     return Windows(t, np.array(starts), length)
 
@@ -371,7 +371,7 @@ def test_the_state_is_looked_at_each_step_where_a_loop_closes(monkeypatch, targe
 
 
 def actions(*windows: tuple[float, float, float]) -> np.ndarray:
-    """Of one term: motion that it makes, error with it and error without it. Shape (3, W, J), the first joint's."""
+    """One term's motion, the error with it and the error without it, all of the first joint. Shape (3, W, J)."""
     return np.stack([np.array(windows).T, np.ones((3, len(windows)))], -1) * [1.0, 1e-6]
 
 
@@ -409,7 +409,7 @@ def test_two_joints_that_a_term_helps_once_each_are_no_two_windows(monkeypatch):
 
 
 def test_telling_windows_of_all_takes_join_those_that_were_drawn(monkeypatch):
-    """Of two takes with three and two windows; the first term acts most in the last two of all, the other in one."""
+    """Takes have three and two windows: one term acts most in the last two of all, the other in the one before them."""
     full = [Windows("one", np.array([0, 10, 20]), 10), Windows("two", np.array([0, 10]), 10)]
     moved = np.zeros((2, 5, 2))
     moved[0, 3:, 1], moved[1, 2, 0], moved[1, 3, 0], moved[0, 1, 0] = [3.0, 4.0], 5.0, 4.0, 8.0
@@ -569,7 +569,7 @@ def test_what_a_term_does_is_told_by_its_absence_window_by_window(monkeypatch, a
 
 
 def test_replicates_scatter_by_the_windows_gradients_over_their_curvature_and_that_of_the_tolerances():
-    """Of 60 windows with slopes of 1 and residuals of ±1 a mean scatters by 1 / √60, and by half beside as much."""
+    """A mean of 60 windows with slopes of 1 and residuals of ±1 scatters by 1 / √60; a prior as strong halves that."""
 
     def linear(prior):
         slope = np.append(np.ones(60), prior)

@@ -265,7 +265,7 @@ def test_only_what_was_taken_back_is_told_so(changes, value, state):
 
 
 def test_an_interval_of_95_percent_is_1_96_deviations_to_either_side_of_its_own_fit_within_its_bounds(monkeypatch):
-    """Of a needed number by the last fit's deviation about its value; of one that is not, by the fit of all numbers."""
+    """A needed number has the last fit's deviation and value; one that is not needed has those of the fit of all."""
     p = [
         Parameter(f"p{k}", "1", 0.0, low, high, 1.0) for k, (low, high) in enumerate([(-9, 9), (-9, 9), (0, 9), (0, 0)])
     ]
@@ -316,7 +316,7 @@ def test_deviations_count_windows_and_not_samples_and_what_the_torques_say():
 
 
 def test_what_is_not_seen_and_what_is_one_and_the_same_has_no_number_of_its_own():
-    """Of four windows, 0.4 thousandths of a typical error per change worth mentioning is the least that is seen."""
+    """In four windows, 0.4 thousandths of a typical error per change worth mentioning is the least that is seen."""
     names = ["drag", "slip", "spring", "play", "torque_saturation"]
     terms = []
     for n in names:
@@ -353,7 +353,7 @@ def test_a_number_that_several_others_make_up_for_is_told_with_the_two_that_do_s
 def test_an_interval_may_be_as_wide_as_five_changes_worth_mentioning_or_the_number_itself(
     monkeypatch, centre, sigma, wide
 ):
-    """Of a needed number, by the last fit's value and the narrower of both deviations; 1.96 of them to either side."""
+    """A needed number's interval is 1.96 of the narrower of both deviations to either side of the last fit's value."""
     monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
     monkeypatch.setattr(fitting, "_doubts", lambda near, seen: ["", ""])
     near = solved(free=[True, True], sigma=[9.0, sigma], values=[50.0, centre])
@@ -367,7 +367,7 @@ def test_an_interval_may_be_as_wide_as_five_changes_worth_mentioning_or_the_numb
 
 @pytest.mark.parametrize("turn", range(3))
 def test_each_interval_is_as_wide_as_its_own_number_and_its_own_unit_allow(monkeypatch, turn):
-    """Of three numbers with units of 1, 10 and 0.1; of the needed ones the narrower deviation of both fits counts."""
+    """Three numbers have units of 1, 10 and 0.1; for the needed ones the narrower deviation of both fits counts."""
     monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
     monkeypatch.setattr(fitting, "_doubts", lambda near, seen: [""] * 3)
     own = [Parameter("p", "1", 0.0, -999, 999, scale) for scale in np.roll([1.0, 10.0, 0.1], turn)]
@@ -489,7 +489,7 @@ def test_the_corrected_model_takes_what_the_robot_was_sent(tmp_path, monkeypatch
 def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is_the_given_models(
     monkeypatch, extended
 ):
-    """Of five numbers the fourth is fixed; the last is not needed, nor is one of the spring's; the first goes back."""
+    """The fourth of five numbers is fixed; the last and one of the spring's are not needed; the first is taken back."""
     names = ("drag", "spring", "fixed", "idle")
     terms = tuple(
         Candidate(

@@ -160,7 +160,7 @@ def test_friction_that_is_the_same_both_ways_has_no_claim_to_the_name_of_asymmet
 
 @pytest.mark.parametrize(("share", "plain"), [(0.02, False), (0.035, True)])
 def test_what_sets_a_law_apart_is_seen_where_the_middle_95_percent_of_its_draws_say_so(share, plain, monkeypatch):
-    """Of a thousand draws a share lies on the other side: of a difference, and of a number."""
+    """A share of a thousand draws lies on the other side of zero: draws of a difference, and draws of one number."""
     monkeypatch.setattr(gates, "widened", lambda value, low, high: (low, high))
     names = ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative")
     of = tuple(Parameter(name, "N·m", 0.0, 0.0, 10.0, 0.1) for name in names)
@@ -222,7 +222,7 @@ def test_a_number_that_is_next_to_nothing_of_another_in_its_unit_is_not_seen(uni
 
 
 def test_the_energy_of_a_term_is_what_its_joint_misses_without_it_beside_the_others():
-    """Of a torque whose parts have four, two and one units of power the first is four sevenths; not the hum beside."""
+    """A term with four of its joint's seven units of power has four sevenths; another joint's hum does not count."""
     one, two, rest, hum = np.linalg.qr(np.random.default_rng(0).normal(size=(400, 4)))[0].T * 20.0
     take = signals(np.stack([2 * one + np.sqrt(2) * two + rest, 9 * hum], -1))
     weigh = judge(take, candidate(Given("one", one)), candidate(Given("two", two)))

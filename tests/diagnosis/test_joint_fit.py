@@ -180,7 +180,7 @@ def test_a_parameter_goes_where_folds_do_not_ask_for_it(monkeypatch, stated, wei
 
 
 def take_like(samples, begins=(0,), period=0.005, truth=1.0):
-    """Of one joint or more, each of which follows its own number times a wave."""
+    """A take of one joint or more, each of which follows its own number times a wave."""
     wave = np.ones(samples)
     return SimpleNamespace(
         time=period * np.arange(samples), begins=np.array(begins), period=period, wave=wave, address=None,
@@ -339,7 +339,7 @@ def test_what_moves_is_counted_in_its_own_unit_and_stops_at_its_own_bound(monkey
 
 @pytest.mark.parametrize("damping", [(0.0,), (1e3, 0.0)])
 def test_a_slope_is_mended_by_what_each_step_showed(monkeypatch, damping):
-    """Of an arc tangent from one: five steps by the first slope alone would end a quarter from its zero."""
+    """On an arc tangent, five steps from one by the first slope alone would end a quarter away from its zero."""
     problem = bent(monkeypatch, damping)
     assert abs(descend(problem, np.array([1.0]), np.array([True]), 1, Deadline())[0]) < 1e-3
 
@@ -402,7 +402,7 @@ def test_a_difference_is_a_hundredth_of_a_unit_up_as_long_as_its_own_bound_leave
 
 @pytest.mark.parametrize("first_order", [False, True])
 def test_a_fold_is_told_by_the_others_and_never_by_itself(monkeypatch, first_order):
-    """Of windows 1, 3 and 8: the last says 8 of the first two, they say 2 of it; held, the given model's 0 says all."""
+    """Windows ask for 1, 3 and 8: the last says 8 of the first two, they say 2 of it; a number that is held is 0."""
     problem, _ = following(monkeypatch, each_its_own(1.0, 3.0, 8.0))
     near = linearise(problem, np.array([4.0]), np.array([True]))
     trials = [np.array([False]), np.array([True])]
@@ -688,7 +688,7 @@ def test_a_joint_gives_up_all_that_it_does_not_need_and_is_left_alone_when_it_ne
     ],
 )
 def test_what_goes_is_guessed_by_slopes_and_allowed_by_the_best_that_was_found(monkeypatch, guess, truth, needed):
-    """Of one joint's two numbers, in shares of the error that are just worth having one."""
+    """One joint has two numbers, worth multiples of the share of the error for which a number is just worth having."""
     joint = (SimpleNamespace(joint=0, parameters=(None, None)),)
     problem = replace(Problem(None, (), np.ones(1), np.ones(100)), hypothesis=SimpleNamespace(terms=joint))
     near = SimpleNamespace(problem=problem, free=np.ones(2, dtype=bool))

@@ -284,7 +284,7 @@ def test_features_are_those_of_their_joint_and_units_of_a_slide_are_of_a_slide()
 
 
 def test_regimes_are_thirds_on_the_side_that_they_name(monkeypatch):
-    """Of the magnitude of speed and acceleration, and of the signed position, load and command."""
+    """The thirds are of the magnitude of speed and acceleration, and of the signed position, load and command."""
     monkeypatch.setattr(locating, "feature_unit", lambda s, name, joint: "u")
     names = ("velocity", "position", "load", "acceleration", "command")
     columns = dict(zip(names, rng().normal(size=(5, 900, 2)), strict=True))

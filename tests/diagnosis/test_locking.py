@@ -23,7 +23,7 @@ def held(angle, travel=0.0, count=100, names=("hip", "knee")):
 
 
 def attitude(lock, *recordings):
-    """Of the lower link, with the hip at its zero."""
+    """Orientation of the lower link as a quaternion, with the hip at its zero."""
     xml, left = locked_joints(ARM, lock, recordings)
     assert left == ("hip",)
     model = mujoco.MjModel.from_xml_string(xml)

@@ -280,7 +280,7 @@ def test_the_noise_of_the_drive_is_that_of_its_torque_sensor(takes):
 
 
 def test_noise_of_a_torque_is_read_from_what_no_smooth_torque_has():
-    """Of white noise it is the deviation, of a smooth torque nothing, and a channel of zeros has the least there is."""
+    """White noise is told by its deviation; a smooth torque has none, and a channel of zeros the least there is."""
     time = np.arange(4000) / 500
     rng = np.random.default_rng(0)
     clean = np.stack([3 * np.sin(2 * time), np.cos(time), 0 * time], 1)

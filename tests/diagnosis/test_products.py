@@ -87,7 +87,7 @@ def test_what_a_bound_forbids_gains_nothing_and_what_stands_beside_it_may_not_ma
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("alike", [0.0, 0.9])
 def test_each_of_two_columns_goes_as_far_as_its_own_bounds_let_it(sign, alike):
-    """Of a group that stands alone; however alike the two are, all is as in bounded least squares."""
+    """The two are a group that stands alone; however alike they are, all is as in bounded least squares."""
     rng = np.random.default_rng(6)
     first, second, rest = np.linalg.qr(rng.normal(size=(60, 3)))[0].T
     columns = np.stack([first, alike * first + np.sqrt(1 - alike**2) * second], -1)

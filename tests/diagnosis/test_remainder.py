@@ -244,7 +244,7 @@ def test_a_flexible_link_is_seen_up_to_where_the_log_shows_it(flexible):
 
 @pytest.mark.parametrize("segment", [1.0, 2.0])
 def test_the_coherent_part_is_as_strong_as_what_the_command_makes(segment, found_in, monkeypatch):
-    """Of a torque of 2 N between 10 and 20 Hz, all of which follows the command, 2 N are told, of the right joint."""
+    """A force of 2 N between 10 and 20 Hz, all of which follows the command, is told as 2 N of the right joint."""
     monkeypatch.setattr(remainder, "SEGMENT", segment)  # however wide a line of the spectrum is
     answer, idle = hum(10.0, 20.0), hum(1.0, 30.0, seed=1)
     rough = answer + 0.1 * hum(1.0, 60.0, seed=3)
@@ -287,7 +287,7 @@ def test_a_band_of_three_lines_is_no_band(found_in):
 
 @pytest.mark.parametrize(("count", "share", "seen"), [(1, 0.18, False), (1, 0.6, True), (4, 0.3, True)])
 def test_short_takes_have_to_answer_clearly_and_several_may_answer_less(count, share, seen, found_in):
-    """Of ten seconds chance makes up to 0.15 coherent: three times that, or by the root of four takes less, is none."""
+    """Chance gives ten seconds a coherence of 0.15; three times that is an answer, or half as much in four takes."""
     takes = []
     for k in range(count):
         command, noise = (hum(8.0, 27.0, seed=seed, seconds=10.0) for seed in (k, k + 50))

@@ -721,7 +721,7 @@ def test_a_start_is_known_no_worse_than_one_reading_and_its_speed_less_well():
 
 
 def test_a_base_at_rest_seems_to_move_as_much_as_its_noise_says(monkeypatch):
-    """Of a millimetre, and of a hundredth of a radian about each axis, of which a quaternion has the half."""
+    """The noise is a millimetre, and a hundredth of a radian about each axis, of which a quaternion has the half."""
     rng = np.random.default_rng(0)
     time = np.arange(3000) / RATE
     half_turn = 0.5 * 1e-2 * rng.normal(size=(3000, 3))
@@ -933,7 +933,7 @@ def test_a_base_is_where_it_was_at_each_rows_own_samples_between_which_it_goes_s
 
 
 def test_a_base_is_carried_by_what_its_mass_asks_for_in_each_step_of_a_sample():
-    """Of a beam and a hip beside the base its six masses are the second to the seventh."""
+    """In a model with a beam before the base and a hip after it, the base's masses are the second to the seventh."""
     start, plant, t = swung_base((0.0, 0.0, 0.0))
     found = replay._carry(start, plant, replay.Windows(t, np.zeros(3), 2))
     gained = np.array([[3.0, 5.0], [5.0, 7.0], [15.0, 17.0]]).repeat(2, axis=1)[..., None] * np.arange(1.0, 7.0)

@@ -197,7 +197,7 @@ def heights(figure, gid):
 
 
 def in_micronewtons(m):
-    """The same map with forces a million times as small, and a correction that leaves a hundredth of it."""
+    """A copy of a map with forces a million times as small, and a correction that leaves a hundredth of them."""
     small = {name: 1e-6 * getattr(m, name) for name in ("before", "before_band", "noise")}
     return replace(m, **small, after=1e-8 * m.before, after_band=1e-8 * m.before_band)
 

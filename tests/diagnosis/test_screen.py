@@ -296,7 +296,7 @@ def test_bounded_least_squares_is_scipys(seed):
 
 @pytest.mark.parametrize("in_circles", [False, True])
 def test_bounds_that_are_met_on_the_way_and_left_again_are_no_trap(in_circles, monkeypatch):
-    """Of columns nearly alike, either way that the least squares are found."""
+    """The columns are nearly alike, and both ways to find the least squares are tried."""
     if in_circles:
         monkeypatch.setattr(screen, "_within", lambda *_: None)
     for seed in range(40):
@@ -422,7 +422,7 @@ def test_on_one_joint_no_two_of_a_name_nor_what_excludes_another(one, other, tog
 
 
 def test_the_second_of_two_terms_may_be_the_one_at_its_bound():
-    """Of a law with two numbers and one with one, of which the last number stops."""
+    """One law has two numbers and the other has one: the last of the three, which may stop at its bound."""
     two, one = Given("two", np.zeros((2, 2)), 0.0, 9.0), Given("one", np.zeros(2), 1.0, 4.0)
     atoms = tuple(Atom(candidate(law), {}, linear, linear) for law, linear in ((two, (0, 1)), (one, (0,))))
     low, high, nothing = np.array([0.0, 0.0, 1.0]), np.array([9.0, 9.0, 4.0]), np.zeros((2, 1))
@@ -452,7 +452,7 @@ def test_a_number_on_its_grid_counts_unless_it_is_the_given_models():
 
 
 def test_stretches_are_as_long_as_they_may_be_and_none_lies_in_two_takes(rng):
-    """Of 450 samples of 10 ms: 2.2 s each; of 350 also two, of 100 one."""
+    """Takes of 450 and of 350 samples of 10 ms make two stretches each, the longest of 2.25 s; one of 100 makes one."""
     bank = Bank([signals(rng.normal(size=(n, 2))) for n in (450, 350, 100)], [], noise=NOISE)
     assert np.bincount(bank.stretch).tolist() == [225, 225, 175, 175, 100]
     assert (np.diff(bank.stretch) >= 0).all()

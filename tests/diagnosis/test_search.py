@@ -874,7 +874,7 @@ def test_a_search_may_go_as_deep_as_all_joints_together_have_effects():
 
 @pytest.mark.parametrize("takes", [1, 2, 3, 4])
 def test_scatter_is_that_of_the_strengths_between_takes_or_between_parts_of_a_few(takes):
-    """Of two takes at most, sixth by sixth: two are a third of all rows, wherever one take ends."""
+    """One or two takes are compared sixth by sixth; two sixths are a third of all rows, wherever a take ends."""
     column = np.where(np.arange(N) % 2, 1.0, -1.0)
     rows = np.arange(takes * N)
     strengths = [2.0, 4.0, 3.0, 3.0][:takes] if takes > 2 else [2.0, 2.0, 4.0, 4.0, 4.0, 4.0]
@@ -894,7 +894,7 @@ FAST, SLOW, SLOWER = (np.tile(np.repeat([1.0, -1.0], n), N // (2 * n)) for n in 
 
 @pytest.mark.parametrize(("second", "expected"), [(0.118, None), (0.16, {"asymmetric"})])
 def test_a_richer_law_that_is_not_decisively_better_is_not_asked_about(second, expected):
-    """Of two that close more than a twentieth of what is open, by 12.6 and 22.9 less the price of a number, 7.6."""
+    """Both close over a twentieth of what is open, and gain 12.6 and 22.9, less 7.6 as the price of a number."""
     take = on_shoulder(9 * FAST + second * SLOW + 1.05 * SLOWER)
     larger = Given("asymmetric", np.stack([FAST, SLOW], -1), excludes=("symmetric",))
     weigh = judge(take, candidate(larger), candidate(Given("symmetric", FAST)))
@@ -926,7 +926,7 @@ def test_of_two_richer_laws_the_likelier_is_asked_about_and_another_law_is_no_ri
 
 
 def test_rivals_come_nearest_first_and_a_better_one_is_not_less_than_nothing_behind():
-    """Of four that differ by a hundredth each, what was found is neither the truth nor the worst."""
+    """Four rivals differ by a hundredth each; the one that was found is neither the truth nor the worst."""
     rng = np.random.default_rng(0)
     a, other = smooth(rng, (2, N))
     effects = [(f"{k}", a + 0.01 * k * other) for k in (6, 2, 0, 1)]

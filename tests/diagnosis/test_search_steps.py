@@ -437,7 +437,7 @@ def test_joints_that_are_open_with_the_trims_or_without_them_are_asked_about():
 
 
 def test_samples_of_a_joint_are_thinned_alike_in_all_its_stretches_and_never_added_to():
-    """Of four hundred, two hundred are left; of a hundred there are no more than that."""
+    """Four hundred samples are thinned to two hundred; a hundred samples stay a hundred, and become no more."""
     bank = SimpleNamespace(rows=lambda fit: "rows", independent_samples=lambda rows: np.array([200.0, 500.0]))
     judge = SimpleNamespace(bank=bank, independent=np.array([[100.0, 300.0], [60.0, 40.0]]))
     found = steps._independent(judge, SimpleNamespace(fit=None))

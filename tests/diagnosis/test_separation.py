@@ -283,7 +283,7 @@ def late(delay: float, beside: Along | None = None):
 
 
 def test_a_nonlinear_number_counts_by_the_slope_of_what_it_predicts():
-    """Of 40 (sin 3(t - d) - sin 3t) by d: -120 cos 3(t - d); a hundredth of a second about 0.2 s is nearly linear."""
+    """40 (sin 3(t - d) - sin 3t) has the slope -120 cos 3(t - d) by d, and is nearly linear 10 ms about 0.2 s."""
     found, _, take = late(0.2)
     columns = found.columns(take, {})
     np.testing.assert_allclose(columns[:, 0, 0], shifted(take.time, 0.2))

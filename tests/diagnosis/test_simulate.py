@@ -216,7 +216,7 @@ def test_the_simulation_moves_what_two_channels_say_of_the_drive_by_a_tenth_and_
 def test_a_trim_may_move_where_the_torques_asked_for_a_tenth_of_its_tolerance_or_were_not_asked(
     monkeypatch, value, moved
 ):
-    """Of 1 with a tolerance of 2 to either side."""
+    """The trim has a value of 1 in the model, with a tolerance of 2 to either side."""
     trims = [candidate(name, low=-1.0, high=3.0, nominal=1.0) for name in ("asked", "unasked", "torques_only")]
     monkeypatch.setattr(stage, "trims_for", lambda takes, which: trims)
     monkeypatch.setattr(stage, "TRIMS", (trims[2].effect,))

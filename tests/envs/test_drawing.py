@@ -19,7 +19,7 @@ def scene():
 
 
 def ends(geom):
-    """Of a connector: its middle and where its z axis points."""
+    """The middle of a connector, and where its z axis points."""
     return geom.pos, geom.mat.reshape(3, 3)[:, 2]
 
 

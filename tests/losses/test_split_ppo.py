@@ -455,7 +455,7 @@ def test_the_entropy_that_is_reported_is_of_samples_that_count():
 
 @pytest.mark.parametrize("kinds", [(Laplace, Normal), (Normal, Laplace), (Laplace, Laplace), (None, Normal)])
 def test_a_divergence_is_exact_only_if_both_policies_are_gaussian(kinds: tuple) -> None:
-    """Of any other pair it is estimated from the actions, which is what the ratios tell."""
+    """The divergence of any other pair is estimated from the actions, which is what the ratios tell."""
     zero, one, log_ratio = torch.zeros(2, 3), torch.ones(2, 3), torch.tensor([[0.5], [-0.5]])
     old, new = (None if kind is None else kind(zero, one) for kind in kinds)
     assert torch.equal(divergence(old, new, log_ratio), sampled_kl(log_ratio))

@@ -97,7 +97,7 @@ def test_smoothing_takes_the_share_that_it_says_half_before_and_half_after():
 
 
 def test_a_line_is_the_mean_over_a_fiftieth_of_the_run_and_its_axis_says_over_what(tmp_path, monkeypatch):
-    """Of 150 rows three: one that stands out is a third as high and three wide."""
+    """A fiftieth of 150 rows is three: one row that stands out is drawn a third as high and three wide."""
     table = CSVTable(tmp_path / "one.csv")
     table.rows = [{"step": str(k), "seconds": str(k), "error": str(3.0 * (k == 75))} for k in range(150)]
     table.columns = ["step", "seconds", "error"]

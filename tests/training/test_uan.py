@@ -393,7 +393,7 @@ def test_robots_that_a_simulator_draws_are_not_drawn_where_a_net_is_trained():
 
 @pytest.mark.parametrize("rate", [200.0, 400.0])
 def test_a_window_may_lie_anywhere_and_all_beside_it_but_scraps_is_trained_on(rate):
-    """Of twice its length, from the first sample on to the last; a scrap is too short for a step behind a history."""
+    """A take is twice as long as its window, which may be at either end; a scrap is too short to step in."""
     length, first = round(0.15 * rate) + HISTORY, set()
     took = swinging(rate=rate).slice(0, 2 * length)
     for seed in range(300):

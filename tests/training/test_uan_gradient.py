@@ -289,7 +289,7 @@ def test_what_is_usual_follows_the_gradients_slowly_and_the_state_to_go_back_to_
 
 
 def test_gradients_may_pass_through_some_joints_alone_each_nudged_by_its_own_strength():
-    """Of a second joint alone what both together say of it; its torque, as for a step of its own limit."""
+    """A second joint alone has the gradient that both joints give it, and its torque is nudged by its own limit."""
     arm = replace(robot(), torque_limit=(10.0, 40.0))
     slopes = []
     for joints in (None, (1,)):

@@ -351,7 +351,7 @@ def test_before_the_episode_each_joint_has_a_command_of_its_own():
 
 
 def test_limits_are_each_joint_s_own():
-    """Of three joints the last two are a group, which turns too fast by 5 rad/s and by 2 rad/s."""
+    """The last two of three joints are a group; they turn too fast by 5 rad/s and by 2 rad/s."""
     brake = OverspeedBrake([30.0, 8.0], [10.0, 4.0], joints=[1, 2])
     seen = TensorDict(
         torque=torch.tensor([[1.0, 1.0, 1.0]]), joint_velocity=torch.tensor([[15.0, 15.0, 6.0]]), batch_size=[1]

@@ -125,7 +125,7 @@ def test_rewards_add_up_over_two_groups_of_terms():
 
 
 def test_a_second_group_under_the_same_key_stands_beside_the_first_one():
-    """Of terms that a task adds to those of a controller, say: none takes another's place, nor its sum."""
+    """Terms that a task adds to those of a controller, say, take neither another term's place nor its sum."""
     told = {"terms_key": "terms", "sums_key": "sums"}
     one, two = (RewardTerms({name: TERMS["alive"]}, {name: s}, **told) for name, s in (("a", 1.0), ("b", 2.0)))
     after = TransformedEnv(TorqueEnv(ROBOT, num_envs=2), Compose(one, two)).rollout(3)["next"]

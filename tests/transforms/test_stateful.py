@@ -96,7 +96,7 @@ def test_joints_are_taken_in_the_order_in_which_they_are_given(joints: list[int]
 def test_a_mask_of_rows_is_spread_over_values_of_any_width(
     mask: list[list[bool]], shape: tuple[int, ...], rows: list
 ) -> None:
-    """Of several flags of a row one is enough."""
+    """One of several flags of a row is enough."""
     assert spread(torch.tensor(mask), torch.zeros(shape)).tolist() == rows
 
 
