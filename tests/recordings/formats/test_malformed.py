@@ -7,6 +7,7 @@ import os
 import pickle
 import sys
 import zipfile
+from contextlib import nullcontext
 
 import h5py
 import numpy as np
@@ -414,6 +415,22 @@ def test_a_damaged_lerobot_data_set_is_named(damage, advice, tmp_path):
     damage(tmp_path)
     with pytest.raises(RecordingError, match=advice):
         read_recordings(tmp_path, mapped)
+
+
+@pytest.mark.parametrize(("levels", "fine"), [(99, True), (100, False), (900, False)])
+def test_metadata_is_as_deep_as_any_process_can_read(levels, fine, tmp_path):
+    """A hundred levels with the metadata itself; of 900 the process that asks may have no stack left to take them."""
+    deep = "[" * levels + "]" * levels
+    np.savez(tmp_path / "take.npz", **table_of(TAKE), metadata=f'{{"a": {deep}}}')
+    (tmp_path / "set/meta").mkdir(parents=True)
+    (tmp_path / "set/data").mkdir()
+    (tmp_path / "set/meta/info.json").write_text(f'{{"robot_type": {deep}}}')
+    columns = {"state": [0.0, 0.0], "action": [0.0, 0.0], "timestamp": [0.0, 0.1], "episode_index": [0, 0]}
+    pq.write_table(pa.table(columns), tmp_path / "set/data/file-000.parquet")
+    mapped = ColumnMap(joint_names=("a",), position="state", position_target="action", kp=1.0, kd=1.0)
+    for path, known in ((tmp_path / "take.npz", COLUMNS), (tmp_path / "set", mapped)):
+        with nullcontext() if fine else pytest.raises(RecordingError, match="over 100 levels deep"):
+            assert len(read_recordings(path, known)) == 1
 
 
 def test_a_json_message_that_is_none_is_told_with_its_file(tmp_path):

@@ -19,6 +19,8 @@ _OPTIONAL = ("velocity", "torque_command", "position_target", "torque_measured")
 NOTES = ("joint_names", "kp", "kd", "torque_semantics", "metadata")
 """Fields of a recording without a value a sample."""
 _TEXTS = ("joint_names", "torque_semantics", "metadata")
+_DEEPEST = 100
+"""Levels of metadata: JSON that is much deeper is read by one process and not by the next, whose stack is fuller."""
 
 
 Load = Callable[[], NDArray[Any]]
@@ -81,6 +83,11 @@ def recording_from_take(take: RawTake, columns: ColumnMap) -> Recording:
     time = _time(take, columns, len(signals["position"]), used)
     kp, kd = (_gain(take, columns, key, labels, used) for key in ("kp", "kd"))
     metadata = {**_metadata(take), **take.metadata, **columns.metadata}
+    if _is_deeper(metadata, _DEEPEST):
+        raise RecordingError(
+            f"{take.source}: the metadata has lists or objects within each other, over {_DEEPEST} levels deep. Make it "
+            "flat, or leave it out."
+        )
     semantics = _semantics(take, columns, found.get("torque_measured"))
     if "position_target" in signals and (kp is None or kd is None) and all(n in columns.model_gains for n in names):
         of_model = np.array([columns.model_gains[n] for n in names]).T
@@ -386,6 +393,15 @@ def _text(take: RawTake, name: str) -> str | None:
 def _metadata(take: RawTake) -> dict[str, Any]:
     text = _text(take, "metadata")
     return {} if text is None else parse_json_object(text, f"{take.source}: metadata")
+
+
+def _is_deeper(value: Any, levels: int) -> bool:
+    """Whether lists and objects lie in one another on more levels than these."""
+    layer = [value]
+    for _ in range(levels + 1):
+        holders = [one for one in layer if isinstance(one, dict | list)]
+        layer = [inner for one in holders for inner in (one.values() if isinstance(one, dict) else one)]
+    return bool(holders)
 
 
 def parse_json_object(text: str, source: str) -> dict[str, Any]:
