@@ -4,9 +4,10 @@
 
 Two hours on two cores. Good files of every format, written by the formats' own libraries, are damaged in one to four
 places: bits turned, bytes replaced by numbers that lengths and offsets choke on, parts cut out, repeated, or taken from
-another file; of archives and compressed texts also what is inside. A few bombs come on top: small files that claim, or
-unpack to, gigabytes, in a field that is needed and in one that is not. An input is made of the seed and its number
-alone. A file is either read, or refused by a ``RecordingError`` that begins with its name.
+another file; of archives and compressed texts also what is inside, and of a folder one of its files, or a value or a
+column in it. A few bombs come on top: small files that claim, or unpack to, gigabytes, in a field that is needed and in
+one that is not. An input is made of the seed and its number alone. A file is either read, or refused by a
+``RecordingError`` that begins with its name.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ import json
 import math
 import platform
 import resource
+import shlex
+import shutil
 import sys
 import tempfile
 import time
@@ -42,16 +45,33 @@ import tyro
 from rosbags.typesys import Stores, get_typestore
 from tqdm import tqdm
 
-from torchrl_athletic.recordings import ColumnMap, Recording, RecordingError, read_recordings, write_recording
+from torchrl_athletic.recordings import Column, ColumnMap, Recording, RecordingError, read_recordings, write_recording
 from torchrl_athletic.recordings.formats.child import end_helper
 
 JOINTS = ("hip", "knee")
 COLUMNS = ColumnMap(joint_names=JOINTS, torque_semantics="link_side")
+LEROBOT = ColumnMap(
+    position=Column("observation.state", unit="deg"), position_target=Column("action", unit="deg"), kp=20.0, kd=0.5
+)
+KINDS = {
+    "npz": ".npz", "csv": ".csv", "csv.gz": ".csv.gz", "parquet": ".parquet", "parquet of lists": ".parquet",
+    "hdf5": ".h5", "hdf5 in chunks": ".h5", "mat": ".mat", "mat struct": ".mat", "mat 4": ".mat",
+    "ROS 1 bag": ".bag", "ROS 2 bag": ".db3", "mcap": ".mcap", "mcap without checksums": ".mcap", "LeRobot folder": "",
+}  # fmt: skip
+"""Suffix of each kind of input."""
 LONGEST_READ, LARGEST_READ, LONGEST_MESSAGE = 20.0, 2 << 30, 10_000
 """What counts as a hang [s], as a bomb [B], and as a message that nobody can read [characters]."""
 RUN = 500
 """Inputs of one kind that follow each other: so many need the libraries of one format only."""
 EDGES = (0, 1, 0x7F, 0x80, 0xFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**64 - 1)
+DEEP = 900
+"""How many lists lie in one another: JSON that Python just reads."""
+ODD = (
+    "null", "true", "0", "-1", "1e999", "9" * 5000, '""', '"hip.pos"', '"\\ud800"', '"\\u0000"', f'"{"a" * 10**5}"',
+    "[]", '["hip.pos"]', '["hip.pos", "hip.pos"]', '["a", "b", "c"]', '["", "b"]', "[[]]", "[" * DEEP + "]" * DEEP,
+    "{}", '{"motors": ["a", "b"]}', '{"a": {"a": []}}',
+)  # fmt: skip
+"""JSON to stand in the place of other JSON."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +82,8 @@ class Config:
     """Damaged files, the kinds in turn."""
     seed: int = 0
     """Seed of the damage."""
+    kind: str = ""
+    """The one kind to read, without the bombs; its inputs are those that it has when all kinds take turns."""
     minutes: float = math.inf
     """How long inputs are read; the table counts those that were."""
     jobs: int = 2
@@ -85,15 +107,7 @@ def samples(folder: Path) -> dict[str, Path]:
     }
     rows = [",".join(str(float(x)) for x in row) for row in zip(*columns.values(), strict=True)]
     text = "\n".join([",".join(columns), *rows, ""])
-    made = {
-        name: folder / f"{name.replace(' ', '_')}{suffix}"
-        for suffix, names in {
-            ".npz": ["npz"], ".csv": ["csv"], ".csv.gz": ["csv.gz"], ".parquet": ["parquet", "parquet of lists"],
-            ".h5": ["hdf5", "hdf5 in chunks"], ".mat": ["mat", "mat struct", "mat 4"], ".bag": ["ROS 1 bag"],
-            ".db3": ["ROS 2 bag"], ".mcap": ["mcap", "mcap without checksums"],
-        }.items()
-        for name in names
-    }  # fmt: skip
+    made = {name: folder / f"{name.replace(' ', '_')}{suffix}" for name, suffix in KINDS.items()}
     np.savez(made["npz"], **numbers, **notes)  # type: ignore[arg-type]  # names of arrays
     made["csv"].write_text(text)
     made["csv.gz"].write_bytes(gzip.compress(text.encode()))
@@ -127,7 +141,30 @@ def samples(folder: Path) -> dict[str, Path]:
                 message = json.dumps({"header": {"stamp": stamp}, "name": JOINTS, **said}).encode()
                 writer.add_message(channel, 10_000_000 * row, message, 10_000_000 * row)
         writer.finish()
+    _write_lerobot(made["LeRobot folder"], take)
     return made
+
+
+def _write_lerobot(folder: Path, take: Recording) -> None:
+    """Three episodes in two files, of which both hold a part of the second."""
+    names = [f"{joint}.pos" for joint in JOINTS]
+    features = {feature: {"dtype": "float32", "names": names} for feature in ("observation.state", "action")}
+    info = {"codebase_version": "v3.0", "robot_type": "two joints", "fps": 100, "features": features}
+    row = np.arange(take.num_samples)
+    table = pa.table(
+        {
+            "observation.state": pa.array(list(take.position.astype(np.float32))),
+            "action": pa.array(list(take.command.astype(np.float32))),
+            "timestamp": take.time.astype(np.float32),
+            "episode_index": row // 15,
+            "task": ["pick"] * len(row),
+        }
+    )
+    for part in ("meta", "data/chunk-000"):
+        (folder / part).mkdir(parents=True)
+    (folder / "meta/info.json").write_text(json.dumps(info, indent=1))
+    for number, rows in enumerate((table.slice(0, 20), table.slice(20))):
+        pq.write_table(rows, folder / f"data/chunk-000/file-{number:03d}.parquet")
 
 
 def _write_bag(bag: Any, store_name: Stores, serialize: str, take: Recording) -> None:
@@ -172,7 +209,9 @@ def damaged(raw: bytes, other: bytes, rng: np.random.Generator) -> bytes:
 
 
 def damaged_inside(raw: bytes, kind: str, rng: np.random.Generator) -> bytes:
-    """What an archive or a compressed text holds, damaged, and packed well."""
+    """What an archive, a compressed text or a file of a data set holds, damaged, and packed well."""
+    if kind == "LeRobot folder":
+        return _other_value(raw, rng) if raw.startswith(b"{") else _other_column(raw, rng)
     if kind == "csv.gz":
         text = gzip.decompress(raw)
         return gzip.compress(damaged(text, text, rng), 1, mtime=0)  # the same at any time of day
@@ -185,6 +224,49 @@ def damaged_inside(raw: bytes, kind: str, rng: np.random.Generator) -> bytes:
             new.writestr(
                 zipfile.ZipInfo(name), damaged(content, archive.read(names[0]), rng) if name == chosen else content
             )
+    return packed.getvalue()
+
+
+def _other_value(raw: bytes, rng: np.random.Generator) -> bytes:
+    """JSON of an object with something else in the place of one value, at any depth."""
+    whole = json.loads(raw)
+    holders, places = [whole], []
+    for holder in holders:
+        for key in holder if isinstance(holder, dict) else range(len(holder)):
+            places.append((holder, key))
+            holders += [holder[key]] if isinstance(holder[key], dict | list) else []
+    holder, key = places[rng.integers(0, len(places))]
+    holder[key] = "this one"
+    return json.dumps(whole).replace('"this one"', ODD[rng.integers(0, len(ODD))]).encode()
+
+
+def _other_column(raw: bytes, rng: np.random.Generator) -> bytes:
+    """A Parquet file that lacks a column, or has other values, another type or another name in it, or other rows."""
+    table = pq.read_table(io.BytesIO(raw))
+    names, count = list(table.column_names), table.num_rows
+    at, other = rng.integers(0, len(names), 2).tolist()
+    rows, edges = table.column(at).to_pylist(), rng.choice(np.array(EDGES, dtype=np.uint64), count)
+    match rng.integers(0, 7):
+        case 0:
+            table = table.remove_column(at)
+        case 1:
+            names[at] = names[other]
+            table = table.rename_columns(names)
+        case 2:
+            table = table.set_column(at, names[at], table.column(other))
+        case 3:
+            rows[rng.integers(0, count)] = None if rng.random() < 0.5 else rows[0][:1] if at < 2 else rows[0]
+            table = table.set_column(at, names[at], pa.array(rows))
+        case 4:
+            kind = rng.choice(["u8", "i8", "f4", "M8[ms]", "M8[ns]", "m8[ns]", "U", "?"])
+            table = table.set_column(at, names[at], pa.array(edges.astype(kind)))
+        case 5:
+            odd = rng.choice([0.0, 1.0, -1e308, 1e308, np.nan, np.inf], count)
+            table = table.set_column(at, names[at], pa.array(odd if rng.random() < 0.5 else odd[:, None].tolist()))
+        case _:
+            table = table.take(rng.integers(0, count, rng.integers(0, 2 * count)))
+    packed = io.BytesIO()
+    pq.write_table(table, packed)
     return packed.getvalue()
 
 
@@ -246,10 +328,10 @@ class Outcome:
 
 
 def outcome(kind: str, path: Path, columns: ColumnMap | None = COLUMNS) -> Outcome:
-    """Read one file, and say how that went."""
+    """Read one file or folder, and say how that went."""
     begin = time.monotonic()
     try:
-        read_recordings(path, columns)
+        read_recordings(path, LEROBOT if path.is_dir() else columns)
         said = "read"
     except RecordingError as error:
         fine = str(error).startswith(str(path)) and len(str(error)) < LONGEST_MESSAGE
@@ -276,21 +358,45 @@ def fuzz(numbers: Iterable[int], seed: int, keep: Path, end: float = math.inf) -
         return outcomes, 0
     with tempfile.TemporaryDirectory() as scratch:
         good = samples(Path(scratch))
-        raw = {kind: path.read_bytes() for kind, path in good.items()}
+        raw = {kind: _contents(path) for kind, path in good.items()}
         kinds = list(good)
         for number in takewhile(lambda _: time.time() < end, numbers):
             rng = np.random.default_rng([seed, number])
             kind = kinds[number // RUN % len(kinds)]
-            inside = kind in ("npz", "csv.gz") and rng.random() < 0.7
-            other = raw[kinds[rng.integers(0, len(kinds))]] if rng.random() < 0.3 else raw[kind]
-            path = Path(scratch) / f"{number}{''.join(good[kind].suffixes)}"
-            path.write_bytes(damaged_inside(raw[kind], kind, rng) if inside else damaged(raw[kind], other, rng))
+            inside = kind in ("npz", "csv.gz", "LeRobot folder") and rng.random() < 0.7
+            name = list(raw[kind])[rng.integers(0, len(raw[kind]))]
+            whole = raw[kind][name]
+            other = next(iter(raw[kinds[rng.integers(0, len(kinds))]].values())) if rng.random() < 0.3 else whole
+            spoilt = damaged_inside(whole, kind, rng) if inside else damaged(whole, other, rng)
+            path = Path(scratch) / f"{number}{KINDS[kind]}"
+            _write(path, raw[kind] | {name: spoilt})
             outcomes.append(outcome(kind, path))
             if outcomes[-1].failed:
-                keep.mkdir(parents=True, exist_ok=True)
-                (keep / path.name).write_bytes(path.read_bytes())
-            path.unlink()
+                _write(keep / path.name, raw[kind] | {name: spoilt})
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
     return outcomes, memory_of_children()
+
+
+def _contents(path: Path) -> dict[Path, bytes]:
+    """The bytes of a file, or of every file in a folder, by the path below it."""
+    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
+    return {file.relative_to(path): file.read_bytes() for file in files}
+
+
+def _write(path: Path, contents: dict[Path, bytes]) -> None:
+    """A file or a folder with these contents."""
+    for name, content in contents.items():
+        (path / name).parent.mkdir(parents=True, exist_ok=True)
+        (path / name).write_bytes(content)
+
+
+def turns(inputs: int, kind: str = "") -> list[range]:
+    """Numbers of the inputs to read, in runs of one kind: of all kinds in turn, or of one alone."""
+    if kind and kind not in KINDS:
+        raise SystemExit(f"there is no kind {kind!r}; known are {', '.join(KINDS)}.")
+    first, step = (list(KINDS).index(kind), len(KINDS)) if kind else (0, 1)
+    begins = range(RUN * first, RUN * (first + step * math.ceil(inputs / RUN)), RUN * step)
+    return [range(begin, begin + min(RUN, inputs - RUN * k)) for k, begin in enumerate(begins)]
 
 
 def explode() -> tuple[list[Outcome], int]:
@@ -312,6 +418,7 @@ def memory_of_children() -> int:
 def table(config: Config, outcomes: list[Outcome], exploded: list[Outcome], largest: int) -> str:
     """The result, in Markdown."""
     limit = "" if math.isinf(config.minutes) else f" --minutes {config.minutes:g}"
+    limit += f" --kind {shlex.quote(config.kind)}" if config.kind else ""
     lines = [
         "# Fuzz of the readers",
         "",
@@ -329,11 +436,12 @@ def table(config: Config, outcomes: list[Outcome], exploded: list[Outcome], larg
     by_kind: dict[str, list[Outcome]] = {}
     for one in outcomes:
         by_kind.setdefault(one.kind, []).append(one)
-    for kind, group in [*by_kind.items(), ("bombs", exploded), ("all", [*outcomes, *exploded])]:
+    bombs_and_sum = [("bombs", exploded), ("all", [*outcomes, *exploded])] if exploded else []
+    for kind, group in [*by_kind.items(), *bombs_and_sum]:
         said = Counter(one.said for one in group)
         longest, failures = max(one.seconds for one in group), sum(one.failed for one in group)
         lines.append(f"| {kind} | {len(group)} | {said['read']} | {said['refused']} | {longest:.1f} | {failures} |")
-    lines += ["", "| bomb | size of the file [kB] | outcome |", "|---|---|---|"]
+    lines += ["", "| bomb | size of the file [kB] | outcome |", "|---|---|---|"] if exploded else []
     lines += [f"| {one.kind} | {one.said} |" for one in exploded]
     reasons = Counter(f"{one.kind}: {one.said}" for one in [*outcomes, *exploded] if one.failed)
     return "\n".join([*lines, *(f"\n{count} times {what}" for what, count in reasons.most_common(20))]) + "\n"
@@ -341,14 +449,14 @@ def table(config: Config, outcomes: list[Outcome], exploded: list[Outcome], larg
 
 def main(config: Config) -> int:
     """Fuzz, write the table, and return the number of failures."""
-    chunks = [range(begin, min(begin + RUN, config.inputs)) for begin in range(0, config.inputs, RUN)]
+    chunks = turns(config.inputs, config.kind)
     new = get_context("spawn")
     with ProcessPoolExecutor(config.jobs, new) as pool, ProcessPoolExecutor(1, new) as safe:
-        bang = safe.submit(explode)
+        bang = safe.submit(explode) if not config.kind else None
         end = time.time() + 60 * config.minutes
         found = pool.map(fuzz, chunks, repeat(config.seed), repeat(config.keep), repeat(end))
         parts = list(tqdm(found, total=len(chunks), unit_scale=RUN, unit=" inputs"))
-        exploded, largest = bang.result()
+        exploded, largest = bang.result() if bang is not None else ([], 0)
     outcomes = [one for part, _ in parts for one in part]
     text = table(config, outcomes, exploded, max(largest, *(memory for _, memory in parts)))
     config.output.parent.mkdir(parents=True, exist_ok=True)

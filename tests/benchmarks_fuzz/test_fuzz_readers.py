@@ -7,7 +7,7 @@ from multiprocessing import get_context
 
 import pytest
 
-from benchmarks.fuzz_readers import RUN, Outcome, fuzz, outcome, samples
+from benchmarks.fuzz_readers import KINDS, RUN, Outcome, fuzz, outcome, samples, turns
 
 
 @pytest.fixture(scope="module")
@@ -48,3 +48,26 @@ def test_the_same_number_makes_the_same_input(good, monkeypatch, tmp_path):
         fuzz(numbers, seed=2, keep=tmp_path)
     assert made[3:20] == made[20:]
     assert len(set(made)) == 20
+
+
+def test_one_kind_alone_has_the_inputs_that_it_has_when_all_take_turns():
+    every = turns(2 * len(KINDS) * RUN)
+    assert turns(RUN + 3) == [every[0], every[1][:3]]
+    assert turns(RUN + 3, "csv") == [every[1], every[1 + len(KINDS)][:3]]
+    with pytest.raises(SystemExit, match="no kind 'cvs'"):
+        turns(1, "cvs")
+
+
+def test_a_folder_that_a_reader_fails_on_is_kept_as_it_was(monkeypatch, tmp_path):
+    read = []
+
+    def surprise(path, columns):
+        read.append({file.relative_to(path): file.read_bytes() for file in path.rglob("*.*")})
+        raise KeyError("schema")
+
+    monkeypatch.setattr("benchmarks.fuzz_readers.read_recordings", surprise)
+    [number] = turns(1, "LeRobot folder")[0]
+    fuzz([number], seed=0, keep=tmp_path / "kept")
+    kept = tmp_path / "kept" / str(number)
+    assert read == [{file.relative_to(kept): file.read_bytes() for file in kept.rglob("*.*")}]
+    assert len(read[0]) == 3
