@@ -48,6 +48,7 @@ def test_the_generator_knows_neither_mujoco_nor_the_catalogue():
     assert set(re.findall(r"\bmj_\w+", (FOLDER / "arm.py").read_text(encoding="utf-8"))) == {"mj_name2id"}
 
 
+@pytest.mark.slow  # eleven seconds of the generator alone
 def test_a_spring_that_is_far_away_does_not_harden():
     """The cube of its way would tear the robot out of its range, so that it was never recorded."""
 
