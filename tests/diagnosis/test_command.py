@@ -372,7 +372,7 @@ def test_a_fit_and_a_diagnosis_do_not_share_a_folder_which_is_said_before_the_wo
 @pytest.mark.parametrize("module", [command, fit_command])
 def test_a_second_run_in_a_folder_is_refused_before_the_work(module, tmp_path):
     """From another thread, which the lock takes for a stranger as it does another process."""
-    with ThreadPoolExecutor(1) as pool, locked(tmp_path):
+    with ThreadPoolExecutor(1) as pool, locked(tmp_path, "fit.json"):
         run = pool.submit(module.main, CONFIGS[module](output=tmp_path))
         with pytest.raises(SystemExit, match="another run is writing there"):
             run.result()

@@ -273,7 +273,8 @@ def test_a_run_keeps_its_fits_in_the_folder_until_its_report_is_whole(tmp_path, 
     told, held = [], []
 
     @contextmanager
-    def locked(folder):
+    def locked(folder, unlike):
+        assert unlike == "fit.json"
         held.append(folder)
         yield
         held.remove(folder)

@@ -14,7 +14,7 @@ import tyro
 from torchrl_athletic.diagnosis.continuation import recall, remember
 from torchrl_athletic.diagnosis.diagnose import diagnose
 from torchrl_athletic.diagnosis.fitting import Fit
-from torchrl_athletic.diagnosis.folder import locked, refuse_mixture
+from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.inputs import checked, inputs
 from torchrl_athletic.diagnosis.model import ModelError
 from torchrl_athletic.diagnosis.outcome import Diagnosis
@@ -99,8 +99,7 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
     try:
         if config.output.is_file():  # said now, not after the fit
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
-        with locked(config.output):
-            refuse_mixture(config.output, "fit.json")
+        with locked(config.output, "fit.json"):
             return _main(config, hand_over)
     except (RecordingError, FetchError, ModelError, OSError, ImportError) as error:
         sys.exit(f"error: {' '.join(str(error).split())}")

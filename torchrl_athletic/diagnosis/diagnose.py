@@ -76,7 +76,8 @@ def diagnose(
         RecordingError: If the recordings cannot be used, or do not fit the model.
         ModelError: If MuJoCo cannot compile the model.
         ValueError: If ``highest_frequency`` is not above zero.
-        BlockingIOError: If another diagnosis is writing to the same folder.
+        BlockingIOError: If another diagnosis or fit is writing to the same folder.
+        FileExistsError: If the folder holds a fit.
         OSError: If the disk is full, or the folder cannot be written to; names the file.
         KeyboardInterrupt: If it came before anything was found.
 
@@ -112,7 +113,7 @@ def diagnose(
         )
     )
     folder = None if output is None else Path(output)
-    with locked(folder) if folder is not None else nullcontext():
+    with locked(folder, "fit.json") if folder is not None else nullcontext():
         checkpoint = Checkpoint(None if folder is None else folder / CHECKPOINT, given.inputs)
         diagnosis = _diagnosed(given, Run(progress or Progress(), checkpoint, time_budget), folder)
         if diagnosis.answer.complete:

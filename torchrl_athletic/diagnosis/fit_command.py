@@ -10,7 +10,7 @@ from typing import Literal
 
 from torchrl_athletic.diagnosis.extension import GEARS, LAWS
 from torchrl_athletic.diagnosis.fitting import STAGES, Fit, JointParameter, fit
-from torchrl_athletic.diagnosis.folder import locked, refuse_mixture
+from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.inputs import checked, inputs
 from torchrl_athletic.diagnosis.model import ModelError
 from torchrl_athletic.diagnosis.progress import Progress
@@ -59,7 +59,7 @@ def main(config: FitConfig) -> Fit:
     try:
         if config.output.is_file():  # said now, not after the fit
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
-        with locked(config.output):
+        with locked(config.output, "diagnosis.json"):
             fitted = _fitted(config)
     except (RecordingError, FetchError, ModelError, OSError, ImportError) as error:
         sys.exit(f"error: {' '.join(str(error).split())}")
@@ -71,7 +71,6 @@ def main(config: FitConfig) -> Fit:
 
 
 def _fitted(config: FitConfig) -> Fit:
-    refuse_mixture(config.output, "diagnosis.json")
     given = inputs(config)
     print("\n".join(given.notes), end="\n" if given.notes else "")
     with Progress(STAGES) as progress:

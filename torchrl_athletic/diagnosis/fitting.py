@@ -17,7 +17,7 @@ from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.extension import extend, with_gear
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.folder import locked, refuse_mixture
+from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.joint_fit import (
     Linearised,
     best_of,
@@ -125,13 +125,12 @@ class Fit:
             BlockingIOError: If another diagnosis or fit is writing there.
             FileExistsError: If the folder holds a diagnosis.
         """
-        with locked(Path(output)):
+        with locked(Path(output), "diagnosis.json"):
             self._save(Path(output))
 
     def _save(self, output: Path) -> None:
         from torchrl_athletic.diagnosis.report.fit_picture import fit_picture
 
-        refuse_mixture(output, "diagnosis.json")
         (output / "fit.json").unlink(missing_ok=True)
         write_json(output / "corrected.json", {**self.corrected.to_json(), "model_xml": self.xml})
         kinds = {r.position_target is None for r in self.recordings}
@@ -175,6 +174,8 @@ def fit(
     Raises:
         RecordingError: If the recordings cannot be used, or do not fit the model.
         ModelError: If MuJoCo cannot compile the model.
+        BlockingIOError: If another diagnosis or fit is writing to the same folder.
+        FileExistsError: If the folder holds a diagnosis.
 
     Example:
         >>> from torchrl_athletic.recordings.datasets import load_dataset
@@ -182,6 +183,9 @@ def fit(
         >>> fit(bench.model, bench.recordings, bench.heldout).parameters[0]  # doctest: +SKIP
         JointParameter(joint='pendulum', effect='coulomb_friction', ...)
     """
+    if output is not None:
+        with locked(Path(output), "diagnosis.json"):
+            pass  # what would keep it from being written is said now, not after the fit
     begun, deadline = time.monotonic(), Deadline(np.inf if time_budget is None else time_budget)
     progress = progress or Progress(STAGES)
     compiled, xml, name = load_model(model)

@@ -15,19 +15,29 @@ _HELD: ContextVar[frozenset[Path]] = ContextVar("folders that are locked here", 
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def locked(folder: Path, unlike: str) -> Iterator[None]:
     """Make the folder, and keep every other run out of it; one within this one may enter.
 
     What a process that was killed there left half written is removed; so is the folder, if nothing comes into it. File
     systems that know no locks are not locked.
 
+    Args:
+        folder: Where to write.
+        unlike: File of the other kind of answer, whose ``corrected.json`` would be overwritten: ``fit.json`` to a
+            diagnosis, ``diagnosis.json`` to a fit.
+
     Raises:
         BlockingIOError: If another diagnosis or fit is in it.
+        FileExistsError: If the other kind of answer lies there.
 
     Example:
-        >>> with locked(Path("out")), locked(Path("out")):
+        >>> with locked(Path("out"), "fit.json"), locked(Path("out"), "fit.json"):
         ...     _ = Path("out/note.txt").write_text("mine alone")
     """
+    if (folder / unlike).exists():
+        raise FileExistsError(
+            f"{folder} holds {unlike}, and its corrected.json would no longer be that one's. Name another --output."
+        )
     folder.mkdir(parents=True, exist_ok=True)
     key = folder.resolve()
     if key in _HELD.get():
@@ -47,22 +57,6 @@ def locked(folder: Path) -> Iterator[None]:
                 folder.rmdir()
     finally:
         os.close(descriptor)
-
-
-def refuse_mixture(folder: Path, other: str) -> None:
-    """Refuse a folder that holds the answer of another kind of run, whose ``corrected.json`` would be overwritten.
-
-    Args:
-        folder: Where to write.
-        other: File that says so: ``diagnosis.json`` to a fit, ``fit.json`` to a diagnosis.
-
-    Raises:
-        FileExistsError: If it is there.
-    """
-    if (folder / other).exists():
-        raise FileExistsError(
-            f"{folder} holds {other}, and its corrected.json would no longer be that one's. Name another --output."
-        )
 
 
 def _lock(descriptor: int, folder: Path) -> bool:

@@ -15,7 +15,7 @@ from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, w
 from torchrl_athletic.diagnosis.corrected_xml import Commands, Gains, Written, written
 from torchrl_athletic.diagnosis.experiment import Experiment, next_experiment, write
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.folder import locked, refuse_mixture
+from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.motions import Limits
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.proposal import Proposal
@@ -89,11 +89,10 @@ class Diagnosis:
             FileExistsError: If the folder holds a fit.
             OSError: If the disk is full, or the folder cannot be written to; names the file.
         """
-        with locked(Path(output)):
+        with locked(Path(output), "fit.json"):
             self._save(Path(output))
 
     def _save(self, output: Path) -> None:
-        refuse_mixture(output, "fit.json")
         (output / "diagnosis.json").unlink(missing_ok=True)
         write_json(output / "corrected.json", {**self.corrected.to_json(), "model_xml": self.xml})
         write_atomically(output / "corrected.xml", self.mjcf.xml)
