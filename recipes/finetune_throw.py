@@ -32,8 +32,7 @@ from torchrl_athletic.robots import Robot, Terrain, b2z1, with_bucket
 
 CURVES = {
     "reward": "reward per step",
-    "reward_terms/forward": "ball forward",
-    "reward_terms/upward": "ball upward",
+    "reward_terms/distance": "reward for distance",
     "reward_terms/reference": "arm off its motion",
     "terminated": "falls and lost balls per step",
 }

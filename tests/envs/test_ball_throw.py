@@ -80,40 +80,44 @@ def test_the_motion_holds_the_ball_from_1_5_s_on_and_throws_it_forward_in_its_ph
 
 def test_terms_count_in_their_phases(played):
     terms, phase = played["next", "reward_terms"], played["task_phase_index"]
-    assert terms["forward"][phase != 1].abs().max() == 0
+    assert terms["distance"][phase != 1].abs().max() == 0
     assert terms["reference"][phase != 0].abs().max() == 0
     assert terms["stance"][phase == 1].abs().max() == 0
     assert terms["stance"][phase == 2].abs().max() > 0
-    throw = phase.squeeze(-1) == 1
-    velocity = played["next", "ball_launch_velocity"][throw]
-    torch.testing.assert_close(terms["upward"][throw], 20 * 0.02 * velocity[:, 2:])
 
 
-def test_a_ball_in_flight_earns_by_the_velocity_of_its_launch(played):
-    """As printed gravity would take the reward for a throw that goes up."""
-    flies = (played["next", "ball_away"] & (played["task_phase_index"] == 1)).squeeze(-1)
-    for row in range(2):
-        upward = played["next", "reward_terms", "upward"][row][flies[row]]
-        falls = played["next", "ball_linear_velocity"][row][flies[row]][:, 2]
-        assert len(upward) > 3
-        assert (falls.diff()[:3] < -0.1).all()
-        assert (upward == upward[0]).all()
+def test_a_launch_is_paid_once_by_how_far_the_ball_will_go(played):
+    """As printed each step is paid, so that early throws earn more, and gravity takes from those that go up."""
+    earned = played["next", "reward_terms", "distance"].squeeze(-1)
+    assert (earned > 0).sum(1).tolist() == [1, 1]
+    paid, last = earned.amax(1), played["next"][:, -1]
+    assert (played["next", "ball_away"].squeeze(-1).int().argmax(1) == earned.argmax(1)).all()
+    torch.testing.assert_close(paid, 10 * ball_throw_distance(last).squeeze(-1), atol=1e-3, rtol=1e-3)
 
 
-def test_forward_is_where_the_robot_looked_at_its_start():
+def test_only_a_launch_in_the_throw_ahead_of_the_start_is_paid_and_sideways_costs():
     terms, scales = ball_throw_rewards(ROBOT, PHASES)
-    before = TensorDict(task_phase_index=[[1]], batch_size=[1])
+    left = math.pi / 2
 
-    def earned(name, velocity, yaw):
-        after = TensorDict(ball_launch_velocity=[velocity], start_line=[[3.0, 1.0, yaw]], batch_size=[1])
+    def earned(name, velocity, was_away=False, away=True, phase=1):
+        before = TensorDict(task_phase_index=[[phase]], ball_away=[[was_away]], batch_size=[1])
+        after = TensorDict(
+            ball_position=[[3.0, 1.0, 0.035 + 9.81 / 2]],  # falls for a second
+            ball_linear_velocity=[velocity],
+            ball_launch_velocity=[velocity],
+            ball_away=[[away]],
+            start_line=[[3.0, 1.0, left]],
+            batch_size=[1],
+        )
         return scales[name] * float(terms[name](before, after))
 
-    left = math.pi / 2
-    assert earned("forward", [0.0, 2.0, 0.0], left) == pytest.approx(40.0)
-    assert earned("forward", [0.0, -2.0, 0.0], left) == 0.0
-    assert earned("lateral", [2.0, 0.0, 0.0], left) == pytest.approx(-2.0)
-    assert earned("upward", [0.0, 0.0, 3.0], left) == pytest.approx(60.0)
-    assert earned("upward", [0.0, 0.0, -3.0], left) == pytest.approx(-60.0)  # down is no better than up is good
+    assert earned("distance", [0.0, 2.0, 0.0]) == pytest.approx(1000.0, rel=1e-4)
+    assert earned("distance", [0.0, -2.0, 0.0]) == 0.0
+    assert earned("distance", [0.0, 2.0, 0.0], was_away=True) == 0.0
+    assert earned("distance", [0.0, 2.0, 0.0], away=False) == 0.0
+    assert earned("distance", [0.0, 2.0, 0.0], phase=2) == 0.0
+    assert earned("lateral", [2.0, 0.0, 0.0]) == pytest.approx(-2.0)
+    assert earned("lateral", [-2.0, 5.0, 1.0]) == pytest.approx(-2.0)
 
 
 def test_the_distance_is_ahead_of_the_start_whatever_way_the_robot_looks():
@@ -145,7 +149,7 @@ def test_a_ball_that_is_lost_in_the_set_up_ends_the_episode_and_one_that_is_thro
     assert 75 < steps.shape[1] < 100
     assert steps["next", "terminated"][0, -1]
     cost = steps["next", "reward_terms", "lost_ball"][0]
-    assert cost[-1] == pytest.approx(-30.0)
+    assert cost[-1] == pytest.approx(-20.0)
     assert (cost[:-1] == 0).all()
     assert (played["next", "reward_terms", "lost_ball"] == 0).all()  # a ball that is thrown is not lost
     throws = played["next", "ball_away"] & (played["task_phase_index"] == 1)
@@ -187,7 +191,7 @@ def test_true_joints_are_what_counts_where_encoders_are_off(told):
     after = TensorDict(true_joint_position=position, joint_reference=reference, batch_size=[1])
     cost = terms["reference"](TensorDict(task_phase_index=[[0]], batch_size=[1]), after)
     assert scales["reference"] * cost.item() == pytest.approx(-5 * 0.2)
-    assert scales["stance"] == -5.0
+    assert (scales["stance"], scales["failure"], scales["lost_ball"]) == (-5.0, -1000.0, -1000.0)
 
 
 def test_a_ball_is_lost_that_is_away_in_the_set_up(told):

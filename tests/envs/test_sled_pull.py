@@ -88,7 +88,7 @@ def test_drift_to_either_side_costs_alike_and_the_wrong_speed_by_its_square():
     assert [earned("lateral_drift", y) for y in (0.4, -0.4)] == pytest.approx([-0.4, -0.4])
     assert [earned("heading_drift", turn=turn) for turn in (0.3, -0.3)] == pytest.approx([-0.3, -0.3], abs=1e-6)
     assert earned("velocity", speed=-0.5) == 0.0
-    assert earned("velocity", speed=0.5) == pytest.approx(-5.0)
+    assert earned("velocity", speed=0.5) == pytest.approx(-20.0)
 
 
 def test_the_rope_pulls_at_the_rate_of_the_physics_and_the_critic_knows_the_sled():
@@ -126,7 +126,8 @@ def test_each_term_has_its_phase_and_its_scale():
     terms, scales = sled_pull_rewards(ROBOT, sled_phases())
     own = ("ee_pose_tracking", "velocity", "lateral_drift", "heading_drift", "wrist")
     assert {name: terms[name].phases for name in own} == dict.fromkeys(own, (1,)) | {"ee_pose_tracking": (0,)}
-    assert [scales[name] for name in own] == [5.0, -5.0, -1.0, -1.0, -1.0]
+    assert [scales[name] for name in own] == [5.0, -20.0, -1.0, -1.0, -1.0]
+    assert scales["failure"] == -4000.0
 
 
 def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_training(monkeypatch):

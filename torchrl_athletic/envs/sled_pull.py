@@ -29,6 +29,9 @@ MASS, FRICTION = (20.0, 150.0), (0.1, 0.2)
 friction of 113 N and 230 N of its real carts; it gives no ranges."""
 KNOWN = {"rope_tension": 100.0, "sled_mass": 100.0, "sled_friction": 0.2}
 """What the critic sees besides, and the usual sizes [N, kg, 1]."""
+FAILURE = -4000.0
+"""Scale of a failure, which lasts one step of 0.02 s. At the usual price, 10, a robot that is told to pull a heavy sled
+fast saves as much by a fall: three of four fell."""
 
 
 def sled_pull_env(
@@ -100,7 +103,8 @@ def sled_pull_rewards(
     """Terms by name, and their scales.
 
     The paper prints the set-up's reward under the pull's name, and the drifts without their signs: here the pose is
-    tracked in the set-up, and drift to either side costs alike.
+    tracked in the set-up, and drift to either side costs alike. Two scales are ours: the wrong velocity costs 20, not
+    5, or a heavy sled is left to stand, and a failure costs :data:`FAILURE`.
 
     Source:
         Fey et al. 2025, appendix B-C.
@@ -113,9 +117,9 @@ def sled_pull_rewards(
         "heading_drift": InPhase([pull], lambda before, after: sled_drift(after)[1].abs()),
         "wrist": bent_wrist([pull], robot, position_key),
     }
-    scales = {"ee_pose_tracking": 5.0, "velocity": -5.0, "lateral_drift": -1.0, "heading_drift": -1.0, "wrist": -1.0}
+    scales = {"ee_pose_tracking": 5.0, "velocity": -20.0, "lateral_drift": -1.0, "heading_drift": -1.0, "wrist": -1.0}
     shared, shared_scales = auxiliary_rewards(robot, position_key)
-    return terms | shared, scales | shared_scales
+    return terms | shared, scales | shared_scales | {"failure": FAILURE}
 
 
 def sled_drift(step: TensorDictBase) -> tuple[Tensor, Tensor]:

@@ -106,6 +106,13 @@ def arm_brake(robot: Robot) -> OverspeedBrake:
     return OverspeedBrake([robot.torque_limit[j] for j in joints], [robot.velocity_limit[j] for j in joints], joints)
 
 
+def overspeed(robot: Robot, group: str) -> Term:
+    """Sum over a group of joints of the speed beyond what their motors reach without load [rad/s]."""
+    joints = robot.joint_groups[group]
+    limit = torch.tensor([robot.velocity_limit[j] for j in joints])
+    return Term(_beyond, "joint_velocity", joints=torch.tensor(joints), limit=limit)
+
+
 def change_of(phases: list[int], key: NestedKey) -> InPhase:
     """Length of the change of a vector since the last action, of a force [N] say."""
 
@@ -130,6 +137,10 @@ def _off_stance(height: Tensor, gravity: Tensor) -> Tensor:
 
 def _off_reference(position: Tensor, reference: Tensor, joints: Tensor) -> Tensor:
     return rewards.absolute_error(position.index_select(-1, joints), reference.index_select(-1, joints))
+
+
+def _beyond(velocity: Tensor, joints: Tensor, limit: Tensor) -> Tensor:
+    return (velocity.index_select(-1, joints).abs() - limit).clamp(min=0).sum(-1, keepdim=True)
 
 
 def _square_of(position: Tensor, joints: Tensor) -> Tensor:
