@@ -353,7 +353,7 @@ def test_a_number_that_several_others_make_up_for_is_told_with_the_two_that_do_s
 def test_an_interval_may_be_as_wide_as_five_changes_worth_mentioning_or_the_number_itself(
     monkeypatch, centre, sigma, wide
 ):
-    """A needed number's interval is 1.96 of the narrower of both deviations to either side of the last fit's value."""
+    """A needed number's interval is the one that is shown: 1.96 deviations to either side of the last fit's value."""
     monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
     monkeypatch.setattr(fitting, "_doubts", lambda near, seen: ["", ""])
     near = solved(free=[True, True], sigma=[9.0, sigma], values=[50.0, centre])
@@ -367,7 +367,7 @@ def test_an_interval_may_be_as_wide_as_five_changes_worth_mentioning_or_the_numb
 
 @pytest.mark.parametrize("turn", range(3))
 def test_each_interval_is_as_wide_as_its_own_number_and_its_own_unit_allow(monkeypatch, turn):
-    """Three numbers have units of 1, 10 and 0.1; for the needed ones the narrower deviation of both fits counts."""
+    """Three numbers have units of 1, 10 and 0.1; for the needed ones the last fit's deviation counts, as is shown."""
     monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
     monkeypatch.setattr(fitting, "_doubts", lambda near, seen: [""] * 3)
     own = [Parameter("p", "1", 0.0, -999, 999, scale) for scale in np.roll([1.0, 10.0, 0.1], turn)]
@@ -376,7 +376,7 @@ def test_each_interval_is_as_wide_as_its_own_number_and_its_own_unit_allow(monke
     for centres, first, last, said in (
         ([0.0, 0.0, 0.0], [2.0, 26.0, 1.0], [0.0, 26.0, 1.0], ["", wide, wide]),
         ([0.0, 0.0, 0.0], [2.0, 26.0, 1.0], [0.0, 25.0, 0.2], ["", "", ""]),
-        ([0.0, 0.0, 0.0], [2.6, 25.0, 0.2], [0.0, 99.0, 99.0], [wide, "", ""]),
+        ([0.0, 0.0, 0.0], [2.6, 25.0, 0.2], [0.0, 99.0, 99.0], [wide, wide, wide]),
         ([9.0, 60.0, 2.0], [4.0, 30.0, 1.0], [0.0, 30.0, 1.0], ["", "", ""]),
     ):
         centre, sigma = np.roll(centres, turn), np.roll(last, turn)[needed]

@@ -324,7 +324,7 @@ def _reasons(near: Linearised, again: Linearised, needed: NDArray[np.bool_], see
     for k, i in enumerate(np.flatnonzero(near.free)):
         p = parameters[i]
         centre, sigma = (again.values[i], own.get(i, doubt[k])) if needed[i] else (near.values[i], doubt[k])
-        if not out[k] and 1.96 * min(sigma, doubt[k]) > max(WIDE * p.scale, abs(centre)):
+        if not out[k] and 1.96 * sigma > max(WIDE * p.scale, abs(centre)):
             out[k] = "its interval is wider than the number itself"
     return out
 
