@@ -48,6 +48,7 @@ from torchrl_athletic.training import (
                 "gae_lambda": 0.95,
                 "entropy_coeff": 0.01,
                 "actor_lr": 0.001,
+                "least_actor_lr": 1e-5,
                 "critic_lr": 0.0005,
                 "kl_target": 0.01,
                 "anneal": 0,

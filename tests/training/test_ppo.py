@@ -238,7 +238,7 @@ def test_every_number_of_the_configuration_reaches_the_update():
     config = PPO(
         num_envs=4, horizon=7, discount=0.9, gae_lambda=0.8, entropy_coeff=0.03, actor_lr=2e-3, critic_lr=3e-3,
         kl_target=0.04, epochs=3, actor_minibatches=6, critic_minibatches=2, weight_decay=0.05, clip_epsilon=0.15,
-        max_grad_norm=0.7, micro_batch=11,
+        max_grad_norm=0.7, micro_batch=11, least_actor_lr=1e-7,
     )  # fmt: skip
     learner = Learner(arm_env(4), policy, value, config, seed=9)
     stepper = learner.stepper
@@ -252,6 +252,7 @@ def test_every_number_of_the_configuration_reaches_the_update():
     assert decays == [0.05, 0.05]
     assert float(learner.kl_target) == pytest.approx(0.04)
     assert stepper.adaptive_kl.target is learner.kl_target
+    assert stepper.adaptive_kl.bounds == (1e-7, 1e-2)
     assert (learner.rollout.horizon, float(learner.advantage.gamma), float(learner.advantage.lmbda)) == (
         7, pytest.approx(0.9), pytest.approx(0.8),
     )  # fmt: skip

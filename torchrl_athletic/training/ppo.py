@@ -52,6 +52,9 @@ class PPO:
     """Weight of the policy's entropy [reward/nat]."""
     actor_lr: float = 1e-3
     """First learning rate of the actor, which adapts."""
+    least_actor_lr: float = 1e-5
+    """Rate that it adapts down to. At rsl_rl's, a divergence that is to fall below 0.003 does not: the sled's policy
+    went on drifting, and became worse."""
     critic_lr: float = 5e-4
     """Learning rate of the critic."""
     kl_target: float = 0.01
@@ -200,7 +203,7 @@ class Learner:
             SplitClipPPOLoss(actor, critic, clip_epsilon=config.clip_epsilon, entropy_coeff=config.entropy_coeff),
             actor_lr=config.actor_lr,
             critic_lr=config.critic_lr,
-            adaptive_kl=AdaptiveKL(self.kl_target),
+            adaptive_kl=AdaptiveKL(self.kl_target, bounds=(config.least_actor_lr, 1e-2)),
             weight_decay=config.weight_decay,
             epochs=config.epochs,
             minibatches=config.actor_minibatches,
