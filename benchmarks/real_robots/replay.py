@@ -88,7 +88,10 @@ class Replay:
         self.movable = (*NAMES[:7], *(drive if self.targets else ("scale",)))
 
     def _cut(self, r: Recording, model: mujoco.MjModel, period: float) -> list[Window]:
-        """Back to back, with states from the smoothed positions: a drive's own velocity may be late or coarse."""
+        """Back to back, with states from the smoothed positions: a drive's own velocity may be late or coarse.
+
+        The first begins where the smoothing has samples on both sides: at an edge the velocity is extrapolated.
+        """
         substeps = int(np.ceil(period / self.given.opt.timestep - 1e-3))
         grid = r.time[0] + period * np.arange(int((r.time[-1] - r.time[0]) / period + 1e-6) + 1)
         q = np.stack([np.interp(grid, r.time, c) for c in r.position.T], -1)
@@ -113,7 +116,7 @@ class Replay:
                 r,
                 first,
             )
-            for first in range(0, len(grid) - length, length)
+            for first in range(size // 2, len(grid) - length, length)
         ]
 
     def with_windows(self, most: int) -> Replay:
