@@ -24,6 +24,8 @@ NAMES = ("frictionloss", "damping", "armature", "delay", "limit", "offset", "enc
 """What the rows of a parameter array (10, J) are."""
 WINDOW = 0.5
 """[s]."""
+HELD = 1.0
+"""Time for which the first command of a log was held before it [s]: longer than any delay."""
 LOST = 10.0
 """Error of a simulation that diverges [rad, m]."""
 SAME_RATE = 0.002
@@ -47,9 +49,9 @@ class Window:
     edges: Array
     """When physics steps begin and end [s]. Shape (length * substeps + 1,)."""
     stamps: Array
-    """Stamps of the commands [s]. Shape (T,)."""
+    """Stamps of the commands, the first of which held long before [s]. Shape (T + 1,)."""
     integral: Array
-    """Integral of the commands over time. Shape (T, J)."""
+    """Integral of the commands over time. Shape (T + 1, J)."""
     gains: tuple[Array, Array] | None
     """kp and kd where positions were commanded. Shapes (J,)."""
     recording: Recording
@@ -82,6 +84,8 @@ class Replay:
             periods.append(next((p for p in periods if abs(own / p - 1) < SAME_RATE), own))
             for part in split_at_gaps(r):
                 self.windows += self._cut(part, model, periods[-1])
+        if not self.windows:
+            raise ValueError(f"{recordings[0].source}: no part of the logs holds a window of {WINDOW:g} s.")
         self.targets = any(r.position_target is not None for r in recordings)
         damped = {float(r.kd[0]) if r.kd is not None else 0.0 for r in recordings}
         drive = ("kp", "kd") if len(damped) > 1 else ("kp",)
@@ -96,10 +100,14 @@ class Replay:
         grid = r.time[0] + period * np.arange(int((r.time[-1] - r.time[0]) / period + 1e-6) + 1)
         q = np.stack([np.interp(grid, r.time, c) for c in r.position.T], -1)
         size = max(5, 2 * round(0.01 / period) + 1)
+        if len(grid) < size:
+            return []
         smooth = savgol_filter(q, size, 3, axis=0)
         v = savgol_filter(q, size, 3, deriv=1, delta=period, axis=0)
         length = round(WINDOW / period)
-        integral = np.vstack([np.zeros(len(self.names)), np.cumsum(np.diff(r.time)[:, None] * r.command[:-1], 0)])
+        stamps = np.append(r.time[0] - HELD, r.time)
+        held = np.vstack([r.command[0], r.command[:-1]])  # a command that comes late was given before the log began
+        integral = np.vstack([np.zeros(len(self.names)), np.cumsum(np.diff(stamps)[:, None] * held, 0)])
         gains = None if r.kp is None or r.kd is None else (r.kp, r.kd)
         return [
             Window(
@@ -110,7 +118,7 @@ class Replay:
                 period / substeps,
                 substeps,
                 grid[first] + period / substeps * np.arange(length * substeps + 1),
-                r.time,
+                stamps,
                 integral,
                 gains,
                 r,

@@ -203,7 +203,8 @@ def double_pendulum(data: Path, design: str) -> Robot:
     """A double pendulum of the two-link arm's laboratory, with other links, on other days: design C.0 or C.1.
 
     The published links alone are given. The first six takes with a sine on the motors are fitted; kept aside are the
-    others and the two in which a controller swings the arm up.
+    others and the two in which a controller swings the arm up. Takes 7 to 11 of C.0, and five more of C.1, were missing
+    in the copy that we had.
     """
     home = data / "double_pendulum/data/experiment_records"
     if design == "C.0":  # links of model_h1.0: those of model_3.1 have less inertia than their centre of mass asks for
