@@ -24,10 +24,11 @@ from typing import Any
 import mujoco
 import torch
 import tyro
+from tensordict import TensorDict
 from tqdm import tqdm
 
 from benchmarks.concealed import on_legs
-from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, sled_drift
 from torchrl_athletic.functional.commands import sled_commands
 from torchrl_athletic.networks import digest_of, pretrained, read_network
 from torchrl_athletic.robots import with_options
@@ -48,7 +49,15 @@ SHOWN = {
         "failed",
     ),
     "snatch": ("held_s", "held_for_5_s", "lowest_hand_m", "highest_hand_m", "failed"),
-    "sled": ("sled_moved_m", "sled_10_m", "lateral_drift_m", "heading_drift_rad", "mean_tension_n", "failed"),
+    "sled": (
+        "sled_moved_m",
+        "sled_10_m",
+        "straight_10_m",
+        "lateral_drift_m",
+        "heading_drift_rad",
+        "mean_tension_n",
+        "failed",
+    ),
 }
 DUMBBELLS = (1.0, 4.0, 6.0, 8.0, 10.0)  # kg
 SLEDS = (20.0, 50.0, 100.0, 150.0)  # kg
@@ -148,10 +157,17 @@ def figures(task: str, policy: Any, told: dict[str, Any], cfg: Config) -> dict[s
         env = recipe.make_env(actuation, cfg.episodes, robot=robot, **told)
     episodes = whole_rollout(env, policy, recipe.LOOK_AT, steps)
     found: dict[str, float] = recipe.judge(episodes)
-    if task == "sled":
-        way = recipe.training.last_of(episodes, "sled_position") - episodes["sled_position"][:, 0]
-        found["sled_10_m"] = float((torch.linalg.vector_norm(way, dim=-1) >= 10).float().mean())
-    return found
+    return found | (pulled(episodes) if task == "sled" else {})
+
+
+def pulled(episodes: TensorDict) -> dict[str, float]:
+    """Shares of episodes in which the sled came 10 m, and in which the robot was within 0.5 m of its line just then."""
+    way = torch.linalg.vector_norm(episodes["sled_position"] - episodes["sled_position"][:, :1], dim=-1)
+    there = (way >= 10) & episodes["counts"].squeeze(-1)
+    lateral = sled_drift(episodes)[0].squeeze(-1).abs()
+    first = there.int().argmax(1, keepdim=True)
+    straight = there.any(1) & (lateral.gather(1, first).squeeze(1) < 0.5)
+    return {"sled_10_m": float(there.any(1).float().mean()), "straight_10_m": float(straight.float().mean())}
 
 
 def commit() -> str:

@@ -419,6 +419,34 @@ def test_what_has_no_number_of_its_own_goes_unless_the_motion_is_followed_worse_
     assert fitting._without_unknown(near, again, np.array([False, True, True, True, False]), None, None)[0] is again
 
 
+def test_a_number_that_is_dropped_for_its_interval_is_not_identified_and_keeps_that_interval(monkeypatch):
+    """A limit of 0.46 that the last fit does not know, and the fit of all did: the given 9 is put in its place."""
+    monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
+    monkeypatch.setattr(fitting, "_doubts", lambda near, seen: ["", ""])
+    monkeypatch.setattr(fitting, "weighed", lambda problem, x: problem)
+    monkeypatch.setattr(fitting, "descend", lambda problem, x, *_: x)
+    monkeypatch.setattr(fitting, "window_cost", lambda problem, square: square)
+    own = [Parameter(name, "1", 9.0, 0.0, 99.0, 0.05) for name in ("pull", "drag")]
+    terms = [SimpleNamespace(where="hip", joint=0, effect=SimpleNamespace(name=p.name), parameters=(p,)) for p in own]
+    h = SimpleNamespace(terms=terms, parameters=own, nominal=np.array([9.0, 9.0]))
+    near = solved(free=[True, True], sigma=[0.05, 0.05], values=[0.5, 5.0])
+    again = solved(free=[True, True], sigma=[10.0, 0.05], values=[0.46, 5.0])
+    near.problem.hypothesis = again.problem.hypothesis = h
+    again.problem.errors, again.problem.squares = (lambda x: np.ones((1, 1))), (lambda errors: errors)
+    monkeypatch.setattr(
+        fitting, "linearise", lambda problem, x, free: solved(free=free, sigma=[0.05] * int(free.sum()), values=x)
+    )
+    needed = np.array([True, True])
+    before = fitting._parameters(h, near, again, again.values, needed, None)
+    last, left = fitting._without_unknown(near, again, needed, None, None)
+    assert left.tolist() == [False, True]
+    after = fitting._parameters(h, near, last, last.values, left, None)
+    pull, drag = fitting._still_unknown(after, before, needed & ~left)
+    assert (pull.value, pull.state, pull.ci95) == (9.0, "not identified", (0.0, pytest.approx(0.46 + 19.6)))
+    assert pull.remark == "its interval is wider than the number itself"
+    assert (drag.value, drag.state) == (5.0, "identified")
+
+
 @pytest.mark.parametrize(("first", "second", "stated"), [(0.9, 0.5, 0), (1.0, 0.5, 0), (1.1, 0.9, 1), (1.1, 1.2, None)])
 def test_the_first_fit_that_is_not_worse_than_the_given_model_is_stated_or_none(monkeypatch, first, second, stated):
     points = [np.array([first]), np.array([second])]

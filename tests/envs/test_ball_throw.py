@@ -120,6 +120,17 @@ def test_only_a_launch_in_the_throw_ahead_of_the_start_is_paid_and_sideways_cost
     assert earned("lateral", [-2.0, 5.0, 1.0]) == pytest.approx(-2.0)
 
 
+def test_what_an_arm_s_joint_turns_beyond_its_motor_costs_either_way_and_legs_do_not():
+    terms, scales = ball_throw_rewards(ROBOT, PHASES)
+    arm = list(ROBOT.joint_groups["arm"])
+    limit = torch.tensor([ROBOT.velocity_limit[j] for j in arm])
+    velocity = torch.full((1, len(ROBOT.velocity_limit)), 99.0)
+    velocity[0, arm] = limit - 0.1
+    velocity[0, arm[1]], velocity[0, arm[4]] = limit[1] + 2.0, -limit[4] - 0.5
+    cost = terms["overspeed"](TensorDict(batch_size=[1]), TensorDict(joint_velocity=velocity, batch_size=[1]))
+    assert scales["overspeed"] * cost.item() == pytest.approx(-20 * 2.5, rel=1e-5)
+
+
 def test_the_distance_is_ahead_of_the_start_whatever_way_the_robot_looks():
     flies = TensorDict(
         ball_position=[[2.0, 5.0, 0.035]] * 3,

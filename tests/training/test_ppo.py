@@ -88,6 +88,13 @@ def test_the_divergence_aimed_at_falls_as_told_and_the_actors_rate_follows_it():
     assert rates[-1] == pytest.approx(learner.stepper.adaptive_kl.bounds[0])  # no step is short enough for that target
 
 
+def test_the_first_rate_is_not_below_the_least():
+    assert PPO(actor_lr=1e-5).least_actor_lr == 1e-5
+    assert PPO(actor_lr=9e-6, least_actor_lr=1e-6).actor_lr == 9e-6
+    with pytest.raises(ValueError, match=r"actor_lr is 9e-06, below least_actor_lr of 1e-05.*Lower least_actor_lr"):
+        PPO(actor_lr=9e-6)
+
+
 def test_a_divergence_that_falls_needs_its_end_and_its_time():
     with pytest.raises(ValueError, match="Give both, or none"):
         PPO(kl_target_last=0.002)

@@ -218,6 +218,7 @@ def fit(
     y = best_of(near.problem, (y, np.where(needed, x, h.nominal)), 1)[0]
     y = descend(weighed(near.problem, y), y, needed, SLOPES, deadline.part(0.76))
     again = linearise(weighed(near.problem, y), y, needed)
+    asked, before = needed, _parameters(h, near, again, y, needed, seen)
     if deadline.part(0.78).allows(3 * again.seconds):
         again, needed = _without_unknown(near, again, needed, seen, deadline.part(0.8))
         y = again.values
@@ -225,6 +226,7 @@ def fit(
     progress.stage("score")
     y, needed = _no_worse(h, (y, x), (needed, free), train, seed)
     parameters = _parameters(h, near, again, y, needed, seen)
+    parameters = _still_unknown(parameters, before, (asked & ~needed)[free])
     remarks = [_binds(p, bounds) for p, bounds in zip(parameters, _free_parameters(h), strict=True)]
     if kept < 0.99 * whole:
         remarks.append(f"Of {whole:.0f} s of recordings, {kept:.0f} s were fitted, in stretches over all of them.")
@@ -314,6 +316,15 @@ def _parameters(
             )
         )
     return tuple(out)
+
+
+def _still_unknown(
+    parameters: Sequence[JointParameter], before: Sequence[JointParameter], dropped: NDArray[np.bool_]
+) -> tuple[JointParameter, ...]:
+    """What was dropped since it has no number of its own is not identified, with the interval that says so."""
+    return tuple(
+        replace(b, value=p.value) if gone else p for p, b, gone in zip(parameters, before, dropped, strict=True)
+    )
 
 
 def _reasons(near: Linearised, again: Linearised, needed: NDArray[np.bool_], seen: Seen) -> list[str]:

@@ -114,11 +114,12 @@ def ball_throw_rewards(
     The paper prints the distance from the motion with a plus; a reward for leaving it cannot be meant. Forward and
     lateral are those of the episode's start, since robots start with any heading.
 
-    Three things are ours. Printed is the ball's velocity forward and upward in each step of the throw. It pays for
-    early throws, gravity takes the reward for a ball that goes up, and one that goes down costs nothing: throws went
-    level or downwards. Here a launch is paid once, by how far it will go. A lost ball costs :data:`LOST_BALL`: at the
-    price of a fall it is cheaper to drop it than to learn to hold it. And an arm's joint that turns faster than its
-    motor can costs: no motor drives it there, but the swing of the body does, at up to 50 rad/s in place of 3.
+    Four things are ours. Printed is the ball's velocity forward and upward in each step of the throw. It pays for early
+    throws, gravity takes the reward for a ball that goes up, and one that goes down costs nothing: throws went level or
+    downwards. Here a launch is paid once, by how far it will go; velocity across costs in each step, as printed. A lost
+    ball costs :data:`LOST_BALL`: at the price of a fall it is cheaper to drop it than to learn to hold it. A failure
+    costs :data:`FAILURE`. And an arm's joint that turns faster than its motor can costs: no motor drives it there, but
+    the swing of the body does.
 
     Source:
         Fey et al. 2025, appendix B-A.

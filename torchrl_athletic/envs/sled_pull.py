@@ -31,7 +31,7 @@ KNOWN = {"rope_tension": 100.0, "sled_mass": 100.0, "sled_friction": 0.2}
 """What the critic sees besides, and the usual sizes [N, kg, 1]."""
 FAILURE = -4000.0
 """Scale of a failure, which lasts one step of 0.02 s. At the usual price, 10, a robot that is told to pull a heavy sled
-fast saves as much by a fall: three of four fell."""
+fast saves as much by a fall: 29 of 100 fell at 150 kg."""
 
 
 def sled_pull_env(
