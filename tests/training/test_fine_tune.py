@@ -221,7 +221,8 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
 def test_a_run_goes_on_with_its_reward_or_not_at_all(env):
     """What a folder holds of an older reward would be learnt with the values of another one."""
     task = module._task_of(env)
-    assert "'lost_ball': -30.0" in task["reward"]
+    assert "'distance': 10.0" in task["reward"]
+    assert "'lost_ball': -20.0" in task["reward"]
     assert "'ball_launch_velocity'" in task["shown"]
 
 
