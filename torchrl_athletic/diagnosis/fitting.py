@@ -20,6 +20,7 @@ from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.joint_fit import (
     Linearised,
+    Problem,
     best_of,
     descend,
     linearise,
@@ -343,19 +344,45 @@ def _reasons(near: Linearised, again: Linearised, needed: NDArray[np.bool_], see
 def _without_unknown(
     near: Linearised, again: Linearised, needed: NDArray[np.bool_], seen: Seen, deadline: Deadline
 ) -> tuple[Linearised, NDArray[np.bool_]]:
-    """The fit with what has no number of its own as the given model has it, unless it follows the motion worse then."""
+    """The fit with what has no number of its own as the given model has it, unless it follows the motion worse then.
+
+    Where all of it together is missed, that part goes which is not: in another motion it may drive a joint into a stop.
+    """
     unknown = np.zeros(len(needed), dtype=bool)
     unknown[near.free] = [bool(why) and not why.startswith(ALSO) for why in _reasons(near, again, needed, seen)]
     unknown &= needed
-    if not unknown.any():
-        return again, needed
-    problem, left = again.problem, needed & ~unknown
-    x = np.where(unknown, problem.hypothesis.nominal, again.values)
-    x = descend(weighed(problem, x), x, left, 2, deadline)
-    costs = [
-        window_cost(problem, problem.squares(problem.errors(v[None])[:, 0])[None]).mean() for v in (again.values, x)
-    ]
-    return (linearise(weighed(problem, x), x, left), left) if costs[1] < SAME * costs[0] else (again, needed)
+    problem = again.problem
+    for part in (lambda: unknown, lambda: _not_missed(problem, again.values, unknown)):
+        gone = part()
+        if not gone.any():
+            break
+        left, x = needed & ~gone, np.where(gone, problem.hypothesis.nominal, again.values)
+        x = descend(weighed(problem, x), x, left, 2, deadline)
+        costs = [
+            window_cost(problem, problem.squares(problem.errors(v[None])[:, 0])[None]).mean() for v in (again.values, x)
+        ]
+        if costs[1] < SAME * costs[0]:
+            return linearise(weighed(problem, x), x, left), left
+    return again, needed
+
+
+def _not_missed(problem: Problem, x: Array, unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The most of the unknown parameters that values (P,) do without, what is missed least alone coming first."""
+
+    def costs(values: Array) -> Array:
+        return np.asarray(window_cost(problem, problem.mean_square(values)).mean(1), dtype=np.float64)
+
+    index = np.flatnonzero(unknown)
+    alone = np.repeat(x[None], len(index), axis=0)
+    alone[np.arange(len(index)), index] = problem.hypothesis.nominal[index]
+    order = index[np.argsort(costs(alone), kind="stable")]
+    sets = np.repeat(x[None], len(index) + 1, axis=0)
+    for k, i in enumerate(order):
+        sets[k + 1 :, i] = problem.hypothesis.nominal[i]
+    cost = costs(sets)
+    gone = np.zeros(len(x), dtype=bool)
+    gone[order[: int(np.flatnonzero(cost <= SAME * cost[0])[-1])]] = True
+    return gone
 
 
 def spread_of(near: Linearised) -> Array:
