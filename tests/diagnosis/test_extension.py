@@ -200,12 +200,12 @@ def test_a_law_beside_the_others_is_linearised_as_all_of_it_would_be(near, swing
 
 def test_a_gain_counts_where_it_is_two_per_cent_and_more_than_one_standard_error():
     before = np.full(100, 2.0)
-    assert _gain(before, before - 0.1) == pytest.approx(0.05)
-    assert _gain(before, before - 0.99 * GAIN * 2.0) == 0
-    assert _gain(before, before + 0.1) == 0
+    assert _gain(before, before - 0.1, 100) == pytest.approx(0.05)
+    assert _gain(before, before - 0.99 * GAIN * 2.0, 100) == 0
+    assert _gain(before, before + 0.1, 100) == 0
     luck = np.where(np.arange(100) % 2, 2.5, -2.1)  # a tenth is saved in the mean, and as doubtful
-    assert _gain(before, before - luck) == 0
-    assert _gain(before, before - np.where(np.arange(100) % 2, 0.1, 0.2)) == pytest.approx(0.075)
+    assert _gain(before, before - luck, 100) == 0
+    assert _gain(before, before - np.where(np.arange(100) % 2, 0.1, 0.2), 100) == pytest.approx(0.075)
 
 
 def test_the_spring_is_chosen_and_fitted_and_nothing_is_begun_without_time(near, swings, monkeypatch):
@@ -239,7 +239,7 @@ def test_two_laws_that_get_into_each_others_way_leave_the_better_one_and_one_tha
     monkeypatch.setattr(extension, "offers", lambda *_: [])
     monkeypatch.setattr(extension, "_chosen", lambda *_: next(rounds))
     monkeypatch.setattr(extension, "_with", lambda n, chosen, *_: SimpleNamespace(name="".join(chosen), seconds=0.0))
-    monkeypatch.setattr(extension, "stated", lambda n: costs[n.name])
+    monkeypatch.setattr(extension, "_better", lambda one, two: costs[two.name] <= 0.99 * costs[one.name])
     assert extend(near, None, None, Deadline()).name == kept
     costs["a"], costs["ab"], rounds = 0.999 * size, 1.1 * size, iter([["a", "b"]])
     assert extend(near, None, None, Deadline()) is near
@@ -294,7 +294,7 @@ def test_each_round_builds_on_the_last_one_and_must_save_a_hundredth(monkeypatch
     near = SimpleNamespace(name="", seconds=0.0)
     monkeypatch.setattr(extension, "offers", lambda n, *given: seen.append(n.name) or given)
     monkeypatch.setattr(extension, "_with", lambda n, chosen, *_: SimpleNamespace(name=n.name + chosen[0], seconds=0.0))
-    monkeypatch.setattr(extension, "stated", lambda n: costs[n.name])
+    monkeypatch.setattr(extension, "_better", lambda one, two: costs[two.name] <= 0.99 * costs[one.name])
     for first, name in ((0.98, "ab"), (0.991, "")):
         costs["a"], rounds = first, iter([["a"], ["b"], ["c"]])
         monkeypatch.setattr(
@@ -402,3 +402,13 @@ def test_a_gear_is_searched_for_from_the_given_and_the_fitted_joint_at_many_stif
     hints.clear()
     assert with_gear(near, prepared, None, Deadline()) is near
     assert len(searched) == 1
+
+
+def test_a_law_stays_where_it_saves_a_hundredth_and_more_than_chance_of_windows_that_do_not_overlap(monkeypatch):
+    """Half of the windows save a fifth, half lose some: of a hundred windows that is no chance, of four it is."""
+    losses = {"": np.full(100, 1.0), "much": np.where(np.arange(100) % 2, 0.8, 1.1), "little": np.full(100, 0.991)}
+    monkeypatch.setattr(extension, "stated_of_windows", lambda near: losses[near.name])
+    for name, count, better in (("much", 100, True), ("much", 4, False), ("little", 100, False), ("", 100, False)):
+        monkeypatch.setattr(extension, "independent", lambda problem, count=count: count)
+        near, other = (SimpleNamespace(name=n, problem=None) for n in ("", name))
+        assert extension._better(near, other) == better

@@ -163,9 +163,10 @@ class Costs:
     ("stated", "weighed", "needed"),
     [
         (0.5 * WORTH, 0.5 * WORTH, False),  # not worth having
-        (2.0 * WORTH, 0.0, True),  # the stated error must not rise, whatever its doubt
         (0.0, 0.9 * DOUBT * 0.2, False),  # within what folds leave open: 0.2
         (0.0, 1.1 * DOUBT * 0.2, True),
+        (0.9 * DOUBT * 0.2, 0.0, False),
+        (1.1 * DOUBT * 0.2, 0.0, True),
     ],
 )
 def test_a_parameter_goes_where_folds_do_not_ask_for_it(monkeypatch, stated, weighed, needed):
@@ -173,6 +174,7 @@ def test_a_parameter_goes_where_folds_do_not_ask_for_it(monkeypatch, stated, wei
     problem = Costs(stated + windows * (stated > WORTH), weighed + windows * (weighed > WORTH))
     near = SimpleNamespace(problem=problem, free=np.ones(1, dtype=bool))
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
+    monkeypatch.setattr(module, "independent", lambda problem: 100)
     monkeypatch.setattr(module, "folded", lambda near, trials, fold, first_order=False: [t.any() for t in trials])
     monkeypatch.setattr(module, "window_cost", lambda problem, trials: np.array([problem.of(t) for t in trials]))
     assert prune(near, Deadline(np.inf)).tolist() == [needed]
@@ -246,20 +248,35 @@ def test_of_a_slow_log_every_sample_is_compared(monkeypatch):
 
 
 def test_a_window_weighs_less_the_more_typical_errors_it_is_off_and_in_plain_least_squares_as_any_other():
-    square = np.array([[1.0, 4.0], [9.0, 4.0], [4.0, 160.0]])
-    problem = Problem(None, (), np.ones(2), np.ones(3))
+    square = np.array([[1.0, 4.0], [9.0, 4.0], [2.0, 4.0], [500.0, 160.0]])
+    problem = Problem(None, (), np.ones(2), np.ones(4))
     robust = in_units(problem, square)
-    assert robust.unit == pytest.approx([2, 2])  # medians of 4
-    ratio = np.array([0.625, 1.625, 20.5])
+    assert robust.unit == pytest.approx([2, 2])  # means of the best three of four: 4
+    ratio = np.array([0.625, 1.625, 0.75, 82.5])
     assert robust.weight == pytest.approx(1 / (1 + ratio / 9))
     assert window_cost(robust, square[None])[0] == pytest.approx(9 * np.log(1 + ratio / 9))
     plain = in_units(replace(problem, tuning=np.inf), square)
-    assert plain.unit**2 == pytest.approx([14 / 3, 56])
-    assert plain.weight.tolist() == [1, 1, 1]
-    assert window_cost(plain, square[None])[0, 0] == pytest.approx((3 / 14 + 1 / 14) / 2)
+    assert plain.unit**2 == pytest.approx([128, 43])
+    assert plain.weight.tolist() == [1, 1, 1, 1]
+    assert window_cost(plain, square[None])[0, 0] == pytest.approx((1 / 128 + 4 / 43) / 2)
     assert in_units(replace(problem, pooled=True), square).unit ** 2 == pytest.approx([4, 4])
     pooled = in_units(replace(problem, tuning=np.inf, pooled=True), square)
-    assert pooled.unit**2 == pytest.approx([91 / 3, 91 / 3])
+    assert pooled.unit**2 == pytest.approx([85.5, 85.5])
+
+
+def test_a_typical_error_is_that_of_the_three_quarters_that_are_followed_best():
+    """A median would be that of standing still, where five of eight windows hold still."""
+    square = np.array([0.0, 9.0, 0.0, 1e9, 0.0, 9.0, 0.0, 0.0, 1e9, 9.0, 0.0, 1e9])[:, None]
+    assert module.trimmed(square) == pytest.approx([27 / 9])
+    assert module.trimmed(np.stack([square, 2 * square])) == pytest.approx(np.array([[3.0], [6.0]]))
+    assert module.trimmed(square[1:2]) == [9.0]
+
+
+def test_windows_that_overlap_count_once(monkeypatch):
+    apart = Windows(take_like(80), np.array([0, 10, 20, 35]), 10)
+    denser = Windows(take_like(80), np.array([0, 3, 5, 10, 13, 20, 35]), 10)
+    for windows, count in (((apart,), 4), ((denser,), 4), ((apart, denser), 8)):
+        assert module.independent(Problem(None, windows, np.ones(1), np.ones(1))) == count
 
 
 def test_few_windows_are_made_up_by_some_that_overlap_within_their_own_recordings(monkeypatch):
@@ -286,7 +303,7 @@ def test_few_windows_are_made_up_by_some_that_overlap_within_their_own_recording
 
 def test_starts_mix_the_best_numbers_of_each_joint():
     h = SimpleNamespace(terms=[SimpleNamespace(joint=j, parameters=[None] * n) for j, n in ((0, 2), (1, 1))])
-    square = np.array([[[3, 1], [3, 1], [0, 99]], [[1, 2], [1, 2], [99, 0]], [[2, 3], [2, 3], [2, 3]]], dtype=float)
+    square = np.array([[[3, 1]] * 3 + [[9, 99]], [[1, 2]] * 3 + [[99, 9]], [[2, 3]] * 4], dtype=float)
     begin = np.arange(3.0)[:, None] + [0.0, 0.25, 0.5]
     assert [x.tolist() for x in module._mixed(h, square, begin, 2)] == [[1, 1.25, 0.5], [2, 2.25, 1.5]]
     assert len(module._mixed(h, square, begin, 9)) == 3
@@ -302,6 +319,27 @@ def test_of_points_the_best_are_kept_once_each_and_the_torques_have_a_say(monkey
     for size, best in ((20.0, 1.1), (25.0, 1.5)):  # a fiftieth of the torques' squares: 8.0 and 12.5
         told = SimpleNamespace(rows=lambda values, size=size: size * (values[:, 0] < 1.3)[None])
         assert module.best_of(replace(problem, torques=told), points, 1)[0] == best
+
+
+def test_a_joint_that_is_stuck_is_not_the_answer_where_most_windows_hold_still(monkeypatch):
+    """Stuck beyond 5, it follows still windows best, and has no slope; free, it follows those that move at 4."""
+    wave = np.repeat([0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0], 4)
+    take = take_like(49)
+    take.wave = np.append(0.0, wave)
+    take.measured[:, 0] = 4.0 * take.wave
+    problem, _ = following(monkeypatch, Windows(take, 4 * np.arange(12), 4))
+
+    def simulate(w, build, values):
+        moves = w.take.wave[w.index][None, :, :, None]
+        x = values[:, None, None, :]
+        return np.where(x > 5.0, 0.0, x * moves + 0.01 * (1.0 - moves))
+
+    monkeypatch.setattr(module, "simulate", simulate)
+    monkeypatch.setattr(module, "affordable", lambda *_: 12)
+    monkeypatch.setattr(module, "problem_of", lambda *_: problem)
+    begin = np.array([[9.0], [1.0], [8.0]])
+    found = search(problem.hypothesis, [SimpleNamespace()], begin, np.random.default_rng(0), Deadline())
+    assert found.values == pytest.approx([4.0], rel=1e-3)
 
 
 def test_of_two_joints_the_torques_have_their_say_once(monkeypatch):
@@ -654,6 +692,7 @@ def test_of_each_joint_the_least_needed_goes_and_of_two_that_stand_for_each_othe
         return 1.0 + worth @ held + WORTH * together * bool(held[0] and held[2])
 
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
+    monkeypatch.setattr(module, "independent", lambda problem: 100)
     monkeypatch.setattr(module, "folded", lambda near, trials, fold, first_order=False: [cost(t) for t in trials])
     monkeypatch.setattr(module, "window_cost", lambda problem, told: np.array(told)[:, None] * np.ones(100))
     assert prune(near, Deadline()).tolist() == needed
@@ -669,6 +708,7 @@ def test_a_joint_gives_up_all_that_it_does_not_need_and_is_left_alone_when_it_ne
     problem = replace(Problem(None, (), np.ones(1), np.ones(100)), hypothesis=SimpleNamespace(terms=joints))
     near, told = SimpleNamespace(problem=problem, free=np.ones(4, dtype=bool)), []
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
+    monkeypatch.setattr(module, "independent", lambda problem: 100)
     monkeypatch.setattr(
         module, "folded", lambda near, trials, fold, first_order=False: [1.0 + worth @ t for t in trials]
     )
@@ -697,6 +737,7 @@ def test_what_goes_is_guessed_by_slopes_and_allowed_by_the_best_that_was_found(m
         return [1.0 + WORTH * np.array(guess if first_order else truth) @ t for t in trials]
 
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
+    monkeypatch.setattr(module, "independent", lambda problem: 100)
     monkeypatch.setattr(module, "folded", folded)
     monkeypatch.setattr(module, "window_cost", lambda problem, told: np.array(told)[:, None] * np.ones(100))
     assert prune(near, Deadline()).tolist() == list(needed)

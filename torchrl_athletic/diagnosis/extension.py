@@ -21,10 +21,12 @@ from torchrl_athletic.diagnosis.joint_fit import (
     descend,
     folded,
     folds_of,
+    independent,
     linearise,
     part_of,
     search,
     stated,
+    stated_of_windows,
     trusted,
     weighed,
     window_cost,
@@ -131,9 +133,9 @@ def extend(
         if not chosen:
             break
         better = _with(near, chosen, prepared, deadline)
-        if stated(better) > (1 - GAIN / 2) * stated(near) and len(chosen) > 1:  # they get into each other's way
+        if not _better(near, better) and len(chosen) > 1:  # they get into each other's way
             better = _with(near, chosen[:1], prepared, deadline)
-        if stated(better) > (1 - GAIN / 2) * stated(near):
+        if not _better(near, better):
             break
         near = better
         progress((k + 1) / ROUNDS)
@@ -280,9 +282,9 @@ def _with(near: Linearised, chosen: Sequence[Offer], prepared: Prepared, deadlin
 
 def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> list[Offer]:
     """Choose for each joint the law that helps folds most, the best first; no joint has two at a time."""
-    problem, count = near.problem, len(near.problem.weight)
-    mask = np.zeros(count, dtype=bool)
-    mask[np.linspace(0, count - 1, min(SCREENED, count)).astype(int)] = True
+    problem, all_of = near.problem, len(near.problem.weight)
+    mask = np.zeros(all_of, dtype=bool)
+    mask[np.linspace(0, all_of - 1, min(SCREENED, all_of)).astype(int)] = True
     rows = mask[problem.window]
     part, nothing = replace(part_of(problem, mask), torques=None), np.zeros((0, int(near.free.sum())))
     few = replace(
@@ -293,7 +295,7 @@ def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> lis
         pull=nothing[:, 0],
         pull_columns=nothing,
     )
-    fold = folds_of(few.problem)
+    fold, count = folds_of(few.problem), independent(few.problem)
     before = _cost(few, folded(few, [_nothing(few)], fold, first_order=True))[0]
     gains: list[tuple[float, Offer]] = []
     seconds = 0.0
@@ -303,7 +305,7 @@ def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> lis
         begin = time.monotonic()
         beside = _beside(few, offer)
         after = _cost(few, folded(beside, [_nothing(beside)], fold, first_order=True))[0]
-        if (gain := _gain(before, after)) > 0:
+        if (gain := _gain(before, after, count)) > 0:
             gains.append((gain, offer))
         seconds = time.monotonic() - begin
     best: dict[int, tuple[float, Offer]] = {}
@@ -313,7 +315,7 @@ def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> lis
     before = _cost(few, folded(few, [_nothing(few)], fold))[0]
     for _, offer in best.values():
         beside = _beside(few, offer)
-        if (gain := _gain(before, _cost(few, folded(beside, [_nothing(beside)], fold))[0])) > 0:
+        if (gain := _gain(before, _cost(few, folded(beside, [_nothing(beside)], fold))[0], count)) > 0:
             chosen.append((gain, offer))
     return [offer for _, offer in sorted(chosen, key=lambda g: -g[0])]
 
@@ -326,12 +328,18 @@ def _cost(near: Linearised, square: Array) -> Array:
     return window_cost(near.problem, square)
 
 
-def _gain(before: Array, after: Array) -> float:
-    """Share of the windows' cost (W,) that is saved; nothing where that is no more than chance."""
+def _better(near: Linearised, other: Linearised) -> bool:
+    """Whether another fit of the same windows has less of the error that is stated, and by more than chance."""
+    count = independent(near.problem)
+    return _gain(stated_of_windows(near), stated_of_windows(other), count, GAIN / 2) > 0
+
+
+def _gain(before: Array, after: Array, count: int, least: float = GAIN) -> float:
+    """Share of the windows' cost (W,) that is saved; nothing where that is no more than chance of ``count`` windows."""
     saved = before - after
-    doubt = float(saved.std()) / np.sqrt(len(saved))
+    doubt = float(saved.std()) / np.sqrt(count)
     gain = float(saved.mean())
-    return gain / float(before.mean()) if gain > max(GAIN * float(before.mean()), SURE * doubt) else 0.0
+    return gain / float(before.mean()) if gain > max(least * float(before.mean()), SURE * doubt) else 0.0
 
 
 def _beside(near: Linearised, offer: Offer) -> Linearised:

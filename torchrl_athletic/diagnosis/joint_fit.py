@@ -56,11 +56,13 @@ ENOUGH = 60
 """Windows of half a second; fewer are made up by some that overlap."""
 TUNING = 3.0
 """Typical errors at which a window weighs half."""
+WILD = 0.25
+"""Share of the windows that say nothing of what a typical error is [1]."""
 FOLDS = 4
 """Parts of the recordings, each of which is kept aside once."""
 WORTH = 0.005
 """Share of the squared error below which no parameter is worth having [1]."""
-DOUBT = 0.5
+DOUBT = 1.0
 """Standard errors by which a parameter has to help where it was not fitted [1]."""
 RIDGE = 1e-6
 """Pull towards the solution where windows say nothing, per what they say [1]."""
@@ -160,10 +162,19 @@ def weighed(problem: Problem, x: Array) -> Problem:
 
 def in_units(problem: Problem, square: Array) -> Problem:
     """:func:`weighed` by mean squares (W, J)."""
-    typical = square.mean(0) if np.isinf(problem.tuning) else np.median(square, axis=0)
+    typical = square.mean(0) if np.isinf(problem.tuning) else trimmed(square)
     unit = np.sqrt(np.maximum(np.full_like(typical, typical.mean()) if problem.pooled else typical, 1e-18))
     ratio = (square / unit**2).mean(1)
     return replace(problem, unit=unit, weight=1.0 / (1.0 + ratio / problem.tuning**2))
+
+
+def trimmed(square: Array) -> Array:
+    """Mean over the windows that are followed best, of all but :data:`WILD`. Shape (..., J) for squares (..., W, J).
+
+    A median would be that of standing still where most windows hold still, so that a joint that is stuck looks best.
+    """
+    count = max(1, round((1 - WILD) * square.shape[-2]))
+    return np.asarray(np.sort(square, axis=-2)[..., :count, :].mean(-2), dtype=np.float64)
 
 
 def window_cost(problem: Problem, square: Array) -> Array:
@@ -196,8 +207,18 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
 
 def stated(near: Linearised) -> float:
     """Mean square error of folds by what the others say, all joints together."""
+    return float(stated_of_windows(near).mean())
+
+
+def stated_of_windows(near: Linearised) -> Array:
+    """That error of each window. Shape (W,)."""
     nothing = np.zeros(int(near.free.sum()), dtype=bool)
-    return float(folded(near, [nothing], folds_of(near.problem))[0].mean())
+    return np.asarray(folded(near, [nothing], folds_of(near.problem))[0].mean(1), dtype=np.float64)
+
+
+def independent(problem: Problem) -> int:
+    """Windows that do not overlap: as many as a standard error may count."""
+    return sum(len(np.unique(w.start // w.length)) for w in problem.windows)
 
 
 def _overlapping(w: Windows, times: int) -> Windows:
@@ -344,7 +365,7 @@ def search(
 def _mixed(h: Hypothesis, square: Array, begin: Array, count: int) -> list[Array]:
     """Starts in which each joint has its own best numbers, its second best, and so on."""
     joint = np.array([c.joint for c in h.terms for _ in c.parameters])
-    order = np.argsort(np.median(square, axis=1), axis=0)  # (K, J)
+    order = np.argsort(trimmed(square), axis=0)  # (K, J)
     return [begin[order[rank, joint], np.arange(len(joint))] for rank in range(min(count, len(begin)))]
 
 
@@ -352,7 +373,7 @@ def best_of(problem: Problem, points: Sequence[Array], count: int) -> list[Array
     """Those of the least robust error, none twice."""
     distinct = list({tuple(x): x for x in points}.values())
     square = problem.mean_square(np.stack(distinct))
-    unit = np.sqrt(np.maximum(np.median(square, axis=1).min(0), 1e-18))
+    unit = np.sqrt(np.maximum(trimmed(square).min(0), 1e-18))
     cost = window_cost(replace(problem, unit=unit), square).mean(1)
     cost = cost + (problem.pull(np.stack(distinct)) ** 2).sum(0) / (len(problem.weight) * len(unit))
     return [distinct[k] for k in np.argsort(cost)[:count]]
@@ -482,9 +503,9 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
     """Which parameters folds that are kept aside ask for; the others are held at the given model's. Shape (P,), of all.
 
     Backwards: of each joint the parameter goes whose absence costs least to first order, as long as folds that were
-    kept aside allow it: their stated error must not rise, and the weighed one by less than its own uncertainty. The
-    fits without a fold and without a parameter are one bounded Gauss-Newton step from the solution; their errors are
-    simulated.
+    kept aside allow it: neither the stated error nor the weighed one rises by more than a standard error (Breiman et
+    al. 1984, section 3.4.3). The fits without a fold and without a parameter are one bounded Gauss-Newton step from the
+    solution; their errors are simulated.
     """
     problem, fold = near.problem, folds_of(near.problem)
     index = np.flatnonzero(near.free)
@@ -508,8 +529,8 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
             error = window_cost(way, square)  # (trials, W)
             least[k] = min((least[k], *error), key=lambda e: float(e.mean()))
             rise = error - least[k]
-            cost, doubt = rise.mean(1), rise.std(1) / np.sqrt(len(fold))
-            allowed &= cost <= np.maximum(DOUBT * k * doubt, WORTH * least[k].mean())
+            cost, doubt = rise.mean(1), rise.std(1) / np.sqrt(independent(problem))
+            allowed &= cost <= np.maximum(DOUBT * doubt, WORTH * least[k].mean())
         alone = np.flatnonzero(allowed[: len(chosen)])
         if allowed[-1]:
             held = trials[-1]
