@@ -62,7 +62,7 @@ FOLDS = 4
 """Parts of the recordings, each of which is kept aside once."""
 WORTH = 0.005
 """Share of the squared error below which no parameter is worth having [1]."""
-DOUBT = 1.0
+DOUBT = 0.5
 """Standard errors by which a parameter has to help where it was not fitted [1]."""
 RIDGE = 1e-6
 """Pull towards the solution where windows say nothing, per what they say [1]."""
@@ -503,9 +503,9 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
     """Which parameters folds that are kept aside ask for; the others are held at the given model's. Shape (P,), of all.
 
     Backwards: of each joint the parameter goes whose absence costs least to first order, as long as folds that were
-    kept aside allow it: neither the stated error nor the weighed one rises by more than a standard error (Breiman et
-    al. 1984, section 3.4.3). The fits without a fold and without a parameter are one bounded Gauss-Newton step from the
-    solution; their errors are simulated.
+    kept aside allow it: their stated error must not rise, and the weighed one by less than its own uncertainty. The
+    fits without a fold and without a parameter are one bounded Gauss-Newton step from the solution; their errors are
+    simulated.
     """
     problem, fold = near.problem, folds_of(near.problem)
     index = np.flatnonzero(near.free)
@@ -530,7 +530,7 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
             least[k] = min((least[k], *error), key=lambda e: float(e.mean()))
             rise = error - least[k]
             cost, doubt = rise.mean(1), rise.std(1) / np.sqrt(independent(problem))
-            allowed &= cost <= np.maximum(DOUBT * doubt, WORTH * least[k].mean())
+            allowed &= cost <= np.maximum(DOUBT * k * doubt, WORTH * least[k].mean())
         alone = np.flatnonzero(allowed[: len(chosen)])
         if allowed[-1]:
             held = trials[-1]
