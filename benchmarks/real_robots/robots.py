@@ -78,7 +78,7 @@ def so101(data: Path) -> Robot:
     }
     aside = ("backlash_detection", "friction_gravity")
     fitted = [r for name, r in takes.items() if name not in aside]
-    return Robot(xml, fitted, [takes[name] for name in aside], "yes")
+    return Robot(xml, fitted, [takes[name] for name in aside], "yes, held-out part too")
 
 
 def airbot(data: Path, second: bool = False) -> Robot:
@@ -229,7 +229,7 @@ def double_pendulum(data: Path, design: str) -> Robot:
         )
 
     takes = [take(path) for path in paths]
-    return Robot(xml, takes[:6], takes[6:], "no")
+    return Robot(xml, takes[:6], takes[6:], "yes, held-out part too")
 
 
 ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
