@@ -234,12 +234,15 @@ def test_two_laws_that_get_into_each_others_way_leave_the_better_one_and_one_tha
 ):
     """Both together must save a hundredth of an error of any size."""
     costs = {"": size, "ab": both * size, "a": 0.5 * size, "b": 0.4 * size}
-    near = SimpleNamespace(name="", seconds=0.0)
+    near = SimpleNamespace(name="", seconds=0.0, problem=None)
     rounds = iter([["a", "b"], []])
     monkeypatch.setattr(extension, "offers", lambda *_: [])
     monkeypatch.setattr(extension, "_chosen", lambda *_: next(rounds))
-    monkeypatch.setattr(extension, "_with", lambda n, chosen, *_: SimpleNamespace(name="".join(chosen), seconds=0.0))
-    monkeypatch.setattr(extension, "_better", lambda one, two: costs[two.name] <= 0.99 * costs[one.name])
+    monkeypatch.setattr(
+        extension, "_with", lambda n, chosen, *_: SimpleNamespace(name="".join(chosen), seconds=0.0, problem=None)
+    )
+    monkeypatch.setattr(extension, "stated_of_windows", lambda n: np.full(9, costs[n.name]))
+    monkeypatch.setattr(extension, "independent", lambda problem: 9)
     assert extend(near, None, None, Deadline()).name == kept
     costs["a"], costs["ab"], rounds = 0.999 * size, 1.1 * size, iter([["a", "b"]])
     assert extend(near, None, None, Deadline()) is near
@@ -291,10 +294,13 @@ def test_the_soft_one_of_two_joints_is_hinted_at_though_nothing_of_the_first_one
 def test_each_round_builds_on_the_last_one_and_must_save_a_hundredth(monkeypatch):
     costs = {"": 1.0, "a": 0.98, "ab": 0.95, "abc": 0.1}
     seen, told = [], []
-    near = SimpleNamespace(name="", seconds=0.0)
+    near = SimpleNamespace(name="", seconds=0.0, problem=None)
     monkeypatch.setattr(extension, "offers", lambda n, *given: seen.append(n.name) or given)
-    monkeypatch.setattr(extension, "_with", lambda n, chosen, *_: SimpleNamespace(name=n.name + chosen[0], seconds=0.0))
-    monkeypatch.setattr(extension, "_better", lambda one, two: costs[two.name] <= 0.99 * costs[one.name])
+    monkeypatch.setattr(
+        extension, "_with", lambda n, chosen, *_: SimpleNamespace(name=n.name + chosen[0], seconds=0.0, problem=None)
+    )
+    monkeypatch.setattr(extension, "stated_of_windows", lambda n: np.full(9, costs[n.name]))
+    monkeypatch.setattr(extension, "independent", lambda problem: 9)
     for first, name in ((0.98, "ab"), (0.991, "")):
         costs["a"], rounds = first, iter([["a"], ["b"], ["c"]])
         monkeypatch.setattr(
@@ -404,11 +410,19 @@ def test_a_gear_is_searched_for_from_the_given_and_the_fitted_joint_at_many_stif
     assert len(searched) == 1
 
 
-def test_a_law_stays_where_it_saves_a_hundredth_and_more_than_chance_of_windows_that_do_not_overlap(monkeypatch):
+def test_a_law_stays_where_it_saves_a_hundredth_and_more_than_a_standard_error_of_windows_that_do_not_overlap(
+    monkeypatch,
+):
     """Half of the windows save a fifth, half lose some: of a hundred windows that is no chance, of four it is."""
-    losses = {"": np.full(100, 1.0), "much": np.where(np.arange(100) % 2, 0.8, 1.1), "little": np.full(100, 0.991)}
-    monkeypatch.setattr(extension, "stated_of_windows", lambda near: losses[near.name])
-    for name, count, better in (("much", 100, True), ("much", 4, False), ("little", 100, False), ("", 100, False)):
-        monkeypatch.setattr(extension, "independent", lambda problem, count=count: count)
-        near, other = (SimpleNamespace(name=n, problem=None) for n in ("", name))
+    one = np.ones(100)
+    one[0] = 0.0
+    saved = {"": np.ones(100), "much": np.where(np.arange(100) % 2, 0.8, 1.1), "one": one,
+             "just": np.full(100, 0.985), "little": np.full(100, 0.991)}  # fmt: skip
+    monkeypatch.setattr(extension, "stated_of_windows", lambda near: saved[near.name])
+    monkeypatch.setattr(extension, "independent", lambda problem: problem)
+    for name, count, better in (
+        ("much", 100, True), ("much", 4, False), ("one", 100, False), ("just", 4, True), ("just", 1, False),
+        ("little", 100, False), ("", 100, False),
+    ):  # fmt: skip
+        near, other = (SimpleNamespace(name=n, problem=count) for n in ("", name))
         assert extension._better(near, other) == better

@@ -248,7 +248,7 @@ def test_of_a_slow_log_every_sample_is_compared(monkeypatch):
 
 def test_a_window_weighs_less_the_more_typical_errors_it_is_off_and_in_plain_least_squares_as_any_other():
     square = np.array([[1.0, 4.0], [9.0, 4.0], [2.0, 4.0], [500.0, 160.0]])
-    problem = Problem(None, (), np.ones(2), np.ones(4))
+    problem = moving(99.0, np.ones(2), np.ones(4))
     robust = in_units(problem, square)
     assert robust.unit == pytest.approx([2, 2])  # means of the best three of four: 4
     ratio = np.array([0.625, 1.625, 0.75, 82.5])
@@ -258,23 +258,57 @@ def test_a_window_weighs_less_the_more_typical_errors_it_is_off_and_in_plain_lea
     assert plain.unit**2 == pytest.approx([128, 43])
     assert plain.weight.tolist() == [1, 1, 1, 1]
     assert window_cost(plain, square[None])[0, 0] == pytest.approx((1 / 128 + 4 / 43) / 2)
-    assert in_units(replace(problem, pooled=True), square).unit ** 2 == pytest.approx([4, 4])
+    assert in_units(moving(99.0, np.ones(2), np.ones(4), pooled=True), square).unit ** 2 == pytest.approx([4, 4])
     pooled = in_units(replace(problem, tuning=np.inf, pooled=True), square)
     assert pooled.unit**2 == pytest.approx([85.5, 85.5])
 
 
+def moving(distance, unit, weight, **told):
+    """A problem without windows, in each of which a joint moves by ``distance``."""
+    problem = Problem(told.pop("h", None), (), unit, weight, **told)
+    problem.__dict__["motion"] = np.full((len(weight), len(unit)), distance**2)
+    return problem
+
+
 def test_a_typical_error_is_that_of_the_three_quarters_that_are_followed_best():
-    """A median would be that of standing still, where five of eight windows hold still."""
+    """Of twelve windows half hold still; a median would be 4.5."""
     square = np.array([0.0, 9.0, 0.0, 1e9, 0.0, 9.0, 0.0, 0.0, 1e9, 9.0, 0.0, 1e9])[:, None]
-    assert module.trimmed(square) == pytest.approx([27 / 9])
-    assert module.trimmed(np.stack([square, 2 * square])) == pytest.approx(np.array([[3.0], [6.0]]))
-    assert module.trimmed(square[1:2]) == [9.0]
+    problem = moving(1e9, np.ones(1), np.ones(12))
+    assert module.typical(problem, square) == pytest.approx([27 / 9])
+    assert module.typical(problem, np.stack([square, 2 * square])) == pytest.approx(np.array([[3.0], [6.0]]))
+    assert module.typical(moving(9.0, np.ones(1), np.ones(2)), square[:2]) == [4.5]  # of two, neither is left out
 
 
-def test_windows_that_overlap_count_once(monkeypatch):
+def test_a_joint_that_stands_still_has_the_scale_of_its_own_error():
+    """A model that sags while the robot holds still is off by much more than the motion, which is none."""
+    assert in_units(moving(0.0, np.ones(1), np.ones(8)), np.full((8, 1), 0.04)).unit == pytest.approx([0.2])
+
+
+@pytest.mark.parametrize("wild", [4, 7, 10])
+def test_windows_that_go_astray_set_no_scale_up_to_half_of_them_and_however_far(wild):
+    """Of 24, which move by 2: those that are followed to 0.1 weigh nearly one, the wild ones nothing."""
+    square = np.full((24, 1), 0.01)
+    square[:wild] = 1e8
+    for size in (1e2, 1e8):
+        square[:wild] = size
+        found = in_units(moving(2.0, np.ones(1), np.ones(24)), square)
+        assert found.unit[0] <= 2.0
+        assert (found.weight[wild:] > 0.4).all()
+        assert (found.weight[:wild] < 0.3).all()
+
+
+def test_a_motion_is_counted_from_where_its_window_begins(monkeypatch):
+    take = take_like(5)
+    take.measured = np.array([0.0, 1.0, 1.0, 3.0, 5.0])[:, None]
+    problem, _ = following(monkeypatch, Windows(take, np.array([0, 2]), 2))
+    assert problem.motion == pytest.approx(np.array([[1.0], [(4 + 16) / 2]]))
+
+
+def test_windows_that_overlap_count_once():
     apart = Windows(take_like(80), np.array([0, 10, 20, 35]), 10)
-    denser = Windows(take_like(80), np.array([0, 3, 5, 10, 13, 20, 35]), 10)
-    for windows, count in (((apart,), 4), ((denser,), 4), ((apart, denser), 8)):
+    denser = Windows(take_like(80), np.array([13, 0, 3, 5, 10, 20, 35]), 10)
+    shifted = Windows(take_like(80), np.array([2, 9, 12, 19, 22]), 10)  # 2, 12 and 22, by tens 0, 10, 20 too
+    for windows, count in (((apart,), 4), ((denser,), 4), ((shifted,), 3), ((apart, denser), 8)):
         assert module.independent(Problem(None, windows, np.ones(1), np.ones(1))) == count
 
 
@@ -304,8 +338,9 @@ def test_starts_mix_the_best_numbers_of_each_joint():
     h = SimpleNamespace(terms=[SimpleNamespace(joint=j, parameters=[None] * n) for j, n in ((0, 2), (1, 1))])
     square = np.array([[[3, 1]] * 3 + [[9, 99]], [[1, 2]] * 3 + [[99, 9]], [[2, 3]] * 4], dtype=float)
     begin = np.arange(3.0)[:, None] + [0.0, 0.25, 0.5]
-    assert [x.tolist() for x in module._mixed(h, square, begin, 2)] == [[1, 1.25, 0.5], [2, 2.25, 1.5]]
-    assert len(module._mixed(h, square, begin, 9)) == 3
+    problem = moving(99.0, np.ones(2), np.ones(4), h=h)
+    assert [x.tolist() for x in module._mixed(problem, square, begin, 2)] == [[1, 1.25, 0.5], [2, 2.25, 1.5]]
+    assert len(module._mixed(problem, square, begin, 9)) == 3
 
 
 def test_of_points_the_best_are_kept_once_each_and_the_torques_have_a_say(monkeypatch):

@@ -133,9 +133,11 @@ def extend(
         if not chosen:
             break
         better = _with(near, chosen, prepared, deadline)
-        if not _better(near, better) and len(chosen) > 1:  # they get into each other's way
+        helps = _better(near, better)
+        if not helps and len(chosen) > 1:  # they get into each other's way
             better = _with(near, chosen[:1], prepared, deadline)
-        if not _better(near, better):
+            helps = _better(near, better)
+        if not helps:
             break
         near = better
         progress((k + 1) / ROUNDS)
@@ -329,15 +331,20 @@ def _cost(near: Linearised, square: Array) -> Array:
 
 
 def _better(near: Linearised, other: Linearised) -> bool:
-    """Whether another fit of the same windows has less of the error that is stated, and by more than chance."""
+    """Whether another fit of the same windows has less of the error that is stated, and by more than it is in doubt."""
     count = independent(near.problem)
     return _gain(stated_of_windows(near), stated_of_windows(other), count, GAIN / 2) > 0
 
 
 def _gain(before: Array, after: Array, count: int, least: float = GAIN) -> float:
-    """Share of the windows' cost (W,) that is saved; nothing where that is no more than chance of ``count`` windows."""
+    """Share of the windows' cost (W,) that is saved; nothing where it is in doubt, as where one window alone saves it.
+
+    ``count`` of the windows are independent of each other.
+    """
+    if count < 2:
+        return 0.0
     saved = before - after
-    doubt = float(saved.std()) / np.sqrt(count)
+    doubt = float(saved.std(ddof=1)) / np.sqrt(count)
     gain = float(saved.mean())
     return gain / float(before.mean()) if gain > max(least * float(before.mean()), SURE * doubt) else 0.0
 

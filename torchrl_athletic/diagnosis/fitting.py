@@ -351,19 +351,25 @@ def _without_unknown(
     unknown = np.zeros(len(needed), dtype=bool)
     unknown[near.free] = [bool(why) and not why.startswith(ALSO) for why in _reasons(near, again, needed, seen)]
     unknown &= needed
-    problem = again.problem
-    for part in (lambda: unknown, lambda: _not_missed(problem, again.values, unknown)):
-        gone = part()
-        if not gone.any():
-            break
-        left, x = needed & ~gone, np.where(gone, problem.hypothesis.nominal, again.values)
-        x = descend(weighed(problem, x), x, left, 2, deadline)
-        costs = [
-            window_cost(problem, problem.squares(problem.errors(v[None])[:, 0])[None]).mean() for v in (again.values, x)
-        ]
-        if costs[1] < SAME * costs[0]:
-            return linearise(weighed(problem, x), x, left), left
-    return again, needed
+    without = _without(again, unknown, needed, deadline)
+    if without is None and unknown.sum() > 1 and deadline.allows(4 * again.seconds):
+        without = _without(again, _not_missed(again.problem, again.values, unknown), needed, deadline)
+    return (again, needed) if without is None else without
+
+
+def _without(
+    near: Linearised, gone: NDArray[np.bool_], needed: NDArray[np.bool_], deadline: Deadline
+) -> tuple[Linearised, NDArray[np.bool_]] | None:
+    """The fit with some parameters (P,) as the given model has them; None where it follows the motion worse."""
+    if not gone.any():
+        return None
+    problem, left = near.problem, needed & ~gone
+    x = np.where(gone, problem.hypothesis.nominal, near.values)
+    x = descend(weighed(problem, x), x, left, 2, deadline)
+    costs = [
+        window_cost(problem, problem.squares(problem.errors(v[None])[:, 0])[None]).mean() for v in (near.values, x)
+    ]
+    return (linearise(weighed(problem, x), x, left), left) if costs[1] < SAME * costs[0] else None
 
 
 def _not_missed(problem: Problem, x: Array, unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:

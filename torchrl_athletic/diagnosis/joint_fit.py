@@ -114,6 +114,11 @@ class Problem:
         return np.concatenate(parts, axis=1).T
 
     @cached_property
+    def motion(self) -> Array:
+        """Mean square distance from where a window begins: its error where nothing moves [rad², m²]. Shape (W, J)."""
+        return np.concatenate([((w.measured - w.take.measured[w.start][:, None]) ** 2).mean(1) for w in self.windows])
+
+    @cached_property
     def window(self) -> NDArray[np.intp]:
         """Window of each row of the errors; those of a window follow each other. Shape (N,)."""
         joints, sizes = len(self.unit), []
@@ -162,19 +167,22 @@ def weighed(problem: Problem, x: Array) -> Problem:
 
 def in_units(problem: Problem, square: Array) -> Problem:
     """:func:`weighed` by mean squares (W, J)."""
-    typical = square.mean(0) if np.isinf(problem.tuning) else trimmed(square)
-    unit = np.sqrt(np.maximum(np.full_like(typical, typical.mean()) if problem.pooled else typical, 1e-18))
+    usual = square.mean(0) if np.isinf(problem.tuning) else typical(problem, square)
+    unit = np.sqrt(np.maximum(np.full_like(usual, usual.mean()) if problem.pooled else usual, 1e-18))
     ratio = (square / unit**2).mean(1)
     return replace(problem, unit=unit, weight=1.0 / (1.0 + ratio / problem.tuning**2))
 
 
-def trimmed(square: Array) -> Array:
-    """Mean over the windows that are followed best, of all but :data:`WILD`. Shape (..., J) for squares (..., W, J).
+def typical(problem: Problem, square: Array) -> Array:
+    """Mean square error of the windows that are followed best, of all but :data:`WILD`. Shape (..., J) of (..., W, J).
 
-    A median would be that of standing still where most windows hold still, so that a joint that is stuck looks best.
+    A median would be that of standing still where most windows hold still, so that a joint that is stuck looks best. No
+    window counts for more than its motion or the median: up to half of the windows may go astray.
     """
-    count = max(1, round((1 - WILD) * square.shape[-2]))
-    return np.asarray(np.sort(square, axis=-2)[..., :count, :].mean(-2), dtype=np.float64)
+    count = square.shape[-2]
+    most = np.maximum(problem.motion, np.median(square, axis=-2, keepdims=True))
+    capped = np.sort(np.minimum(square, most), axis=-2)[..., : count - int(WILD * count), :]
+    return np.asarray(capped.mean(-2), dtype=np.float64)
 
 
 def window_cost(problem: Problem, square: Array) -> Array:
@@ -217,8 +225,14 @@ def stated_of_windows(near: Linearised) -> Array:
 
 
 def independent(problem: Problem) -> int:
-    """Windows that do not overlap: as many as a standard error may count."""
-    return sum(len(np.unique(w.start // w.length)) for w in problem.windows)
+    """The most windows of which no two overlap: as many as a standard error may count."""
+    count = 0
+    for w in problem.windows:
+        end = -1
+        for start in np.sort(w.start):
+            if start >= end:
+                count, end = count + 1, int(start) + w.length
+    return count
 
 
 def _overlapping(w: Windows, times: int) -> Windows:
@@ -349,7 +363,7 @@ def search(
         problem = problem_of(h, takes, seconds, SEARCHED, rng, points[0], torques)
         if not horizon:
             half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
-            points = [p for q in (problem, few) for p in _mixed(h, q.mean_square(begin), begin, half)]
+            points = [p for q in (problem, few) for p in _mixed(q, q.mean_square(begin), begin, half)]
         ends = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3)) for x in points]
         points = best_of(few, [*ends, *points, *begin[:2]], kept)
         progress((horizon + 1) / 4)
@@ -362,10 +376,10 @@ def search(
     return more_telling(near, deadline)
 
 
-def _mixed(h: Hypothesis, square: Array, begin: Array, count: int) -> list[Array]:
+def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Array]:
     """Starts in which each joint has its own best numbers, its second best, and so on."""
-    joint = np.array([c.joint for c in h.terms for _ in c.parameters])
-    order = np.argsort(trimmed(square), axis=0)  # (K, J)
+    joint = np.array([c.joint for c in problem.hypothesis.terms for _ in c.parameters])
+    order = np.argsort(typical(problem, square), axis=0)  # (K, J)
     return [begin[order[rank, joint], np.arange(len(joint))] for rank in range(min(count, len(begin)))]
 
 
@@ -373,7 +387,7 @@ def best_of(problem: Problem, points: Sequence[Array], count: int) -> list[Array
     """Those of the least robust error, none twice."""
     distinct = list({tuple(x): x for x in points}.values())
     square = problem.mean_square(np.stack(distinct))
-    unit = np.sqrt(np.maximum(trimmed(square).min(0), 1e-18))
+    unit = np.sqrt(np.maximum(typical(problem, square).min(0), 1e-18))
     cost = window_cost(replace(problem, unit=unit), square).mean(1)
     cost = cost + (problem.pull(np.stack(distinct)) ** 2).sum(0) / (len(problem.weight) * len(unit))
     return [distinct[k] for k in np.argsort(cost)[:count]]
@@ -512,7 +526,7 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
     joint = np.array([c.joint for c in problem.hypothesis.terms for _ in c.parameters])[index]
     held, asking = np.zeros(len(index), dtype=bool), np.ones(len(index), dtype=bool)
     now = folded(near, [held], fold)
-    ways = (replace(problem, tuning=np.inf), problem)
+    ways, count = (replace(problem, tuning=np.inf), problem), independent(problem)
     least = [window_cost(way, now)[0] for way in ways]
     seconds = 0.0
     while (asking & ~held).any() and deadline.allows(1.3 * seconds):
@@ -529,7 +543,7 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
             error = window_cost(way, square)  # (trials, W)
             least[k] = min((least[k], *error), key=lambda e: float(e.mean()))
             rise = error - least[k]
-            cost, doubt = rise.mean(1), rise.std(1) / np.sqrt(independent(problem))
+            cost, doubt = rise.mean(1), rise.std(1) / np.sqrt(count)
             allowed &= cost <= np.maximum(DOUBT * k * doubt, WORTH * least[k].mean())
         alone = np.flatnonzero(allowed[: len(chosen)])
         if allowed[-1]:
