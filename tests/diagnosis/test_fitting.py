@@ -11,6 +11,7 @@ import pytest
 from diagnosis.plants import pendulum, smooth_torque
 
 from torchrl_athletic.diagnosis import Fit, fit, fit_command
+from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.fit_command import FitConfig, fit_table, main
 from torchrl_athletic.diagnosis.fitting import JointParameter, _binds, _taken_back
@@ -421,7 +422,7 @@ def test_what_has_no_number_of_its_own_goes_unless_the_motion_is_followed_worse_
 
 
 def test_of_what_is_not_known_well_that_goes_which_is_not_missed_where_all_of_it_together_is(monkeypatch):
-    """Without the second number the motion is followed twice as badly, without the others by 0.4 % and by 0.5 %."""
+    """Without the second number the motion is followed twice as badly, without the others by 0.4, 0.5 and 0.6 %."""
     monkeypatch.setattr(fitting, "_reasons", lambda *_: ["its interval is wide"] * 4)
     monkeypatch.setattr(fitting, "weighed", lambda problem, x: problem)
     monkeypatch.setattr(fitting, "descend", lambda problem, x, *_: x)
@@ -434,11 +435,13 @@ def test_of_what_is_not_known_well_that_goes_which_is_not_missed_where_all_of_it
     again.problem.errors, again.problem.squares = (lambda x: cost(x)[:, None]), (lambda errors: errors)
     again.problem.mean_square = lambda x: cost(x)[:, None]
     needed = np.array([True, True, True, True])
-    found, left = fitting._without_unknown(near, again, needed, None, None)
+    again.seconds = 10.0
+    found, left = fitting._without_unknown(near, again, needed, None, Deadline())
     assert left.tolist() == [False, True, False, True]
     assert found.values.tolist() == [1.0, 6.0, 3.0, 8.0]
+    assert fitting._without_unknown(near, again, needed, None, Deadline(35.0)) == (again, needed)  # no time to ask
     missed[:] = 1.0
-    assert fitting._without_unknown(near, again, needed, None, None) == (again, needed)
+    assert fitting._without_unknown(near, again, needed, None, Deadline()) == (again, needed)
 
 
 def test_a_number_that_is_dropped_for_its_interval_is_not_identified_and_keeps_that_interval(monkeypatch):

@@ -178,6 +178,8 @@ def test_a_parameter_goes_where_folds_do_not_ask_for_it(monkeypatch, stated, wei
     monkeypatch.setattr(module, "window_cost", lambda problem, trials: np.array([problem.of(t) for t in trials]))
     assert prune(near, Deadline(np.inf)).tolist() == [needed]
     assert prune(near, Deadline(0.0)).tolist() == [True]  # without time nothing is found to be worthless
+    monkeypatch.setattr(module, "independent", lambda problem: 4)  # which leaves five times the doubt
+    assert prune(near, Deadline(np.inf)).tolist() == [stated > WORTH]
 
 
 def take_like(samples, begins=(0,), period=0.005, truth=1.0):
