@@ -5,7 +5,7 @@ python recipes/ablate_finetuning.py --device cuda    # the paper's scale: 15 min
 
 ``No-Fine-Tuning`` is the controller that follows the reference; ``No-Pre-Training`` begins anew; ``No-E2E`` is a policy
 that commands the frozen controller; ``Ours`` goes on from the controller. Each throws 100 times. Leaves a table and a
-picture; the same command goes on after Ctrl-C or a crash.
+picture; the same command goes on after Ctrl-C or a crash. What came out: docs/tasks.md.
 """
 
 import json
@@ -28,7 +28,7 @@ FIGURES = {"distance_m": "distance [m]", "release_speed_m_s": "release [m/s]", "
 START = "wbc_wide"
 """The controller, which takes its hand behind its head as the throw does."""
 ANEW = replace(training.PRE_TRAIN, entropy_coeff=0.0, warm_up=training.FINE_TUNE.warm_up)
-"""Without the pre-training's bonus for entropy, which here grows until the robot falls."""
+"""As in the pre-training, but for no bonus for entropy, and batches that are left out as in a tuning."""
 WAYS: dict[str, dict[str, Any]] = {
     "No-Fine-Tuning": {"iterations": 0},
     "No-Pre-Training": {"start": None, "ppo": ANEW},
@@ -108,7 +108,7 @@ def draw(found: dict[str, list[dict[str, float]]], path: Path) -> Path:
             values = [row[key] for row in rows]
             axis.bar(place, np.mean(values), color="tab:blue", alpha=0.6)
             axis.plot([place] * len(values), values, "k.", ms=4)
-        axis.set_xticks(range(len(found)), found, fontsize=7, rotation=20)
+        axis.set_xticks(range(len(found)), found, fontsize=7, rotation=20, ha="right")
         axis.set_title(title, fontsize=9)
         axis.spines[["top", "right"]].set_visible(False)
     figure.savefig(path)
