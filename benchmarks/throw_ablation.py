@@ -27,7 +27,7 @@ def main() -> None:
 def table(found: dict[str, list[dict[str, float]]], minutes: dict[str, str]) -> str:
     """Distances by seed, and means over seeds."""
     lines = [
-        "| | minutes | distance by seed [m] | mean [m] | release [m/s] | leg power [kW] | arm's peak [rad/s] | failed |",
+        "| | minutes | distance by seed [m] | mean [m] | release [m/s] | leg power [kW] | arm, peak [rad/s] | failed |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for way, rows in found.items():
