@@ -1,6 +1,6 @@
 """How much of the variance of a task's advantages few samples hold, of shipped policies with their critics.
 
-    python -m benchmarks.advantages                                  # sled, throw and pre-training: ten minutes
+    python -m benchmarks.advantages                                  # sled and throw: five minutes
     python -m benchmarks.advantages --policies sled=outputs/finetune_sled/sled.npz
 
 The advantages are those of a training (GAE of 0.99 and 0.95), of robots that explore, before they are standardised.
@@ -23,7 +23,7 @@ from tqdm import trange
 from benchmarks.by_case import commit
 from torchrl_athletic.training.wbc import read_wbc
 
-POLICIES = ("sled=sled", "throw=throw", "wbc=wbc")
+POLICIES = ("sled=sled", "throw=throw")
 SHARE = 0.01
 """Of the samples, those of the largest advantages."""
 
