@@ -50,7 +50,8 @@ def main(cfg: Config) -> None:
         "|---|---|---|---|",
     ]
     for told in cfg.policies:
-        advantage, falls = advantages(*told.split("=", 1), cfg)
+        task, _, policy = told.partition("=")
+        advantage, falls = advantages(task, policy, cfg)
         square = (advantage - advantage.mean()).pow(2).flatten().sort(descending=True).values
         share = float(square[: int(SHARE * len(square))].sum() / square.sum())
         lines.append(f"| {told} | {float(advantage.std()):.2f} | {share:.0%} | {falls} of {len(square)} steps |")
