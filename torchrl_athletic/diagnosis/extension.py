@@ -284,9 +284,9 @@ def _with(near: Linearised, chosen: Sequence[Offer], prepared: Prepared, deadlin
 
 def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> list[Offer]:
     """Choose for each joint the law that helps folds most, the best first; no joint has two at a time."""
-    problem, all_of = near.problem, len(near.problem.weight)
-    mask = np.zeros(all_of, dtype=bool)
-    mask[np.linspace(0, all_of - 1, min(SCREENED, all_of)).astype(int)] = True
+    problem, count = near.problem, len(near.problem.weight)
+    mask = np.zeros(count, dtype=bool)
+    mask[np.linspace(0, count - 1, min(SCREENED, count)).astype(int)] = True
     rows = mask[problem.window]
     part, nothing = replace(part_of(problem, mask), torques=None), np.zeros((0, int(near.free.sum())))
     few = replace(
@@ -297,7 +297,7 @@ def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> lis
         pull=nothing[:, 0],
         pull_columns=nothing,
     )
-    fold, count = folds_of(few.problem), independent(few.problem)
+    fold, apart = folds_of(few.problem), independent(few.problem)
     before = _cost(few, folded(few, [_nothing(few)], fold, first_order=True))[0]
     gains: list[tuple[float, Offer]] = []
     seconds = 0.0
@@ -307,7 +307,7 @@ def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> lis
         begin = time.monotonic()
         beside = _beside(few, offer)
         after = _cost(few, folded(beside, [_nothing(beside)], fold, first_order=True))[0]
-        if (gain := _gain(before, after, count)) > 0:
+        if (gain := _gain(before, after, apart)) > 0:
             gains.append((gain, offer))
         seconds = time.monotonic() - begin
     best: dict[int, tuple[float, Offer]] = {}
@@ -317,7 +317,7 @@ def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> lis
     before = _cost(few, folded(few, [_nothing(few)], fold))[0]
     for _, offer in best.values():
         beside = _beside(few, offer)
-        if (gain := _gain(before, _cost(few, folded(beside, [_nothing(beside)], fold))[0], count)) > 0:
+        if (gain := _gain(before, _cost(few, folded(beside, [_nothing(beside)], fold))[0], apart)) > 0:
             chosen.append((gain, offer))
     return [offer for _, offer in sorted(chosen, key=lambda g: -g[0])]
 
