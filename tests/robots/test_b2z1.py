@@ -6,6 +6,7 @@ import pytest
 from robots.standing import Plant
 
 from torchrl_athletic.robots import Terrain, b2z1
+from torchrl_athletic.robots.arm import MOST_FORCE
 from torchrl_athletic.robots.b2z1 import LEGS, STAND_HEIGHT
 
 MIRROR = {"FR": "FL", "FL": "FR", "RR": "RL", "RL": "RR"}
@@ -52,6 +53,15 @@ def test_standing_feet_carry_its_weight():
     weight = plant.model.body_mass.sum() * G
     assert plant.sensed("foot_force").sum() == pytest.approx(weight, rel=0.01)
     assert (plant.sensed("foot_force") > 0.15 * weight).all()
+
+
+def test_a_foot_wedged_in_rough_ground_reads_no_more_than_its_range():
+    plant = Plant(b2z1(terrain=Terrain(roughness=(0.0, 0.0)), cone="pyramidal"))
+    plant.data.qpos[2] -= 0.045  # deeper than a foot's radius, where prisms press from the sides
+    mujoco.mj_forward(plant.model, plant.data)
+    feet = plant.sensed("foot_force")
+    assert feet.max() == MOST_FORCE
+    assert plant.data.efc_force.max() > 10 * MOST_FORCE  # the wedge that is not to be felt
 
 
 def test_a_force_is_felt_where_it_lies():
