@@ -67,7 +67,7 @@ def test_terms_count_in_their_phases(pulled):
     assert terms["velocity"][phase == 0].abs().max() == 0
     assert terms["ee_pose_tracking"][phase == 1].abs().max() == 0
     lateral, _ = sled_drift(pulled)
-    torch.testing.assert_close(terms["lateral_drift"][phase == 1], -0.02 * lateral[phase == 1].abs())
+    torch.testing.assert_close(terms["lateral_drift"][phase == 1], -0.08 * lateral[phase == 1].abs())
 
 
 def test_drift_to_either_side_costs_alike_and_the_wrong_speed_by_its_square():
@@ -85,7 +85,7 @@ def test_drift_to_either_side_costs_alike_and_the_wrong_speed_by_its_square():
         )
         return scales[name] * float(terms[name](before, after))
 
-    assert [earned("lateral_drift", y) for y in (0.4, -0.4)] == pytest.approx([-0.4, -0.4])
+    assert [earned("lateral_drift", y) for y in (0.4, -0.4)] == pytest.approx([-1.6, -1.6])
     assert [earned("heading_drift", turn=turn) for turn in (0.3, -0.3)] == pytest.approx([-0.3, -0.3], abs=1e-6)
     assert earned("velocity", speed=-0.5) == 0.0
     assert earned("velocity", speed=0.5) == pytest.approx(-20.0)
@@ -126,8 +126,8 @@ def test_each_term_has_its_phase_and_its_scale():
     terms, scales = sled_pull_rewards(ROBOT, sled_phases())
     own = ("ee_pose_tracking", "velocity", "lateral_drift", "heading_drift", "wrist")
     assert {name: terms[name].phases for name in own} == dict.fromkeys(own, (1,)) | {"ee_pose_tracking": (0,)}
-    assert [scales[name] for name in own] == [5.0, -20.0, -1.0, -1.0, -1.0]
-    assert scales["failure"] == -4000.0
+    assert [scales[name] for name in own] == [5.0, -20.0, -4.0, -1.0, -1.0]
+    assert scales["failure"] == -1000.0
 
 
 def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_training(monkeypatch):
@@ -142,7 +142,7 @@ def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_train
     assert (told["schedule"], told["disturbances"]) == (sled_phases(), Disturbances())
     assert [told[name] for name in ("num_envs", "max_steps", "seed", "first_row")] == [4096, 1000, 0, 0]
     assert told["commands"][0].ranges == sled_commands()
-    assert (told["objects"][0].mass, told["objects"][0].friction) == ((20.0, 150.0), (0.1, 0.2))
+    assert (told["objects"][0].mass, told["objects"][0].friction) == ((20.0, 180.0), (0.1, 0.2))
 
 
 def test_usual_sizes_lie_within_what_is_drawn_and_the_rope_pulls_as_hard_as_such_a_sled_rubs():
