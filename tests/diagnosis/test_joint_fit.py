@@ -668,33 +668,65 @@ def test_windows_are_as_many_as_five_million_steps_allow(monkeypatch, step, coun
 
 
 def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
+    """Each way goes on from the best so far, and the weighed one begins once more where each plain one ended."""
     name = lambda problem: "pooled" if problem.pooled else "plain" if np.isinf(problem.tuning) else "weighed"  # noqa: E731
-    errors, units, moved = {}, [], []
-    monkeypatch.setattr(module, "in_units", lambda problem, square: units.append(square) or problem)
+    errors, moved = {}, []
+
+    def descend(problem, x, free, slopes, deadline, first):
+        assert (free, first.values) == ("free", x)
+        moved.append((x, slopes))
+        return f"{name(problem)} after {x}" if name(problem) == "weighed" else name(problem)
+
+    monkeypatch.setattr(module, "in_units", lambda problem, square: problem)
     monkeypatch.setattr(module, "weighed", lambda problem, x: problem)
-    monkeypatch.setattr(module, "descend", lambda problem, x, *given: moved.append(given) or x)
-    monkeypatch.setattr(module, "stated", lambda near: errors[name(near.problem)])
-    monkeypatch.setattr(module, "linearise", lambda problem, x, free: SimpleNamespace(problem=problem))
+    monkeypatch.setattr(module, "descend", descend)
+    monkeypatch.setattr(module, "stated", lambda near: errors[near.values])
+    monkeypatch.setattr(
+        module,
+        "linearise",
+        lambda problem, x, free: SimpleNamespace(problem=problem, values=x, free=free, errors=None, seconds=10.0),
+    )
     monkeypatch.setattr(module, "trusted", lambda near: near)
+    monkeypatch.setattr(Problem, "squares", lambda self, errors: None)
+    own = ("near", "plain", "weighed after plain", "pooled", "weighed after pooled")
 
     def best(*told, joints=2, left=np.inf):
-        errors.update(zip(("weighed", "plain", "pooled"), told, strict=True))
+        errors.update(zip(own, told, strict=True))
         problem = Problem(None, (), np.ones(joints), np.ones(1))
-        monkeypatch.setattr(Problem, "squares", lambda self, errors: "of the solution")
-        near = SimpleNamespace(problem=problem, free="free", values=None, errors=None, seconds=10.0)
+        near = SimpleNamespace(problem=problem, values="near", free="free", errors=None, seconds=10.0)
         moved.clear()
-        deadline = Deadline(left)
-        found = more_telling(near, deadline)
-        assert all(given == ("free", 1, deadline, near) for given in moved)
-        return name(found.problem)
+        return more_telling(near, Deadline(left)).values
 
-    assert best(1.0, 2.0, 3.0) == "weighed"
-    assert units == ["of the solution"] * 2
-    assert best(2.0, 1.0, 3.0) == "plain"
-    assert best(3.0, 2.0, 1.0) == "pooled"
-    assert best(3.0, 1.0, 2.0) == "plain"
-    assert best(3.0, 2.0, 1.0, joints=1) == "plain"
-    assert best(3.0, 2.0, 1.0, left=25.0) == "weighed"  # each takes three times as long as a slope
+    assert best(1.0, 2.0, 2.0, 3.0, 3.0) == "near"
+    assert moved == [("near", 1), ("plain", 3), ("near", 1), ("pooled", 3)]
+    for k, ended in enumerate(own):
+        assert best(*np.where(np.arange(5) == k, 1.0, 2.0)) == ended
+    assert best(3.0, 2.0, 1.0, 2.0, 2.0) == "weighed after plain"
+    assert moved == [("near", 1), ("plain", 3), ("weighed after plain", 1), ("pooled", 3)]
+    assert best(3.0, 2.0, 2.0, 1.0, 1.0, joints=1) == "plain"  # of one joint there is nothing to pool
+    assert best(3.0, 2.0, 1.0, 1.0, 1.0, left=25.0) == "near"  # each takes two slopes more than its descent
+    assert best(3.0, 2.0, 1.0, 1.0, 1.0, left=45.0) == "plain"
+
+
+def test_plain_least_squares_leads_out_of_a_place_where_all_is_wild_and_is_not_led_astray_by_pushes():
+    """By friction of 0.5 and a scale of 0.3 the joint is stuck; two pushes that no log tells of pull plain numbers."""
+    command = smooth_torque(12.0, 2.5, 1)
+    push = np.zeros_like(command)
+    for begin in (300, 700):
+        push[begin : begin + 20] = 5.0  # 4 N·m, which a scale of 0.8 leaves
+    take = recording(command, integrated(command + push, friction=0.1, scale=0.8))
+    prepared = prepare([take], mujoco.MjModel.from_xml_string(pendulum(STEP)))
+    h = standard_joints(prepared, seen_in(prepared))
+    at = {(c.effect.name, p.name): k for k, (c, p) in enumerate(h_places(h))}
+    own = [at["coulomb_friction", "torque"], at["torque_scale", "scale"]]
+    free, stuck = np.zeros(len(h.nominal), dtype=bool), h.nominal
+    free[own] = True
+    stuck[at["viscous_friction", "damping"]] = 0.05
+    stuck[own] = 0.5, 0.3
+    problem = problem_of(h, prepared.takes, 0.5, 24, np.random.default_rng(0), stuck)
+    found = more_telling(trusted(linearise(problem, stuck, free)), Deadline())
+    assert np.isfinite(found.problem.tuning)
+    assert found.values[own] == pytest.approx([0.1, 0.8], rel=0.1)
 
 
 def test_a_search_whose_every_descent_goes_astray_ends_at_the_best_of_its_starts(monkeypatch):

@@ -198,18 +198,20 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
     """The solution of whichever weights follow folds best that it was not fitted to: the weighed one, or a plain one.
 
     What is asked is the error that is stated. Plain least squares minimises it where a few wild windows do not lead it
-    astray, joint by joint or of all joints together; folds tell.
+    astray, joint by joint or of all joints together; folds tell. Where it ends, the weighed one begins once more: it
+    may have been stuck where it took for wild what can be followed.
     """
-    problem, free = near.problem, near.free
-    best, least = near, stated(near)
+    problem, best, least = near.problem, near, stated(near)
     for other in (replace(problem, tuning=np.inf), replace(problem, tuning=np.inf, pooled=True)):
-        if (len(problem.unit) == 1 and other.pooled) or not deadline.allows(3 * near.seconds):
-            break
-        other = in_units(other, problem.squares(near.errors))
-        x = descend(other, near.values, free, 1, deadline, near)
-        found = trusted(linearise(weighed(other, x), x, free))
-        if (error := stated(found)) < least:
-            best, least = found, error
+        start = best
+        for way, slopes in ((other, 1), (problem, SLOPES[2])):
+            if (len(problem.unit) == 1 and other.pooled) or not deadline.allows((2 + slopes) * near.seconds):
+                return best
+            way = in_units(way, problem.squares(start.errors))
+            x = descend(way, start.values, near.free, slopes, deadline, start)
+            start = trusted(linearise(weighed(way, x), x, near.free))
+            if (error := stated(start)) < least:
+                best, least = start, error
     return best
 
 
