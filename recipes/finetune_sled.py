@@ -73,10 +73,11 @@ def make_env(
     **told: Any,
 ) -> TransformedEnv:
     """The task; in an exam the robot is told to walk at 0.5 m/s all the time."""
-    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), seed=seed, first_row=first_row)
+    rows, held = {"seed": seed, "first_row": first_row}, told.get("substeps", 1)
+    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), substeps=held, **rows)
     if exam:
         told["velocity"] = replace(sled_commands(), forward=(-0.5, -0.5), standstill_probability=0.0)
-    return sled_pull_env(robot, num_envs=num_envs, chain=chain, seed=seed, first_row=first_row, **told)
+    return sled_pull_env(robot, num_envs=num_envs, chain=chain, **rows, **told)
 
 
 def judge(episodes: TensorDict) -> dict[str, float]:

@@ -75,10 +75,11 @@ def make_env(
     **told: Any,
 ) -> TransformedEnv:
     """The task; in an exam every episode has a lift in it."""
-    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), seed=seed, first_row=first_row)
+    rows, held = {"seed": seed, "first_row": first_row}, told.get("substeps", 1)
+    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), substeps=held, **rows)
     if exam:
         told["schedule"] = PhaseSchedule((Phase("snatch-set-up", duration=2.5), Phase("snatch")))
-    return dumbbell_snatch_env(robot, num_envs=num_envs, chain=chain, seed=seed, first_row=first_row, **told)
+    return dumbbell_snatch_env(robot, num_envs=num_envs, chain=chain, **rows, **told)
 
 
 def judge(episodes: TensorDict) -> dict[str, float]:

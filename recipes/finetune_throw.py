@@ -78,10 +78,11 @@ def make_env(
     **told: Any,
 ) -> TransformedEnv:
     """The task; in an exam every episode has a throw in it."""
-    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), seed=seed, first_row=first_row)
+    rows, held = {"seed": seed, "first_row": first_row}, told.get("substeps", 1)
+    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), substeps=held, **rows)
     if exam:
         told["schedule"] = throw_phases(stay_probability=0.0, settle_probability=0.0)
-    return ball_throw_env(robot, num_envs=num_envs, chain=chain, seed=seed, first_row=first_row, **told)
+    return ball_throw_env(robot, num_envs=num_envs, chain=chain, **rows, **told)
 
 
 def judge(episodes: TensorDict) -> dict[str, float]:

@@ -2,12 +2,13 @@
 
 import pytest
 import torch
+from tensordict.nn import TensorDictModule
 from torchrl.envs import Compose, TransformedEnv
 
 from torchrl_athletic.envs import TorqueEnv
 from torchrl_athletic.identification import Simulator, with_actuation
 from torchrl_athletic.networks import digest_of, pretrained, uan
-from torchrl_athletic.robots import z1
+from torchrl_athletic.robots import with_options, z1
 from torchrl_athletic.transforms import ActionDelay, CorrectedActuation, PowerClip, UANCorrection
 
 ARM = z1()
@@ -67,3 +68,17 @@ def test_every_kind_has_the_power_and_the_delays_that_it_is_told(actuation, fold
 def test_a_name_that_is_neither_is_refused_with_what_to_name():
     with pytest.raises(FileNotFoundError, match=r"iedal holds no simulator\.json.*Name the folder"):
         with_actuation(ARM, "iedal")
+
+
+def test_drives_are_as_late_in_a_finer_simulation(folder):
+    def moved(timestep, substeps):
+        robot, chain = with_actuation(with_options(ARM, timestep=timestep), folder, substeps=substeps)
+        env = TransformedEnv(TorqueEnv(robot, num_envs=1, substeps=substeps), Compose(*chain))
+        target = torch.tensor([robot.default_pose]) + 0.2
+        policy = TensorDictModule(lambda position: target, in_keys=["joint_position"], out_keys=["action"])
+        shown = env.rollout(5, policy=policy)
+        return shown["next", "joint_position"][0, :, 1] - robot.default_pose[1]
+
+    coarse, fine = moved(0.005, 1), moved(0.0005, 10)
+    assert coarse[-1] > 0.1
+    torch.testing.assert_close(fine, coarse, rtol=0, atol=0.02)

@@ -290,7 +290,7 @@ def test_other_joints_and_another_time_step_are_refused():
     with pytest.raises(ValueError, match="not among joint_names"):
         CorrectedActuation(content, timestep=STEP, joint_names=robot.joint_names)
     env = TransformedEnv(TorqueEnv(from_mjcf(BENCHES["pendulum"][0])), CorrectedActuation(content, timestep=0.005))
-    with pytest.raises(ValueError, match=r"steps of 0.005 s, the physics takes 0.002 s"):
+    with pytest.raises(ValueError, match=r"steps of 0.005 s, the environment holds a torque for 0.002 s"):
         env.reset()
 
 

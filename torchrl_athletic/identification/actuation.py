@@ -18,6 +18,7 @@ def with_actuation(
     *,
     delay: tuple[int, int] = (0, 0),
     arm_power: float | None = 300.0,
+    substeps: int = 1,
     seed: int = 0,
     first_row: int = 0,
 ) -> tuple[Robot, list[Transform]]:
@@ -27,8 +28,9 @@ def with_actuation(
         robot: As nominal.
         actuation: ``"ideal"`` motors; ``"uan"``, ideal motors that the shipped actuator net corrects; or the folder of
             a :class:`Simulator`: CEM's, a diagnosis', with or without a net.
-        delay: Least and greatest delay of actions [physics steps].
+        delay: Least and greatest delay of actions [torques].
         arm_power: Greatest power of the arm [W]; None sets no limit.
+        substeps: Physics steps that each torque is held for.
         seed: Of the delays.
         first_row: Number of the first row, for parts of a larger batch.
 
@@ -47,4 +49,4 @@ def with_actuation(
         net = pretrained("uan") if actuation == "uan" else None
         return robot, actuation_chain(robot, net=net, arm_power=arm_power, **told)
     simulator = Simulator.load(actuation, robot)
-    return simulator.robot, simulator.chain(arm_power=arm_power, **told)
+    return simulator.robot, simulator.chain(arm_power=arm_power, substeps=substeps, **told)

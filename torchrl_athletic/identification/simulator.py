@@ -127,6 +127,7 @@ class Simulator:
         max_delay: int = 0,
         min_delay: int = 0,
         decimation: int = 4,
+        substeps: int = 1,
         randomize: bool = True,
         seed: int = 0,
         first_row: int = 0,
@@ -140,9 +141,10 @@ class Simulator:
             command: What the action is: position targets, or torques.
             limits: Whether the motors' limits by speed apply.
             arm_power: Greatest power of the arm [W]; None sets no limit.
-            max_delay: Greatest delay of the action, drawn per episode [physics steps].
+            max_delay: Greatest delay of the action, drawn per episode [torques].
             min_delay: Least delay.
-            decimation: Physics steps per action; with 1 the chain has no :class:`Decimation`.
+            decimation: Torques per action; with 1 the chain has no :class:`Decimation`.
+            substeps: Physics steps that each torque is held for, as of :class:`~torchrl_athletic.envs.TorqueEnv`.
             randomize: Whether to draw another robot for each episode, where the method does.
             seed: Of the draws.
             first_row: Number of the first row, for parts of a larger batch.
@@ -151,6 +153,7 @@ class Simulator:
             Transforms for ``Compose``. The net's errors are noted in ``error_history``, shape (N, J, 2, history).
         """
         robot, group = self.robot, _group(self.robot)
+        step = substeps * float(robot.model().opt.timestep)
         chain: list[Transform] = []
         if self.net is not None and self.kind == "correction":  # what it corrects happens behind the motor
             sizes = sizes_of(self.net)
@@ -161,12 +164,12 @@ class Simulator:
                     length=sizes.history,
                     state=sizes.state,
                     memory=sizes.memory,
-                    timestep=float(robot.model().opt.timestep),
+                    timestep=step,
                 )
             )
         if arm_power is not None:
             chain.append(PowerClip(arm_power, joints=group))
-        chain += self._motor(group, limits) + self._law(command, limits)
+        chain += self._motor(group, limits) + self._law(command, limits, step)
         if max_delay:
             before = robot.default_pose
             chain.append(ActionDelay(max_delay, min_delay, before=before, seed=seed, first_row=first_row))
@@ -186,14 +189,14 @@ class Simulator:
             motor.append(ActuatorNet(self.net, joints=group, length=self.history))
         return motor
 
-    def _law(self, command: Command, limits: bool) -> list[Transform]:
+    def _law(self, command: Command, limits: bool, step: float) -> list[Transform]:
         """From the command to a torque, and the target that nets look at."""
         robot, positions = self.robot, command == "position"
         if self.correction is None:
             return [(PDControl if positions else EquivalentTarget)(robot.kp, robot.kd)]
         corrected = CorrectedActuation(
             self.correction,
-            timestep=float(robot.model().opt.timestep),
+            timestep=step,
             joint_names=robot.joint_names,
             kp=robot.kp if positions else None,
             kd=robot.kd if positions else None,

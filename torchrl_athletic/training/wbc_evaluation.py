@@ -54,8 +54,8 @@ class Condition:
             told: To :func:`~torchrl_athletic.envs.whole_body_env`.
         """
         rows = {"seed": seed, "first_row": first_row}
-        robot, chain = with_actuation(self.robot, actuation, delay=self.disturbances.delay, **rows)
         chance, substeps = self.disturbances, self.substeps
+        robot, chain = with_actuation(self.robot, actuation, delay=chance.delay, substeps=substeps, **rows)
         told |= {"disturbances": chance, "substeps": substeps, "chain": chain, **rows}
         return whole_body_env(robot, num_envs=num_envs, **told)
 

@@ -132,7 +132,7 @@ class CorrectedActuation(StatefulTransform):
 
     Args:
         correction: Path of a ``corrected.json``, or its content.
-        timestep: Of the physics [s].
+        timestep: For which a torque is held, that of the physics but for ``TorqueEnv(substeps=...)`` [s].
         joint_names: Of the environment's joints, those of the diagnosis among them; None takes the latter. Length J.
         kp: Gains as the drive is told [N·m/rad]; None for torques. Shape (J,) or ().
         kd: [N·m·s/rad]. Shape (J,) or ().
@@ -414,10 +414,11 @@ class CorrectedActuation(StatefulTransform):
                 f"{tuple(physics.joint_names)}: corrections would act on other joints. Give it joint_names in that "
                 "order."
             )
-        if abs(physics.timestep - self.timestep) > 1e-9:
+        step = getattr(env, "substeps", 1) * physics.timestep
+        if abs(step - self.timestep) > 1e-9:
             raise ValueError(
-                f"CorrectedActuation counts steps of {self.timestep} s, the physics takes {physics.timestep} s: delays "
-                "and lags would be off in proportion. Give it timestep=env.physics.timestep."
+                f"CorrectedActuation counts steps of {self.timestep} s, the environment holds a torque for {step} s: "
+                f"delays and lags would be off in proportion. Give it timestep={step}."
             )
         carries = {joint for effect, joint, _ in self.entries if effect == "payload"}
         for effect, joint, values in self.entries:
