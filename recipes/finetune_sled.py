@@ -70,11 +70,12 @@ def make_env(
     exam: bool = False,
     seed: int = 0,
     first_row: int = 0,
+    substeps: int = 1,
     **told: Any,
 ) -> TransformedEnv:
     """The task; in an exam the robot is told to walk at 0.5 m/s all the time."""
-    rows, held = {"seed": seed, "first_row": first_row}, told.get("substeps", 1)
-    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), substeps=held, **rows)
+    rows = {"seed": seed, "first_row": first_row, "substeps": substeps}
+    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), **rows)
     if exam:
         told["velocity"] = replace(sled_commands(), forward=(-0.5, -0.5), standstill_probability=0.0)
     return sled_pull_env(robot, num_envs=num_envs, chain=chain, **rows, **told)

@@ -72,11 +72,12 @@ def make_env(
     exam: bool = False,
     seed: int = 0,
     first_row: int = 0,
+    substeps: int = 1,
     **told: Any,
 ) -> TransformedEnv:
     """The task; in an exam every episode has a lift in it."""
-    rows, held = {"seed": seed, "first_row": first_row}, told.get("substeps", 1)
-    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), substeps=held, **rows)
+    rows = {"seed": seed, "first_row": first_row, "substeps": substeps}
+    robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), **rows)
     if exam:
         told["schedule"] = PhaseSchedule((Phase("snatch-set-up", duration=2.5), Phase("snatch")))
     return dumbbell_snatch_env(robot, num_envs=num_envs, chain=chain, **rows, **told)

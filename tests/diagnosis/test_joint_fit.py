@@ -705,7 +705,7 @@ def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
     assert moved == [("near", 1), ("plain", 3), ("weighed after plain", 1), ("pooled", 3)]
     assert best(3.0, 2.0, 2.0, 1.0, 1.0, joints=1) == "plain"  # of one joint there is nothing to pool
     assert best(3.0, 2.0, 1.0, 1.0, 1.0, left=25.0) == "near"  # each takes two slopes more than its descent
-    assert best(3.0, 2.0, 1.0, 1.0, 1.0, left=45.0) == "plain"
+    assert best(3.0, 2.0, 1.0, 1.0, 1.0, left=45.0) == "pooled"  # no time for the weighed one after plain
 
 
 def test_plain_least_squares_leads_out_of_a_place_where_all_is_wild_and_is_not_led_astray_by_pushes():

@@ -80,7 +80,7 @@ from torchrl_athletic.envs.whole_body import PRIVILEGED, TrackingErrors
             sled_pull_env,
             {
                 "num_envs": 4096,
-                "mass": (20.0, 150.0),
+                "mass": (20.0, 180.0),
                 "friction": (0.1, 0.2),
                 "motion": "sled",
                 "max_steps": 1000,

@@ -210,7 +210,7 @@ def test_a_condition_makes_its_environment_of_all_that_it_is_and_of_what_is_told
     Condition("robot", chance, substeps=5).env(7, actuation="ideal", seed=3, first_row=9, history=2)
     rows = {"seed": 3, "first_row": 9}
     assert made == [
-        ("robot", "ideal", {"delay": (1, 3), **rows}),
+        ("robot", "ideal", {"delay": (1, 3), "substeps": 5, **rows}),
         (
             "driven robot",
             {"num_envs": 7, "history": 2, "disturbances": chance, "substeps": 5, "chain": ["chain"], **rows},

@@ -206,7 +206,7 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
         start = best
         for way, slopes in ((other, 1), (problem, SLOPES[2])):
             if (len(problem.unit) == 1 and other.pooled) or not deadline.allows((2 + slopes) * near.seconds):
-                return best
+                break
             way = in_units(way, problem.squares(start.errors))
             x = descend(way, start.values, near.free, slopes, deadline, start)
             start = trusted(linearise(weighed(way, x), x, near.free))

@@ -30,9 +30,9 @@ def actuation_chain(
         robot: Gives gains, limits and the joints of its arm.
         net: Unsupervised Actuator Net of the arm; None leaves its torques as they are.
         arm_power: Greatest power of the arm [W]; None sets no limit.
-        max_delay: Greatest delay of the action, drawn per episode [physics steps].
+        max_delay: Greatest delay of the action, drawn per episode [torques].
         min_delay: Least delay.
-        decimation: Physics steps per action.
+        decimation: Torques per action.
         seed: Of the delays.
         first_row: Number of the first row, for parts of a larger batch.
 

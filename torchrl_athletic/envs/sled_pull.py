@@ -26,14 +26,13 @@ from torchrl_athletic.transforms import CommandSampler, InPhase, RewardTerm, Sle
 
 MASS, FRICTION = (20.0, 180.0), (0.1, 0.2)
 """Mass of the sled [kg] and friction of its runners [1]. The paper names 150 kg as what was pulled at most, and
-friction of 113 N and 230 N of its real carts; it gives no ranges. What is to be pulled lies within ours, not at the
-end."""
+friction of 113 N and 230 N of its real carts; it gives no ranges. Ours goes beyond 150 kg."""
 KNOWN = {"rope_tension": 100.0, "sled_mass": 100.0, "sled_friction": 0.2}
 """What the critic sees besides, and the usual sizes [N, kg, 1]."""
 FAILURE = -1000.0
-"""Scale of a failure, which lasts one step of 0.02 s. At the usual price, 10, a robot that is told to pull a heavy sled
-fast saves as much by a fall: 29 of 100 fell at 150 kg. At four times this one, few falls held most of the variance of
-the advantages, and training went nowhere."""
+"""Scale of a failure, which lasts one step of 0.02 s. At half the price a robot that is told to pull a heavy sled fast
+saves as much by a fall: 29 of 100 fell at 150 kg. At four times the price 36 minutes of training led to 73 of 100
+that pull 150 kg for 10 m; masses and the price of drift were lower, too."""
 
 
 def sled_pull_env(

@@ -33,7 +33,7 @@ GRIP = (0.186, 0.0, 0.0)
 MOST_FORCE = 5000.0
 """Range of a sensor of touch, 7.5 times the weight of B2 and Z1 [N]: fewer than 1 in 1,000 readings of a foot are
 above. A foot that hits rough ground at more than 3 m/s sinks in by more than its radius; then MuJoCo wedges it between
-the walls of the field's prisms with up to 900 kN a side, which cancel but for this sensor, that sums them."""
+the walls of the field's prisms with hundreds of kN. These forces cancel, but the sensor adds them up."""
 
 _GREY, _DARK, _STEEL = (0.75, 0.76, 0.78, 1.0), (0.16, 0.17, 0.19, 1.0), (0.55, 0.6, 0.68, 1.0)
 

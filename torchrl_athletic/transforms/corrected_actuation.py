@@ -124,7 +124,7 @@ class CorrectedActuation(StatefulTransform):
     7. what the motor's limit does not touch: stops, hysteresis, what Stribeck friction saves at speed, and the part of
        friction by direction that is alike in both.
 
-    ``joint_position`` and ``joint_velocity`` show what the encoder reads. All of it happens at the physics rate: place
+    ``joint_position`` and ``joint_velocity`` show what the encoder reads. All of it happens once per torque: place
     the transform nearest to the motor, before :class:`~.Decimation`. What MuJoCo expresses itself (dry and viscous
     friction, inertia, masses, springs, gravity) is in the model that the diagnosis wrote, ``corrected.xml``: build the
     robot from it, :func:`~torchrl_athletic.robots.from_mjcf`, and domain randomisation is then about the corrected

@@ -75,7 +75,7 @@ class SledRope(RandomTransform):
         self,
         dt: float,
         *,
-        mass: tuple[float, float] = (20.0, 150.0),
+        mass: tuple[float, float] = (20.0, 180.0),
         friction: tuple[float, float] = (0.1, 0.2),
         length: float = 2.0,
         hook_height: float = 0.2,
