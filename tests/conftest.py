@@ -1,5 +1,6 @@
 """What every test runs under: one thread a worker, seeded hypothesis, and real recordings where there are some."""
 
+import gc
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy and torch; the workers share the cores already
@@ -9,6 +10,8 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+gc.disable()  # until all tests are collected: a third of that time went into looking for what is garbage
 
 settings.register_profile(
     "repeatable", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
@@ -35,6 +38,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         contract = item.parent.name if item.parent else ""
         if item.name in SLOW_CLAUSES and (item.path.name, contract) not in REPRESENTATIVES:
             item.add_marker(pytest.mark.slow)
+
+
+def pytest_collection_finish() -> None:
+    """Look for garbage again, but not among modules and tests, which stay."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

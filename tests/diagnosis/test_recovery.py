@@ -57,7 +57,9 @@ def test_what_a_pendulum_hides_is_named_alone_with_its_parameters(effect):
     assert_named(answer_to(robot, secret), secret)
 
 
-@pytest.mark.parametrize("robot", [pendulum(), slider()], ids=["pendulum", "slider"])
+@pytest.mark.parametrize(
+    "robot", [pytest.param(pendulum(), id="pendulum"), pytest.param(slider(), id="slider", marks=pytest.mark.slow)]
+)
 def test_dry_friction_is_named_alone_with_its_level(robot):
     secret = random_effect(robot, "coulomb_friction", robot.joint_names[0], SEED)
     assert_named(answer_to(robot, secret), secret)

@@ -47,6 +47,7 @@ def extended() -> tuple[Effect, ...]:
     return scope["catalogue"]
 
 
+@pytest.mark.slow  # tests/docs/test_effects.py finds it by the search alone
 def test_it_is_named_with_its_value_and_without_it_a_stand_in_leaves_an_error(extended):
     with_own, without = diagnosed(extended), diagnosed(CATALOGUE)
     [finding] = with_own.answer.findings

@@ -3,6 +3,7 @@
 import resource
 import subprocess
 import sys
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -11,20 +12,22 @@ from torchrl_athletic.recordings import Recording, write_recording
 from torchrl_athletic.recordings.whole_file import UNFINISHED, whole_file
 
 
-@pytest.fixture
+@contextmanager
 def full_disk():
-    """No file of this process may grow beyond 1 kB, as if the disk were full."""
+    """No file of this process may grow beyond 1 kB, as if the disk were full; not pytest's own output either."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
-def test_a_full_disk_names_the_file_and_leaves_the_old_one(tmp_path, full_disk):
+def test_a_full_disk_names_the_file_and_leaves_the_old_one(tmp_path):
     time_ = np.arange(100.0)
     noise = np.random.default_rng(0).normal(size=(100, 1))
     (tmp_path / "take.npz").write_text("old")
-    with pytest.raises(OSError, match=r"take\.npz'") as caught:
+    with pytest.raises(OSError, match=r"take\.npz'") as caught, full_disk():
         write_recording(Recording(time_, ("hip",), noise, torque_command=noise), tmp_path / "take.npz")
     assert caught.value.filename == str(tmp_path / "take.npz")
     assert (tmp_path / "take.npz").read_text() == "old"

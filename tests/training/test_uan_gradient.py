@@ -155,7 +155,7 @@ def test_errors_far_beyond_what_is_usual_hardly_pull_and_small_ones_pull_as_ever
     assert lengths[2] < 0.1 * lengths[0]
 
 
-@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("known", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_it_learns_friction_from_encoders_alone(known):
     """In 80 windows the error of windows that it never saw falls to less than half."""
     torch.manual_seed(0)
