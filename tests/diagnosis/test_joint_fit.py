@@ -670,35 +670,36 @@ def test_windows_are_as_many_as_five_million_steps_allow(monkeypatch, step, coun
 def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
     """Each way goes on from the best so far, and the weighed one begins once more where each plain one ended."""
     name = lambda problem: "pooled" if problem.pooled else "plain" if np.isinf(problem.tuning) else "weighed"  # noqa: E731
-    errors, moved = {}, []
+    errors, moved, units = {}, [], []
 
     def descend(problem, x, free, slopes, deadline, first):
         assert (free, first.values) == ("free", x)
         moved.append((x, slopes))
         return f"{name(problem)} after {x}" if name(problem) == "weighed" else name(problem)
 
-    monkeypatch.setattr(module, "in_units", lambda problem, square: problem)
+    monkeypatch.setattr(module, "in_units", lambda problem, square: units.append(square) or problem)
     monkeypatch.setattr(module, "weighed", lambda problem, x: problem)
     monkeypatch.setattr(module, "descend", descend)
     monkeypatch.setattr(module, "stated", lambda near: errors[near.values])
     monkeypatch.setattr(
         module,
         "linearise",
-        lambda problem, x, free: SimpleNamespace(problem=problem, values=x, free=free, errors=None, seconds=10.0),
+        lambda problem, x, free: SimpleNamespace(problem=problem, values=x, free=free, errors=f"of {x}", seconds=10.0),
     )
     monkeypatch.setattr(module, "trusted", lambda near: near)
-    monkeypatch.setattr(Problem, "squares", lambda self, errors: None)
+    monkeypatch.setattr(Problem, "squares", lambda self, errors: errors)
     own = ("near", "plain", "weighed after plain", "pooled", "weighed after pooled")
 
     def best(*told, joints=2, left=np.inf):
         errors.update(zip(own, told, strict=True))
         problem = Problem(None, (), np.ones(joints), np.ones(1))
-        near = SimpleNamespace(problem=problem, values="near", free="free", errors=None, seconds=10.0)
+        near = SimpleNamespace(problem=problem, values="near", free="free", errors="of near", seconds=10.0)
         moved.clear()
         return more_telling(near, Deadline(left)).values
 
     assert best(1.0, 2.0, 2.0, 3.0, 3.0) == "near"
     assert moved == [("near", 1), ("plain", 3), ("near", 1), ("pooled", 3)]
+    assert units == [f"of {x}" for x, _ in moved]  # windows are weighed by what each way begins with
     for k, ended in enumerate(own):
         assert best(*np.where(np.arange(5) == k, 1.0, 2.0)) == ended
     assert best(3.0, 2.0, 1.0, 2.0, 2.0) == "weighed after plain"
