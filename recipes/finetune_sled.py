@@ -74,7 +74,7 @@ def make_env(
     **told: Any,
 ) -> TransformedEnv:
     """The task; in an exam the robot is told to walk at 0.5 m/s all the time."""
-    rows = {"seed": seed, "first_row": first_row, "substeps": substeps}
+    rows: dict[str, Any] = {"seed": seed, "first_row": first_row, "substeps": substeps}
     robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), **rows)
     if exam:
         told["velocity"] = replace(sled_commands(), forward=(-0.5, -0.5), standstill_probability=0.0)

@@ -79,7 +79,7 @@ def make_env(
     **told: Any,
 ) -> TransformedEnv:
     """The task; in an exam every episode has a throw in it."""
-    rows = {"seed": seed, "first_row": first_row, "substeps": substeps}
+    rows: dict[str, Any] = {"seed": seed, "first_row": first_row, "substeps": substeps}
     robot, chain = with_actuation(robot or nominal(), actuation, delay=(0, 6), **rows)
     if exam:
         told["schedule"] = throw_phases(stay_probability=0.0, settle_probability=0.0)
