@@ -89,7 +89,7 @@ from torchrl_athletic.transforms import (
         (
             SledRope,
             {
-                "mass": (20.0, 150.0),
+                "mass": (20.0, 180.0),
                 "friction": (0.1, 0.2),
                 "length": 2.0,
                 "hook_height": 0.2,
