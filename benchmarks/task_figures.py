@@ -15,7 +15,6 @@ from __future__ import annotations
 import importlib
 import json
 import platform
-import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +26,7 @@ import tyro
 from tensordict import TensorDict
 from tqdm import tqdm
 
+from benchmarks.by_case import commit
 from benchmarks.concealed import on_legs
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, sled_drift
 from torchrl_athletic.functional.commands import sled_commands
@@ -168,11 +168,6 @@ def pulled(episodes: TensorDict) -> dict[str, float]:
     first = there.int().argmax(1, keepdim=True)
     straight = there.any(1) & (lateral.gather(1, first).squeeze(1) < 0.5)
     return {"sled_10_m": float(there.any(1).float().mean()), "straight_10_m": float(straight.float().mean())}
-
-
-def commit() -> str:
-    command = ["git", "rev-parse", "--short", "HEAD"]
-    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
 
 if __name__ == "__main__":

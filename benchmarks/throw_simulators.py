@@ -22,9 +22,11 @@ import torch
 import tyro
 from tqdm import tqdm
 
+from benchmarks.by_case import commit
 from benchmarks.concealed import on_legs
 from benchmarks.task_figures import Config as Exam
-from benchmarks.task_figures import commit, figures
+from benchmarks.task_figures import figures
+from torchrl_athletic.diagnosis.corrected import write_json
 from torchrl_athletic.networks import digest_of, read_network
 
 NAMES = {
@@ -59,14 +61,14 @@ def main(cfg: Config) -> None:
     for name in (bar := tqdm(NAMES)):
         policy: Any = read_network(cfg.policies / name / "throw.npz")
         own = name if name in ("ideal", "uan") else str(cfg.simulators / name)
+        same = {"policy": digest_of(policy), "episodes": cfg.episodes}
+        rows = kept["figures"].setdefault(name, {})
         for world, told in WORLDS.items():
             bar.set_postfix_str(f"{name}, {world}")
-            rows = kept["figures"].setdefault(name, {})
-            same = {"policy": digest_of(policy), "episodes": cfg.episodes}
             if {key: rows.get(world, {}).get(key) for key in same} != same:
                 found = figures("throw", policy, {"actuation": own} | told, Exam(episodes=cfg.episodes))
                 rows[world] = found | same | {"commit": commit(), "machine": platform.machine()}
-                cfg.output.write_text(json.dumps(kept, indent=1) + "\n", "utf-8")
+                write_json(cfg.output, kept)
     cfg.output.with_suffix(".md").write_text(table(kept["figures"]), "utf-8")
     print(table(kept["figures"]))
 

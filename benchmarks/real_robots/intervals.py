@@ -11,13 +11,16 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
 from numpy.typing import NDArray
+from scipy.stats import bootstrap
 
 from benchmarks.real_robots.replay import Replay
 from benchmarks.real_robots.robots import ROBOTS
+from benchmarks.real_robots.run import folder_of
 from torchrl_athletic.diagnosis.corrected import Simulation
 
 DRAWS = 2000
@@ -40,16 +43,15 @@ def main(cfg: Config) -> None:
     known = json.loads(cfg.results.read_text("utf-8"))
     lines = ["| robot | best rival | windows | ours / best rival | 95 % |", "|---|---|---|---|---|"]
     for case in cfg.cases:
-        held = Replay(ROBOTS[case](cfg.data), ROBOTS[case](cfg.data).heldout)
-        folder = "".join(letter if letter.isalnum() else "_" for letter in case)
-        corrected = json.loads((cfg.fits / folder / "corrected.json").read_text("utf-8"))
+        robot = ROBOTS[case](cfg.data)
+        held = Replay(robot, robot.heldout)
+        corrected = json.loads((folder_of(cfg.fits, case) / "corrected.json").read_text("utf-8"))
         ours = held.mean_square_of(Simulation.from_json(corrected, held.given)).mean(1)
         told = {name: np.array(x) for name, x in known[case]["parameters"].items() if name != "given"}
         rivals = {name: held.mean_square(numbers).mean(1) for name, numbers in told.items()}
         best = min(rivals, key=lambda name: float(rivals[name].mean()))
         low, high = interval(ours, rivals[best], np.random.default_rng(0))
-        ratio = np.sqrt(ours.mean() / rivals[best].mean())
-        lines.append(f"| {case} | {best} | {len(ours)} | {ratio:.2f} | {low:.2f} to {high:.2f} |")
+        lines.append(f"| {case} | {best} | {len(ours)} | {ratio(ours, rivals[best]):.2f} | {low:.2f} to {high:.2f} |")
         print(lines[-1], flush=True)
     cfg.output.write_text("\n".join(lines) + "\n", "utf-8")
 
@@ -61,10 +63,14 @@ def interval(ours: NDArray[np.float64], rival: NDArray[np.float64], rng: np.rand
         >>> interval(np.ones(9), 4 * np.ones(9), np.random.default_rng(0))
         (0.5, 0.5)
     """
-    drawn = rng.integers(0, len(ours), (DRAWS, len(ours)))
-    ratios = np.sqrt(ours[drawn].mean(1) / rival[drawn].mean(1))
-    low, high = np.percentile(ratios, [2.5, 97.5])
-    return float(low), float(high)
+    drawn = bootstrap((ours, rival), ratio, paired=True, n_resamples=DRAWS, method="percentile", random_state=rng)
+    found = drawn.confidence_interval
+    return float(found.low), float(found.high)
+
+
+def ratio(ours: NDArray[np.float64], rival: NDArray[np.float64], axis: int = -1) -> Any:
+    """Of root mean squares."""
+    return np.sqrt(ours.mean(axis) / rival.mean(axis))
 
 
 if __name__ == "__main__":

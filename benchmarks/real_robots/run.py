@@ -59,7 +59,7 @@ def run(case: str, cfg: Config) -> Row:
     robot = ROBOTS[case](cfg.data)
     forget_memory()
     begin, used = time.monotonic(), time.process_time()
-    folder = None if cfg.fits is None else cfg.fits / "".join(c if c.isalnum() else "_" for c in case)
+    folder = None if cfg.fits is None else folder_of(cfg.fits, case)
     ours = fit(robot.xml, robot.recordings, robot.heldout, seed=cfg.seed, output=folder)
     seconds = {"ours": time.monotonic() - begin}
     cpu, memory = time.process_time() - used, most_memory()
@@ -103,6 +103,11 @@ def run(case: str, cfg: Config) -> Row:
         "fitted": [asdict(p) for p in ours.parameters if p.value != p.given],
         "remarks": list(ours.remarks),
     }
+
+
+def folder_of(fits: Path, case: str) -> Path:
+    """Where our fit of a robot lies."""
+    return fits / "".join(letter if letter.isalnum() else "_" for letter in case)
 
 
 def forget_memory() -> None:

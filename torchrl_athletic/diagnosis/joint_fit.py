@@ -202,10 +202,12 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
     may have been stuck where it took for wild what can be followed.
     """
     problem, best, least = near.problem, near, stated(near)
-    for other in (replace(problem, tuning=np.inf), replace(problem, tuning=np.inf, pooled=True)):
+    plain = replace(problem, tuning=np.inf)
+    others = [plain] if len(problem.unit) == 1 else [plain, replace(plain, pooled=True)]
+    for other in others:
         start = best
         for way, slopes in ((other, 1), (problem, SLOPES[2])):
-            if (len(problem.unit) == 1 and other.pooled) or not deadline.allows((2 + slopes) * near.seconds):
+            if not deadline.allows((2 + slopes) * near.seconds):
                 break
             way = in_units(way, problem.squares(start.errors))
             x = descend(way, start.values, near.free, slopes, deadline, start)

@@ -31,7 +31,7 @@ SHOULDER_HEIGHT = 0.1035
 GRIP = (0.186, 0.0, 0.0)
 """Point between the pads of the jaws, in ``link06`` [m]."""
 MOST_FORCE = 5000.0
-"""Range of a sensor of touch, 7.5 times the weight of B2 and Z1 [N]: fewer than 1 in 1,000 readings of a foot are
+"""Range of a sensor of touch, 7.6 times the weight of B2 and Z1 [N]: fewer than 1 in 1,000 readings of a foot are
 above. A foot that hits rough ground at more than 3 m/s sinks in by more than its radius; then MuJoCo wedges it between
 the walls of the field's prisms with hundreds of kN. These forces cancel, but the sensor adds them up."""
 
