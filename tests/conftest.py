@@ -20,12 +20,11 @@ settings.load_profile("repeatable")
 
 # Compiling a step, or starting processes, takes seconds for each of thirty transforms: half of the time of their tests.
 # Transforms seldom fail these clauses alone: what breaks a graph mostly syncs with the host too, and what goes wrong in
-# a ParallelEnv mostly does so in a SerialEnv. So few stand for all by default: those with memory, with draws, with
-# several steps in one and with shorter episodes. -m slow asks the others.
+# a ParallelEnv mostly does so in a SerialEnv. So few stand for all by default: one that remembers, one with
+# several steps in one and one that draws. -m slow asks the others.
 SLOW_CLAUSES = {"test_no_graph_breaks", "test_parallel_trans_env_check", "test_trans_parallel_env_check"}
 REPRESENTATIVES = {
     ("test_contract.py", "TestActionDelay"),
-    ("test_contract.py", "TestObservationHistory"),
     ("test_contract.py", "TestDecimation"),
     ("test_command_sampler.py", "TestContract"),
 }

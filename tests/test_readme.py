@@ -4,10 +4,12 @@ import ast
 import doctest
 import importlib
 import re
-import subprocess
+import runpy
 import sys
 import textwrap
 import tomllib
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -114,11 +116,14 @@ def test_code_on_a_page_prints_the_output_shown(name, tmp_path, monkeypatch, cap
 
 @pytest.fixture(scope="module")
 def flags() -> set[str]:
-    """Flags of the recipe."""
-    run = subprocess.run(
-        [sys.executable, ROOT / "recipes/diagnose.py", "--help"], capture_output=True, text=True, check=True
-    )
-    return set(re.findall(r"--[\w-]+", run.stdout))
+    """Flags of the recipe, which is run here: another process would import all libraries again."""
+    recipe = str(ROOT / "recipes/diagnose.py")
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(StringIO()) as told:
+        patch.setattr(sys, "argv", [recipe, "--help"])
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(recipe, run_name="__main__")
+    assert ended.value.code == 0
+    return set(re.findall(r"--[\w-]+", told.getvalue()))
 
 
 @having(r"diagnose\b.* --|^\| `--")

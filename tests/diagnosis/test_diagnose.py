@@ -100,7 +100,10 @@ def test_what_was_left_out_is_named_with_its_number(diagnosis):
     assert diagnosis.answer.fit["heldout"].after < 0.1 * diagnosis.answer.fit["heldout"].before
 
 
-@pytest.mark.parametrize(("name", "far"), [("viscous_friction", True), ("coulomb_friction", False)])
+@pytest.mark.parametrize(
+    ("name", "far"),
+    [pytest.param("viscous_friction", True, marks=pytest.mark.slow), ("coulomb_friction", False)],  # see test_gates.py
+)
 def test_beside_a_simulation_that_is_still_far_off_no_name_has_more_than_one_half(name, far):
     train, heldout = recordings([0, 1], frictionloss=0.1), recordings([2], frictionloss=0.1)
     only = [effect for effect in CATALOGUE if effect.name == name]  # what a robot hides may not be in it

@@ -307,19 +307,20 @@ def test_a_path_that_leaves_the_range_of_a_joint_is_no_plan():
     assert plan(narrow) is None
 
 
-def planned() -> tuple[Experiment, Rivals, planning._Plan]:
-    """The experiment about an offset, its rivals with their draws, and its plan."""
+@lru_cache
+def planned() -> tuple[Experiment, Rivals, planning._Plan, np.ndarray]:
+    """The experiment about an offset, its rivals with their draws, its plan, and how each rival would move by it."""
     *_, judge, best, e = solved("offset")
     scene = Rivals(judge, list(rivals_of(judge, best).values()), None)
     scene.separations(scene.products([every_nth(s) for s in judge.bank.takes], scene.sigma))
     recording = Recording(e.time, e.joint_names, e.reference, position_target=e.target, kp=e.kp, kd=e.kd)
-    return e, scene, planning._Plan(e.motions, 0.0, judge.bank.takes[0].nominal, recording, e.torque, (0.5, 0.5))
+    plan = planning._Plan(e.motions, 0.0, judge.bank.takes[0].nominal, recording, e.torque, (0.5, 0.5))
+    return e, scene, plan, planning._simulated(recording, plan.model, scene)
 
 
 def test_rivals_are_replayed_with_what_else_the_recordings_allow():
-    e, scene, plan = planned()
+    e, scene, plan, paths = planned()
     recording = plan.recording
-    paths = planning._simulated(recording, plan.model, scene)
     assert paths.shape[:2] == (len(scene.rivals), PLAN.draws)
     assert (np.ptp(paths, axis=1).max((1, 2)) > 1e-4).all()
     assert planning._keeps(plan, paths, recording.duration, e.limits)
@@ -351,13 +352,12 @@ def test_the_noise_of_a_plan_is_that_of_a_log_at_its_own_rate(rate, memory, kern
 
 
 def test_a_repeated_plan_is_simulated_once_unless_something_changes_meanwhile():
-    e, scene, once = planned()
+    e, scene, once, paths = planned()
     recording = once.recording
     thrice = replace(planning._joined(planning._joined(once, once), once), motions=e.motions, repeats=3)
     passed = planning._passed(thrice, scene)
     assert passed.num_samples == recording.num_samples
     np.testing.assert_array_equal(passed.position, recording.position)
-    paths = planning._simulated(passed, once.model, scene)
     fastest = np.abs(np.diff(paths, axis=2)).max((0, 1, 2)) * (paths.shape[2] - 1) / recording.duration
     for share in (0.97, 1.03):
         limits = replace(e.limits, velocity=share * fastest / (1 + PLAN.slack))
@@ -436,14 +436,18 @@ def test_nothing_quicker_is_considered_than_the_limits_and_the_rivals_laws_allow
     assert free.report()["limits"]["frequency"] is None
 
 
-def test_the_finding_with_the_most_doubtful_name_is_asked_about():
-    *_, judge, best, _ = solved("offset")
+def test_the_finding_with_the_most_doubtful_name_is_asked_about(monkeypatch):
+    *_, judge, best, experiment = solved("offset")
     share = answers(judge, best)
     (effect, joint), *others = share
     finding = Finding(effect, joint, share[effect, joint], "", {}, "", tuple(Rival(*k, share[k], "") for k in others))
     sure = replace(finding, effect="none", probability=0.99, rivals=())
-    e = next_experiment([Proposal(judge, best)], [sure, finding])
-    assert set(e.rivals) == set(share)
+    asked = []
+    monkeypatch.setattr(planning, "propose", lambda *told: asked.append(told) or experiment)
+    assert next_experiment([Proposal(judge, best)], [sure, finding]) is experiment
+    [(asker, rivals, shares, _limits)] = asked
+    assert asker is judge
+    assert dict(zip(rivals, shares, strict=True)) == share
     assert next_experiment([Proposal(judge, best)], [sure]) is None
 
 

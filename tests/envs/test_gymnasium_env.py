@@ -35,7 +35,10 @@ def test_gymnasium_imports_what_stands_before_the_colon():
     assert told.stdout.strip() == "(8, 770)"
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name",
+    [name if name in ("WholeBody", "SledPull") else pytest.param(name, marks=pytest.mark.slow) for name in NAMES],
+)
 def test_gymnasium_s_own_checker_finds_nothing(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
