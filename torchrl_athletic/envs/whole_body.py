@@ -365,7 +365,8 @@ class TrackingErrors(Transform):
 
 
 def _known(env: TransformedEnv, keys: Sequence[NestedKey]) -> list[NestedKey]:
-    return [key for key in keys if key in env.full_observation_spec.keys(True)]
+    shown = env.full_observation_spec.keys(True)
+    return [key for key in keys if key in shown]
 
 
 def fallen(tensordict: TensorDictBase) -> Tensor:

@@ -255,9 +255,10 @@ class DomainRandomization(RandomTransform):
         widths = self._widths()
         return dict(zip(widths, drawn.split(list(widths.values()), -1), strict=True))
 
-    def _widths(self) -> dict[str, int]:
-        """How many numbers each quantity takes."""
-        position = self.parent.full_observation_spec[self.position_key]
+    def _widths(self, position: TensorSpec | None = None) -> dict[str, int]:
+        """How many numbers each quantity takes; where specs are being made, the parent would make them all again."""
+        if position is None:
+            position = self.parent.full_observation_spec[self.position_key]
         joints = position.zero()[..., joint_index(self, self.joints)].shape[-1]
         width = {"friction": 1, "restitution": 1}
         width |= dict.fromkeys(("stiffness_scale", "damping_scale", "torque_limit_scale"), joints)
@@ -308,7 +309,7 @@ class DomainRandomization(RandomTransform):
             )
         self._shared = frozenset(entry for entry in self.scales.values() if entry in shown)
         position = observation_spec[self.position_key]
-        drawn = (*position.shape[:-1], sum(self._widths().values()))
+        drawn = (*position.shape[:-1], sum(self._widths(position).values()))
         specs: dict[NestedKey, TensorSpec] = {self.drawn_key: Unbounded(drawn, device=position.device)}
         return specs | {key: unbounded_like(position, position.shape) for key in self.scales.values()}
 
