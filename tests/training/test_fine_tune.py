@@ -3,7 +3,6 @@
 import json
 import sys
 from dataclasses import replace
-from functools import cache
 from types import SimpleNamespace
 
 import pytest
@@ -227,7 +226,6 @@ def test_a_run_goes_on_with_its_reward_or_not_at_all(env):
     assert "'ball_launch_velocity'" in task["shown"]
 
 
-@cache  # most of the time goes into specs, which are made once for each environment
 def ball_throw_maker(num_envs, exam=False, **told):
     return ball_throw_env(num_envs=num_envs, **told)
 
