@@ -11,6 +11,8 @@ folder                                      github                              
 ``bam``                                     rimim/bam                                none stated
 ``Dataset-Friction-Damper-with-Backlash``   ARTS-Laboratory/...                      CC BY-SA 4.0
 ``double_pendulum`` at ``1e8544e``          dfki-ric-underactuated-lab/...           BSD-3-Clause
+``sysid`` at ``d66b22c``                    kscalelabs/sysid                         none stated
+``servo-sysid`` at ``e4a4840``              mauicv/servo-sysid                       none stated
 ==========================================  =======================================  =======================
 """
 
@@ -34,6 +36,8 @@ from torchrl_athletic.recordings.datasets import load_dataset
 from torchrl_athletic.robots.benches import two_link_arm
 
 Array = NDArray[np.float64]
+
+LOOKED = "yes, held-out part too"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +82,7 @@ def so101(data: Path) -> Robot:
     }
     aside = ("backlash_detection", "friction_gravity")
     fitted = [r for name, r in takes.items() if name not in aside]
-    return Robot(xml, fitted, [takes[name] for name in aside], "yes, held-out part too")
+    return Robot(xml, fitted, [takes[name] for name in aside], LOOKED)
 
 
 def airbot(data: Path, second: bool = False) -> Robot:
@@ -103,7 +107,7 @@ def airbot(data: Path, second: bool = False) -> Robot:
         return Recording(time, names, position, velocity, torque_command=torque, source=name)
 
     fitted, aside = ([take(n) for n in group] for group in (later if second else first))
-    return Robot(xml, fitted, aside, "yes, held-out part too" if second else "yes")
+    return Robot(xml, fitted, aside, LOOKED if second else "yes")
 
 
 def go1(data: Path) -> Robot:
@@ -111,7 +115,96 @@ def go1(data: Path) -> Robot:
 
     The logged speed is a seventh of the position's slope, and is left out.
     """
-    arm, length = 0.078, 0.15
+    paths = sorted((data / "bam/example_data/data_raw_go1").glob("*.json"))
+    takes = [take for path in paths for take in _servo_takes(path)]
+    return _loaded_pendulum(takes, arm=0.078, length=0.15, kp=10.0, kv=0.3, limit=23.7, aside=2.0, looked_at=LOOKED)
+
+
+def sts(data: Path, motor: str) -> Robot:
+    """A hobby servo, STS3215 or the stronger STS3250, that swings 0.5 to 1.2 kg on 150 mm: 100 Hz, 120 takes of 6 s.
+
+    Six firmware gains and five motions, the first of four repetitions each; 0.97 kg kept aside. The gains are turned
+    into N m/rad by what the authors state: duty per error, resistance and torque constant of the motor. Limits are the
+    data sheet's torques at a standstill.
+    """
+    folder, duty, resistance, stall = {
+        "STS3215": ("STS_3215_12V_20250317", 0.16489, 1.0, 2.94),
+        "STS3250": ("STS_3250", 0.16383, 1.2, 4.90),
+    }[motor]
+    stiffness = duty * 12.0 * 1.0787 / resistance  # of one unit of the firmware's gain, at 12 V [N m/rad]
+    first: dict[tuple[Any, ...], Path] = {}
+    for path in sorted((data / "sysid/data/feetech" / folder / "raw").glob("*.json")):
+        log = json.loads(path.read_text())
+        if log["length"] == 0.15:
+            first.setdefault((log["mass"], log["kp"], log["trajectory"]), path)
+    takes = [take for path in first.values() for take in _servo_takes(path, stiffness)]
+    return _loaded_pendulum(takes, 0.05, 0.15, 16 * stiffness, 0.0, stall, aside=0.969, looked_at="no")
+
+
+def miuzei(data: Path) -> Robot:
+    """A Miuzei hobby servo with a weight on an arm, position targets at 50 Hz: 3 s each; chirps and every fifth kept aside.
+
+    Gains and limit are those of the authors' MJCF, without its filter of 0.1 s. Angles are logged in half turns.
+    """
+    home = data / "servo-sysid/src/sysid"
+    spec = mujoco.MjSpec.from_string(without_shapes(home / "desc/robot.xml"))
+    spec.delete(spec.actuators[0])
+    servo = spec.add_actuator(name="servo", target="servo", trntype=mujoco.mjtTrn.mjTRN_JOINT, forcerange=(-2.7, 2.7))
+    servo.set_to_position(kp=25.0, kv=5.0)
+    spec.compile()
+    takes = [
+        Recording(
+            0.02 * np.arange(len(row["actions"])), ("servo",), np.pi * np.array(row["sensor_data"])[:, None],
+            position_target=np.pi * np.array(row["actions"])[:, None], kp=np.array([25.0]), kd=np.array([5.0]),
+            source=f"{k}_{row['type']}",
+        )
+        for k, row in enumerate(json.loads((home / "dataset/response.json").read_text())["data"])
+        if len(row["actions"]) >= 50
+    ]  # fmt: skip
+    aside = [k % 5 == 4 or "chirp" in take.source for k, take in enumerate(takes)]
+    groups = [[take for take, out in zip(takes, aside, strict=True) if out == wanted] for wanted in (False, True)]
+    return Robot(spec.to_xml(), *groups, looked_at="no")
+
+
+def _servo_takes(path: Path, stiffness: float = 1.0) -> list[Recording]:
+    """A log of bam's format, parted where the motor is let go.
+
+    Args:
+        path: Of a log.
+        stiffness: Of one unit of its gain [N m/rad].
+    """
+    log = json.loads(path.read_text())
+    rows: list[Mapping[str, Any]] = log["entries"]
+    on = np.array([row["torque_enable"] for row in rows])
+    takes = []
+    for driven in (True, False):
+        part = [row for row, o in zip(rows, on, strict=True) if o == driven]
+        if len(part) < 100:
+            continue
+        time, position, target = (
+            np.array([float(row[k]) for row in part]) for k in ("timestamp", "position", "goal_position")
+        )
+        recording = Recording(
+            time, ("motor",), position[:, None], position_target=target[:, None],
+            kp=np.array([log["kp"] * stiffness * driven]), kd=np.array([log.get("damping", 0.0) * driven]),
+            metadata={"payload_kg": log["mass"]}, source=f"{path.stem}_{log['trajectory']}",
+        )  # fmt: skip
+        takes.append(recording)
+    return takes
+
+
+def _loaded_pendulum(
+    takes: Sequence[Recording],
+    arm: float,
+    length: float,
+    kp: float,
+    kv: float,
+    limit: float,
+    *,
+    aside: float,
+    looked_at: str,
+) -> Robot:
+    """A motor with an arm [kg, m] and a payload at its end, of which one is kept aside [kg]."""
 
     def pendulum(payload: float) -> str:
         mass, inertia = arm + payload, arm / 3 * length**2 + payload * length**2
@@ -120,31 +213,11 @@ def go1(data: Path) -> Robot:
         return f"""<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
           <joint name="motor" axis="0 1 0"/><site name="end" pos="0 0 {-length}"/>
           <inertial pos="0 0 {-centre}" mass="{mass}" diaginertia="{about} {about} {0.01 * about}"/></body></worldbody>
-          <actuator><position joint="motor" kp="10" kv="0.3" forcerange="-23.7 23.7"/></actuator></mujoco>"""
+          <actuator><position joint="motor" kp="{kp}" kv="{kv}" forcerange="-{limit} {limit}"/></actuator></mujoco>"""
 
-    fitted: list[Recording] = []
-    aside: list[Recording] = []
-    for path in sorted((data / "bam/example_data/data_raw_go1").glob("*.json")):
-        log = json.loads(path.read_text())
-        rows: list[Mapping[str, Any]] = log["entries"]
-        on = np.array([row["torque_enable"] for row in rows])
-        for driven in (True, False):
-            part = [row for row, o in zip(rows, on, strict=True) if o == driven]
-            if len(part) < 100:
-                continue
-            time, position, target = (
-                np.array([float(row[k]) for row in part]) for k in ("timestamp", "position", "goal_position")
-            )
-            recording = Recording(
-                time, ("motor",), position[:, None], position_target=target[:, None],
-                kp=np.array([log["kp"] * driven]), kd=np.array([log["damping"] * driven]),
-                metadata={"payload_kg": log["mass"]}, source=f"{path.stem}_{log['trajectory']}",
-            )  # fmt: skip
-            (aside if log["mass"] == 2.0 else fitted).append(recording)
-    return Robot(
-        pendulum(0.0), fitted, aside, "yes, held-out part too",
-        model_of=lambda r: mujoco.MjModel.from_xml_string(pendulum(float(r.metadata["payload_kg"]))),
-    )  # fmt: skip
+    fitted, held = ([t for t in takes if (t.metadata["payload_kg"] == aside) == out] for out in (False, True))
+    model_of = lambda r: mujoco.MjModel.from_xml_string(pendulum(float(r.metadata["payload_kg"])))  # noqa: E731
+    return Robot(pendulum(0.0), fitted, held, looked_at, model_of=model_of)
 
 
 def damper(data: Path, tension: int) -> Robot:
@@ -194,7 +267,7 @@ def bench(name: str) -> Callable[[Path], Robot]:
         fitted, aside = (
             [r.driven_by_measured_torque() if drive else r for r in group] for group in (d.recordings, d.heldout)
         )
-        return Robot(d.model, fitted, aside, "yes, held-out part too", "m" if dataset == "emps" else "rad")
+        return Robot(d.model, fitted, aside, LOOKED, "m" if dataset == "emps" else "rad")
 
     return load
 
@@ -229,7 +302,7 @@ def double_pendulum(data: Path, design: str) -> Robot:
         )
 
     takes = [take(path) for path in paths]
-    return Robot(xml, takes[:6], takes[6:], "yes, held-out part too")
+    return Robot(xml, takes[:6], takes[6:], LOOKED)
 
 
 ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
@@ -238,6 +311,8 @@ ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     "airbot": airbot,
     "airbot, second session": partial(airbot, second=True),
     "go1": go1,
+    **{motor.lower(): partial(sts, motor=motor) for motor in ("STS3215", "STS3250")},
+    "miuzei": miuzei,
     **{f"damper, {tension} lb": partial(damper, tension=tension) for tension in (0, 30, 36)},
     **{f"double pendulum {design}": partial(double_pendulum, design=design) for design in ("C.0", "C.1")},
 }

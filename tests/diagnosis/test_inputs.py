@@ -12,7 +12,7 @@ from diagnosis.plants import pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import inputs as inputs_module
 from torchrl_athletic.diagnosis.fit_command import FitConfig, main
-from torchrl_athletic.diagnosis.inputs import checked, columns_for, gains_of, inputs
+from torchrl_athletic.diagnosis.inputs import Inputs, checked, columns_for, gains_of, inputs
 from torchrl_athletic.diagnosis.locking import locked_joints
 from torchrl_athletic.recordings import ColumnMap, Recording, RecordingError, read_recordings, write_recording
 
@@ -56,6 +56,21 @@ def test_gains_are_those_of_the_only_actuator_of_a_joint_if_it_is_a_position_one
     plain = general.format(5, -5, -1).replace("affine", "none")
     for other in (general.format(5, -4, -1), general.format(-5, 5, -1), plain, '<velocity joint="hip" kv="3"/>'):
         assert gains(other) == {}
+
+
+def test_gains_are_those_of_the_joint_where_an_actuator_has_a_gear():
+    geared = mujoco.MjModel.from_xml_string(SERVO.replace("<position ", '<position gear="3" '))
+    data = mujoco.MjData(geared)
+    data.qpos[:] = 0.1
+    mujoco.mj_forward(geared, data)
+    assert gains_of(geared)["hip"][0] == pytest.approx(-data.qfrc_actuator[0] / 0.1)
+
+
+def test_dynamics_of_an_actuator_that_are_left_out_are_said():
+    filtered = SERVO.replace("<position ", '<position timeconst="0.1" ')
+    [said] = Inputs(filtered, [], []).notes
+    assert "filter" in said and "0.1" in said
+    assert Inputs(SERVO, [], []).notes == []
 
 
 def test_what_pulls_a_tendon_of_the_same_number_is_no_drive_of_the_joint():

@@ -59,7 +59,7 @@ class Inputs(NamedTuple):
             out.append("The recordings say no gains: those of the model's position actuators are taken.")
         if any(r.metadata.get("driven_by") == "torque_measured" for r in self.recordings):
             out.append("The recordings hold no command: the measured torque drives the simulation.")
-        return out
+        return [*out, *_left_out(load_model(self.model)[0])]
 
 
 def inputs(asked: Asked, demo: int = 0) -> Inputs:
@@ -118,8 +118,19 @@ def gains_of(model: mujoco.MjModel) -> Mapping[str, tuple[float, float]]:
         [a] = drives
         gain, bias = float(model.actuator_gainprm[a, 0]), model.actuator_biasprm[a]
         if model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE and gain > 0 and np.isclose(bias[1], -gain):
-            out[model.joint(j).name] = (gain, max(float(-bias[2]), 0.0))
+            squared = float(model.actuator_gear[model.actuator_outadr[a], 0]) ** 2  # of its angle, and of its torque
+            out[model.joint(j).name] = (squared * gain, squared * max(float(-bias[2]), 0.0))
     return out
+
+
+def _left_out(model: mujoco.MjModel) -> Iterator[str]:
+    """Dynamics of the model's actuators, which the simulation of a diagnosis does not have, as lines to print."""
+    for a in map(int, np.flatnonzero(model.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE)):
+        kind = mujoco.mjtDyn(int(model.actuator_dyntype[a])).name.removeprefix("mjDYN_").lower()
+        yield (
+            f"The model's actuator {model.actuator(a).name or a} has dynamics of its own ({kind}, "
+            f"{model.actuator_dynprm[a, 0]:g}), which are left out: a lag of the actuation is fitted in their place."
+        )
 
 
 def _of(recording: Recording, names: Sequence[str]) -> Recording:
