@@ -32,6 +32,7 @@ from torchrl_athletic.diagnosis.joint_fit import (
     trusted,
     weighed,
     window_cost,
+    without_torques,
 )
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.replay import Windows
@@ -583,7 +584,8 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
 
     monkeypatch.setattr(module, "affordable", affordable)
     monkeypatch.setattr(module, "problem_of", problem_of)
-    monkeypatch.setattr(module, "more_telling", lambda near, deadline: near)
+    for last in ("more_telling", "without_torques"):
+        monkeypatch.setattr(module, last, lambda near, deadline: near)
     monkeypatch.setattr(module, "descend", descend)
     begin = np.arange(2.0, 12.0)[:, None]
     search(problem.hypothesis, "takes", begin, "dice", deadline, torques="said", progress=progress.append)
@@ -728,6 +730,21 @@ def test_plain_least_squares_leads_out_of_a_place_where_all_is_wild_and_is_not_l
     found = more_telling(trusted(linearise(problem, stuck, free)), Deadline())
     assert np.isfinite(found.problem.tuning)
     assert found.values[own] == pytest.approx([0.1, 0.8], rel=0.1)
+
+
+@pytest.mark.parametrize(("truths", "without"), [((3.0, 3.1, 2.9, 3.0) * 2, True), ((3.0, -3.1, 2.9, -3.0) * 2, False)])
+def test_torques_have_no_say_where_folds_are_followed_clearly_better_without_them(monkeypatch, truths, without):
+    """Torques ask for nought; windows for 3, or for nought in the mean."""
+    torques = SimpleNamespace(rows=lambda values: 20.0 * values.T)
+    problem, _ = following(monkeypatch, each_its_own(*truths), torques=torques)
+    x, free = np.array([0.1]), np.array([True])
+    near = trusted(linearise(weighed(problem, x), x, free))
+    found = without_torques(near, Deadline())
+    assert (found.problem.torques is None) == without
+    assert found.values == pytest.approx([3.0 if without else 0.1], rel=0.05)
+    assert without_torques(near, Deadline(0.0)) is near
+    alone = linearise(replace(problem, torques=None), x, free)
+    assert without_torques(alone, Deadline()) is alone
 
 
 def test_a_search_whose_every_descent_goes_astray_ends_at_the_best_of_its_starts(monkeypatch):

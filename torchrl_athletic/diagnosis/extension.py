@@ -160,7 +160,7 @@ def with_gear(near: Linearised, prepared: Prepared, rng: np.random.Generator, de
     finer[:, names.index("stiffness")] = FINER
     begin = [stiff, *(np.append(x, y) for x in (h.nominal, near.values) for y in hints[0].start * finer)]
     begin += [np.append(h.nominal, hint.start) for hint in hints[1:]]
-    found = search(wider, prepared.takes, np.stack(begin), rng, deadline, agreement(wider, prepared))
+    found = search(wider, prepared.takes, np.stack(begin), rng, deadline, near.problem.torques and agreement(wider, prepared))
     return found if stated(found) < (1 - 2 * GAIN) * stated(near) else near
 
 
@@ -277,7 +277,7 @@ def _free(h: Hypothesis) -> Mask:
 def _with(near: Linearised, chosen: Sequence[Offer], prepared: Prepared, deadline: Deadline) -> Linearised:
     """The fit with some laws."""
     h, x = _joined(near, chosen)
-    problem = replace(near.problem, hypothesis=h, torques=agreement(h, prepared))
+    problem = replace(near.problem, hypothesis=h, torques=near.problem.torques and agreement(h, prepared))
     x = descend(weighed(problem, x), x, _free(h), 2, deadline)
     return trusted(linearise(weighed(problem, x), x, _free(h)))
 
