@@ -163,7 +163,7 @@ def miuzei(data: Path) -> Robot:
     ]  # fmt: skip
     aside = [k % 5 == 4 or "chirp" in take.source for k, take in enumerate(takes)]
     groups = [[take for take, out in zip(takes, aside, strict=True) if out == wanted] for wanted in (False, True)]
-    return Robot(spec.to_xml(), *groups, looked_at="no")
+    return Robot(spec.to_xml(), *groups, looked_at=LOOKED)
 
 
 def _servo_takes(path: Path, stiffness: float = 1.0) -> list[Recording]:
