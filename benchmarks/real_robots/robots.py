@@ -38,6 +38,7 @@ from torchrl_athletic.robots.benches import two_link_arm
 Array = NDArray[np.float64]
 
 LOOKED = "yes, held-out part too"
+"""Of :attr:`Robot.looked_at`, where no part was left unseen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,21 +118,24 @@ def go1(data: Path) -> Robot:
     """
     paths = sorted((data / "bam/example_data/data_raw_go1").glob("*.json"))
     takes = [take for path in paths for take in _servo_takes(path)]
-    return _loaded_pendulum(takes, arm=0.078, length=0.15, kp=10.0, kv=0.3, limit=23.7, aside=2.0, looked_at=LOOKED)
+    return _loaded_pendulum(
+        takes, arm_mass=0.078, length=0.15, kp=10.0, kv=0.3, limit=23.7, aside=2.0, looked_at=LOOKED
+    )
 
 
 def sts(data: Path, motor: str) -> Robot:
-    """A hobby servo, STS3215 or the stronger STS3250, that swings 0.5 to 1.2 kg on 150 mm: 100 Hz, 120 takes of 6 s.
+    """A hobby servo, STS3215 or the stronger STS3250, that swings 0.5 to 1.2 kg on 150 mm: 100 Hz, 120 logs of 6 s.
 
-    Six firmware gains and five motions, the first of four repetitions each; 0.97 kg kept aside. The gains are turned
-    into N m/rad by what the authors state: duty per error, resistance and torque constant of the motor. Limits are the
-    data sheet's torques at a standstill.
+    Six firmware gains and five motions, the first of four repetitions each; 0.97 kg kept aside. A unit of the gain is
+    turned into N m/rad by the duty per error, the resistance and the torque constant of the authors' configurations,
+    at 12 V; the damping by the same constants is left out. Torques at a standstill are those on the servos' data
+    sheets, 30 and 50 kg cm. Lost readings of -180 degrees, in one log of six, are bridged for all who fit alike.
     """
     folder, duty, resistance, stall = {
         "STS3215": ("STS_3215_12V_20250317", 0.16489, 1.0, 2.94),
         "STS3250": ("STS_3250", 0.16383, 1.2, 4.90),
     }[motor]
-    stiffness = duty * 12.0 * 1.0787 / resistance  # of one unit of the firmware's gain, at 12 V [N m/rad]
+    stiffness = duty * 12.0 * 1.0787 / resistance
     first: dict[tuple[Any, ...], Path] = {}
     for path in sorted((data / "sysid/data/feetech" / folder / "raw").glob("*.json")):
         log = json.loads(path.read_text())
@@ -142,9 +146,10 @@ def sts(data: Path, motor: str) -> Robot:
 
 
 def miuzei(data: Path) -> Robot:
-    """A Miuzei hobby servo with a weight on an arm, position targets at 50 Hz: 3 s each; chirps and every fifth kept aside.
+    """A Miuzei hobby servo with a weight on an arm, position targets at 50 Hz: 1 to 3 s each, shorter takes left out.
 
-    Gains and limit are those of the authors' MJCF, without its filter of 0.1 s. Angles are logged in half turns.
+    Of the distinct motions every fourth is kept aside with all its repetitions. Gains and limit are those of the
+    authors' MJCF, without its filter of 0.1 s. Angles are logged in half turns.
     """
     home = data / "servo-sysid/src/sysid"
     spec = mujoco.MjSpec.from_string(without_shapes(home / "desc/robot.xml"))
@@ -152,18 +157,19 @@ def miuzei(data: Path) -> Robot:
     servo = spec.add_actuator(name="servo", target="servo", trntype=mujoco.mjtTrn.mjTRN_JOINT, forcerange=(-2.7, 2.7))
     servo.set_to_position(kp=25.0, kv=5.0)
     spec.compile()
-    takes = [
-        Recording(
-            0.02 * np.arange(len(row["actions"])), ("servo",), np.pi * np.array(row["sensor_data"])[:, None],
-            position_target=np.pi * np.array(row["actions"])[:, None], kp=np.array([25.0]), kd=np.array([5.0]),
-            source=f"{k}_{row['type']}",
-        )
-        for k, row in enumerate(json.loads((home / "dataset/response.json").read_text())["data"])
-        if len(row["actions"]) >= 50
-    ]  # fmt: skip
-    aside = [k % 5 == 4 or "chirp" in take.source for k, take in enumerate(takes)]
-    groups = [[take for take, out in zip(takes, aside, strict=True) if out == wanted] for wanted in (False, True)]
-    return Robot(spec.to_xml(), *groups, looked_at=LOOKED)
+    motions: dict[tuple[float, ...], list[Recording]] = {}
+    for k, row in enumerate(json.loads((home / "dataset/response.json").read_text())["data"]):
+        if len(row["actions"]) >= 50:
+            take = Recording(
+                0.02 * np.arange(len(row["actions"])), ("servo",), np.pi * np.array(row["sensor_data"])[:, None],
+                position_target=np.pi * np.array(row["actions"])[:, None], kp=np.array([25.0]), kd=np.array([5.0]),
+                source=f"{k}_{row['type']}",
+            )  # fmt: skip
+            motions.setdefault(tuple(row["actions"]), []).append(take)
+    groups: tuple[list[Recording], list[Recording]] = ([], [])
+    for k, takes in enumerate(motions.values()):
+        groups[k % 4 == 3].extend(takes)
+    return Robot(spec.to_xml(), *groups, LOOKED)
 
 
 def _servo_takes(path: Path, stiffness: float = 1.0) -> list[Recording]:
@@ -184,10 +190,11 @@ def _servo_takes(path: Path, stiffness: float = 1.0) -> list[Recording]:
         time, position, target = (
             np.array([float(row[k]) for row in part]) for k in ("timestamp", "position", "goal_position")
         )
+        lost = np.abs(np.abs(position) - np.pi) < 0.002  # a reading of nothing, where the arm cannot be
         recording = Recording(
-            time, ("motor",), position[:, None], position_target=target[:, None],
+            time, ("motor",), np.interp(time, time[~lost], position[~lost])[:, None], position_target=target[:, None],
             kp=np.array([log["kp"] * stiffness * driven]), kd=np.array([log.get("damping", 0.0) * driven]),
-            metadata={"payload_kg": log["mass"]}, source=f"{path.stem}_{log['trajectory']}",
+            metadata={"payload_kg": log["mass"]}, source=f"{path.stem}_{'driven' if driven else 'released'}",
         )  # fmt: skip
         takes.append(recording)
     return takes
@@ -195,7 +202,7 @@ def _servo_takes(path: Path, stiffness: float = 1.0) -> list[Recording]:
 
 def _loaded_pendulum(
     takes: Sequence[Recording],
-    arm: float,
+    arm_mass: float,
     length: float,
     kp: float,
     kv: float,
@@ -204,19 +211,32 @@ def _loaded_pendulum(
     aside: float,
     looked_at: str,
 ) -> Robot:
-    """A motor with an arm [kg, m] and a payload at its end, of which one is kept aside [kg]."""
+    """A motor that swings an arm with a payload at its end, of which one is kept aside.
+
+    Args:
+        takes: What was recorded.
+        arm_mass: Of the arm alone [kg].
+        length: Of the arm [m].
+        kp: Of recordings that have no gain [N m/rad].
+        kv: As well [N m s/rad].
+        limit: Of the torque [N m].
+        aside: Payload [kg].
+        looked_at: As of :class:`Robot`.
+    """
 
     def pendulum(payload: float) -> str:
-        mass, inertia = arm + payload, arm / 3 * length**2 + payload * length**2
-        centre = (arm / 2 + payload) * length / mass
+        mass, inertia = arm_mass + payload, arm_mass / 3 * length**2 + payload * length**2
+        centre = (arm_mass / 2 + payload) * length / mass
         about = inertia - mass * centre**2
         return f"""<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
           <joint name="motor" axis="0 1 0"/><site name="end" pos="0 0 {-length}"/>
           <inertial pos="0 0 {-centre}" mass="{mass}" diaginertia="{about} {about} {0.01 * about}"/></body></worldbody>
           <actuator><position joint="motor" kp="{kp}" kv="{kv}" forcerange="-{limit} {limit}"/></actuator></mujoco>"""
 
+    def model_of(recording: Recording) -> mujoco.MjModel:
+        return mujoco.MjModel.from_xml_string(pendulum(float(recording.metadata["payload_kg"])))
+
     fitted, held = ([t for t in takes if (t.metadata["payload_kg"] == aside) == out] for out in (False, True))
-    model_of = lambda r: mujoco.MjModel.from_xml_string(pendulum(float(r.metadata["payload_kg"])))  # noqa: E731
     return Robot(pendulum(0.0), fitted, held, looked_at, model_of=model_of)
 
 

@@ -17,9 +17,9 @@ from torchrl_athletic.diagnosis.extension import (
     _beside,
     _bounded,
     _chosen,
-    _gain,
     _joined,
     extend,
+    gain_of,
     offers,
     with_gear,
 )
@@ -200,12 +200,12 @@ def test_a_law_beside_the_others_is_linearised_as_all_of_it_would_be(near, swing
 
 def test_a_gain_counts_where_it_is_two_per_cent_and_more_than_one_standard_error():
     before = np.full(100, 2.0)
-    assert _gain(before, before - 0.1, 100) == pytest.approx(0.05)
-    assert _gain(before, before - 0.99 * GAIN * 2.0, 100) == 0
-    assert _gain(before, before + 0.1, 100) == 0
+    assert gain_of(before, before - 0.1, 100) == pytest.approx(0.05)
+    assert gain_of(before, before - 0.99 * GAIN * 2.0, 100) == 0
+    assert gain_of(before, before + 0.1, 100) == 0
     luck = np.where(np.arange(100) % 2, 2.5, -2.1)  # a tenth is saved in the mean, and as doubtful
-    assert _gain(before, before - luck, 100) == 0
-    assert _gain(before, before - np.where(np.arange(100) % 2, 0.1, 0.2), 100) == pytest.approx(0.075)
+    assert gain_of(before, before - luck, 100) == 0
+    assert gain_of(before, before - np.where(np.arange(100) % 2, 0.1, 0.2), 100) == pytest.approx(0.075)
 
 
 def test_the_spring_is_chosen_and_fitted_and_nothing_is_begun_without_time(near, swings, monkeypatch):
@@ -425,4 +425,4 @@ def test_a_law_stays_where_it_saves_a_hundredth_and_more_than_a_standard_error_o
         ("little", 100, False), ("", 100, False),
     ):  # fmt: skip
         near, other = (SimpleNamespace(name=n, problem=count) for n in ("", name))
-        assert extension._better(near, other) == better
+        assert extension.follows_better(near, other) == better

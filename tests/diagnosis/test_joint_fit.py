@@ -732,19 +732,47 @@ def test_plain_least_squares_leads_out_of_a_place_where_all_is_wild_and_is_not_l
     assert found.values[own] == pytest.approx([0.1, 0.8], rel=0.1)
 
 
-@pytest.mark.parametrize(("truths", "without"), [((3.0, 3.1, 2.9, 3.0) * 2, True), ((3.0, -3.1, 2.9, -3.0) * 2, False)])
-def test_torques_have_no_say_where_folds_are_followed_clearly_better_without_them(monkeypatch, truths, without):
-    """Torques ask for nought; windows for 3, or for nought in the mean."""
-    torques = SimpleNamespace(rows=lambda values: 20.0 * values.T)
+@pytest.mark.parametrize("tuning", [3.0, np.inf])
+@pytest.mark.parametrize(
+    ("truths", "without"),
+    [
+        ((3.0, 3.1, 2.9, 3.0) * 2, True),
+        ((2.5, -1.6, 2.4, -1.5) * 2, False),  # 0.45 in the mean, but for how much they differ
+        ((3.0,) * 4 + (0.0,) * 36, False),  # of forty, four that no other fold speaks for
+    ],
+)
+def test_torques_have_no_say_where_folds_are_followed_clearly_better_without(monkeypatch, truths, without, tuning):
+    """Torques ask for 0.1; windows for 3, or for this and that."""
+    torques = SimpleNamespace(rows=lambda values: 1e3 * (values.T - 0.1))
     problem, _ = following(monkeypatch, each_its_own(*truths), torques=torques)
     x, free = np.array([0.1]), np.array([True])
-    near = trusted(linearise(weighed(problem, x), x, free))
+    near = trusted(linearise(weighed(replace(problem, tuning=tuning), x), x, free))
     found = without_torques(near, Deadline())
-    assert (found.problem.torques is None) == without
-    assert found.values == pytest.approx([3.0 if without else 0.1], rel=0.05)
+    assert (found is near) != without
+    if without:
+        assert found.problem.torques is None
+        assert found.values == pytest.approx([3.0], rel=0.05)
     assert without_torques(near, Deadline(0.0)) is near
     alone = linearise(replace(problem, torques=None), x, free)
     assert without_torques(alone, Deadline()) is alone
+
+
+def test_without_torques_plain_windows_are_weighed_again_and_both_ways_are_compared_by_one_ridge(monkeypatch):
+    problem, _ = following(monkeypatch, each_its_own(1.0, 1.0), torques=SimpleNamespace(rows=lambda values: values.T))
+    x, free, ways, compared = np.array([0.1]), np.array([True]), [], []
+    near = replace(linearise(replace(problem, tuning=np.inf, pooled=True), x, free), ridge=10.0)
+
+    def descend(way, x, *_):
+        ways.append((way.tuning, way.pooled))
+        return x
+
+    monkeypatch.setattr(module, "descend", descend)
+    monkeypatch.setattr(module, "follows_better", lambda a, b: compared.append((a.ridge, b.ridge)) is None)
+    found = without_torques(near, Deadline())
+    assert ways == [(np.inf, False), (module.TUNING, False)]
+    assert all(a == b for a, b in compared)
+    assert compared[0] == (10.0, 10.0)
+    assert found.ridge != 10.0  # each keeps its own
 
 
 def test_a_search_whose_every_descent_goes_astray_ends_at_the_best_of_its_starts(monkeypatch):

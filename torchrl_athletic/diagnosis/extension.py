@@ -16,17 +16,19 @@ from numpy.typing import NDArray
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.joint_fit import (
+    GAIN,
     Linearised,
     Mask,
     descend,
     folded,
     folds_of,
+    follows_better,
+    gain_of,
     independent,
     linearise,
     part_of,
     search,
     stated,
-    stated_of_windows,
     trusted,
     weighed,
     window_cost,
@@ -99,10 +101,6 @@ NO_LOAD = 4.0
 """No-load speed to start from, per the root mean square speed [1]."""
 SCREENED = 32
 """Windows by which laws are screened."""
-GAIN = 0.02
-"""Share of the error of folds that a law must save, to first order and in simulation [1]."""
-SURE = 1.0
-"""Standard errors by which it must help [1]."""
 ROUNDS = 2
 """Rounds of screening: what is found makes room for more."""
 
@@ -133,10 +131,10 @@ def extend(
         if not chosen:
             break
         better = _with(near, chosen, prepared, deadline)
-        helps = _better(near, better)
+        helps = follows_better(near, better)
         if not helps and len(chosen) > 1:  # they get into each other's way
             better = _with(near, chosen[:1], prepared, deadline)
-            helps = _better(near, better)
+            helps = follows_better(near, better)
         if not helps:
             break
         near = better
@@ -160,7 +158,7 @@ def with_gear(near: Linearised, prepared: Prepared, rng: np.random.Generator, de
     finer[:, names.index("stiffness")] = FINER
     begin = [stiff, *(np.append(x, y) for x in (h.nominal, near.values) for y in hints[0].start * finer)]
     begin += [np.append(h.nominal, hint.start) for hint in hints[1:]]
-    found = search(wider, prepared.takes, np.stack(begin), rng, deadline, near.problem.torques and agreement(wider, prepared))
+    found = search(wider, prepared.takes, np.stack(begin), rng, deadline, agreement(wider, prepared))
     return found if stated(found) < (1 - 2 * GAIN) * stated(near) else near
 
 
@@ -307,7 +305,7 @@ def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> lis
         begin = time.monotonic()
         beside = _beside(few, offer)
         after = _cost(few, folded(beside, [_nothing(beside)], fold, first_order=True))[0]
-        if (gain := _gain(before, after, apart)) > 0:
+        if (gain := gain_of(before, after, apart)) > 0:
             gains.append((gain, offer))
         seconds = time.monotonic() - begin
     best: dict[int, tuple[float, Offer]] = {}
@@ -317,7 +315,7 @@ def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> lis
     before = _cost(few, folded(few, [_nothing(few)], fold))[0]
     for _, offer in best.values():
         beside = _beside(few, offer)
-        if (gain := _gain(before, _cost(few, folded(beside, [_nothing(beside)], fold))[0], apart)) > 0:
+        if (gain := gain_of(before, _cost(few, folded(beside, [_nothing(beside)], fold))[0], apart)) > 0:
             chosen.append((gain, offer))
     return [offer for _, offer in sorted(chosen, key=lambda g: -g[0])]
 
@@ -328,25 +326,6 @@ def _nothing(near: Linearised) -> Mask:
 
 def _cost(near: Linearised, square: Array) -> Array:
     return window_cost(near.problem, square)
-
-
-def _better(near: Linearised, other: Linearised) -> bool:
-    """Whether another fit of the same windows has less of the error that is stated, and by more than it is in doubt."""
-    count = independent(near.problem)
-    return _gain(stated_of_windows(near), stated_of_windows(other), count, GAIN / 2) > 0
-
-
-def _gain(before: Array, after: Array, count: int, least: float = GAIN) -> float:
-    """Share of the windows' cost (W,) that is saved; nothing where it is in doubt, as where one window alone saves it.
-
-    ``count`` of the windows are independent of each other.
-    """
-    if count < 2:
-        return 0.0
-    saved = before - after
-    doubt = float(saved.std(ddof=1)) / np.sqrt(count)
-    gain = float(saved.mean())
-    return gain / float(before.mean()) if gain > max(least * float(before.mean()), SURE * doubt) else 0.0
 
 
 def _beside(near: Linearised, offer: Offer) -> Linearised:

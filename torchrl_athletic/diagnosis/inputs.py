@@ -59,6 +59,7 @@ class Inputs(NamedTuple):
             out.append("The recordings say no gains: those of the model's position actuators are taken.")
         if any(r.metadata.get("driven_by") == "torque_measured" for r in self.recordings):
             out.append("The recordings hold no command: the measured torque drives the simulation.")
+            return out
         return [*out, *_left_out(load_model(self.model)[0])]
 
 
@@ -105,7 +106,10 @@ def columns_for(asked: Asked) -> ColumnMap:
 
 
 def gains_of(model: mujoco.MjModel) -> Mapping[str, tuple[float, float]]:
-    """Gains kp and kd of the joints that one position actuator drives [N·m/rad, N·m·s/rad]."""
+    """Gains kp and kd of the joints that one position actuator drives, for targets of the joint [N·m/rad, N·m·s/rad].
+
+    An actuator with a gear has its square: the joint's angle is geared up, and so is the torque.
+    """
     out = {}
     for j in range(model.njnt):
         drives = [
@@ -117,8 +121,9 @@ def gains_of(model: mujoco.MjModel) -> Mapping[str, tuple[float, float]]:
             continue
         [a] = drives
         gain, bias = float(model.actuator_gainprm[a, 0]), model.actuator_biasprm[a]
-        if model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE and gain > 0 and np.isclose(bias[1], -gain):
-            squared = float(model.actuator_gear[model.actuator_outadr[a], 0]) ** 2  # of its angle, and of its torque
+        squared = float(model.actuator_gear[model.actuator_outadr[a], 0]) ** 2
+        servo = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE and np.isclose(bias[1], -gain)
+        if servo and squared * gain > 0:
             out[model.joint(j).name] = (squared * gain, squared * max(float(-bias[2]), 0.0))
     return out
 
@@ -127,10 +132,9 @@ def _left_out(model: mujoco.MjModel) -> Iterator[str]:
     """Dynamics of the model's actuators, which the simulation of a diagnosis does not have, as lines to print."""
     for a in map(int, np.flatnonzero(model.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE)):
         kind = mujoco.mjtDyn(int(model.actuator_dyntype[a])).name.removeprefix("mjDYN_").lower()
-        yield (
-            f"The model's actuator {model.actuator(a).name or a} has dynamics of its own ({kind}, "
-            f"{model.actuator_dynprm[a, 0]:g}), which are left out: a lag of the actuation is fitted in their place."
-        )
+        after = f", {model.actuator_dynprm[a, 0]:g} s" if kind.startswith("filter") else ""
+        name = model.actuator(a).name or a
+        yield f"The model's actuator {name} has dynamics of its own ({kind}{after}). They are left out."
 
 
 def _of(recording: Recording, names: Sequence[str]) -> Recording:

@@ -153,8 +153,8 @@ def _servo_gains(model: mujoco.MjModel, actuators: list[int], joints: int) -> tu
     if len(actuators) != joints:
         return (0.0,) * joints, (0.0,) * joints
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
-    kp = np.where(affine, -model.actuator_biasprm[:, 1], 0.0)[actuators]
-    kd = np.where(affine, -model.actuator_biasprm[:, 2], 0.0)[actuators]
+    squared = model.actuator_gear[model.actuator_outadr, 0] ** 2  # the joint's angle is geared up, and so is the torque
+    kp, kd = (np.where(affine, -squared * model.actuator_biasprm[:, k], 0.0)[actuators] for k in (1, 2))
     return tuple(map(float, kp)), tuple(map(float, kd))
 
 
