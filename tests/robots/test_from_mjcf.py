@@ -25,6 +25,10 @@ def test_joints_stand_in_the_order_of_actuators_with_their_gains_and_limits():
     assert robot.torque_limit == (5.0, 2.0)
     assert robot.position_limit[1] == pytest.approx((-1.0472, 1.0472), abs=1e-4)
     assert from_mjcf(SERVO, kp=3.0, torque_limit=[1.0, 2.0]).kp == (3.0, 3.0)
+    geared = from_mjcf(SERVO.replace('joint="a" kp', 'joint="a" gear="2" kp'))
+    assert geared.kp == (28.0, 9.0)  # as MuJoCo: the joint's angle is geared up, and so is the torque
+    assert geared.kd == pytest.approx((1.2, 0.0))
+    assert geared.torque_limit == (10.0, 2.0)
 
 
 def test_its_own_servos_do_not_pull():
