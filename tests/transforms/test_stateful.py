@@ -109,6 +109,13 @@ def test_which_rows_start_is_asked_where_an_environment_has_several_places_for_i
     assert Within(0.02, reset_key=("other", "_reset")).reset_key == ("other", "_reset")
 
 
+def test_in_an_environment_with_one_place_for_it_no_other_environment_is_built_to_ask(monkeypatch) -> None:
+    env = TransformedEnv(ToyEnv(2), Compose(ActionHistory(2), GaitClock(0.02)))
+    assert env.reset_keys == ["_reset"]
+    monkeypatch.setattr(StatefulTransform, "parent", property(lambda self: pytest.fail("was built")), raising=False)
+    assert [part.reset_key for part in env.transform] == ["_reset", "_reset"]
+
+
 def test_a_clone_in_another_chain_knows_nothing_of_the_first_one() -> None:
     """A history of three toy joints, put before a toy that has other actions."""
     first = TransformedEnv(ToyEnv(2), ActionHistory(2))

@@ -86,6 +86,8 @@ class StatefulTransform(Transform):
         """Key of the mask of rows that start anew."""
         if self._given_reset_key is not None:
             return self._given_reset_key
+        if self.container is not None and len(keys := self.container.reset_keys) == 1:
+            return keys[0]  # no need of the parent, which would be built for the question
         keys = ["_reset"] if self.parent is None else self.parent.reset_keys
         if len(keys) > 1:
             raise ValueError(
