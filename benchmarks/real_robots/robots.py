@@ -161,9 +161,9 @@ def miuzei(data: Path) -> Robot:
     for k, row in enumerate(json.loads((home / "dataset/response.json").read_text())["data"]):
         if len(row["actions"]) >= 50:
             take = Recording(
-                0.02 * np.arange(len(row["actions"]), dtype=np.float64), ("servo",), np.pi * np.array(row["sensor_data"])[:, None],
-                position_target=np.pi * np.array(row["actions"])[:, None], kp=np.array([25.0]), kd=np.array([5.0]),
-                source=f"{k}_{row['type']}",
+                0.02 * np.arange(len(row["actions"]), dtype=np.float64), ("servo",),
+                np.pi * np.array(row["sensor_data"])[:, None], position_target=np.pi * np.array(row["actions"])[:, None],
+                kp=np.array([25.0]), kd=np.array([5.0]), source=f"{k}_{row['type']}",
             )  # fmt: skip
             motions.setdefault(tuple(row["actions"]), []).append(take)
     groups: tuple[list[Recording], list[Recording]] = ([], [])
