@@ -160,9 +160,11 @@ def miuzei(data: Path) -> Robot:
     motions: dict[tuple[float, ...], list[Recording]] = {}
     for k, row in enumerate(json.loads((home / "dataset/response.json").read_text())["data"]):
         if len(row["actions"]) >= 50:
+            target, angle = (
+                np.pi * np.array(row[name], dtype=np.float64)[:, None] for name in ("actions", "sensor_data")
+            )
             take = Recording(
-                0.02 * np.arange(len(row["actions"]), dtype=np.float64), ("servo",),
-                np.pi * np.array(row["sensor_data"])[:, None], position_target=np.pi * np.array(row["actions"])[:, None],
+                0.02 * np.arange(len(angle), dtype=np.float64), ("servo",), angle, position_target=target,
                 kp=np.array([25.0]), kd=np.array([5.0]), source=f"{k}_{row['type']}",
             )  # fmt: skip
             motions.setdefault(tuple(row["actions"]), []).append(take)
