@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from diagnosis.plants import behind_a_spring, double_pendulum, pendulum, record, smooth_torque
 
-from torchrl_athletic.diagnosis import extension
+from torchrl_athletic.diagnosis import extension, joint_fit
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.extension import (
     FINER,
@@ -202,6 +202,9 @@ def test_a_gain_counts_where_it_is_two_per_cent_and_more_than_one_standard_error
     before = np.full(100, 2.0)
     assert gain_of(before, before - 0.1, 100) == pytest.approx(0.05)
     assert gain_of(before, before - 0.99 * GAIN * 2.0, 100) == 0
+    wavers = np.where(np.arange(100) % 2, 0.2, -0.1)  # three standard errors
+    assert gain_of(before, before - wavers, 100, sure=2.0) == pytest.approx(0.025)
+    assert gain_of(before, before - wavers, 100, sure=4.0) == 0
     assert gain_of(before, before + 0.1, 100) == 0
     luck = np.where(np.arange(100) % 2, 2.5, -2.1)  # a tenth is saved in the mean, and as doubtful
     assert gain_of(before, before - luck, 100) == 0
@@ -241,8 +244,8 @@ def test_two_laws_that_get_into_each_others_way_leave_the_better_one_and_one_tha
     monkeypatch.setattr(
         extension, "_with", lambda n, chosen, *_: SimpleNamespace(name="".join(chosen), seconds=0.0, problem=None)
     )
-    monkeypatch.setattr(extension, "stated_of_windows", lambda n: np.full(9, costs[n.name]))
-    monkeypatch.setattr(extension, "independent", lambda problem: 9)
+    monkeypatch.setattr(joint_fit, "stated_of_windows", lambda n: np.full(9, costs[n.name]))
+    monkeypatch.setattr(joint_fit, "independent", lambda problem: 9)
     assert extend(near, None, None, Deadline()).name == kept
     costs["a"], costs["ab"], rounds = 0.999 * size, 1.1 * size, iter([["a", "b"]])
     assert extend(near, None, None, Deadline()) is near
@@ -299,8 +302,8 @@ def test_each_round_builds_on_the_last_one_and_must_save_a_hundredth(monkeypatch
     monkeypatch.setattr(
         extension, "_with", lambda n, chosen, *_: SimpleNamespace(name=n.name + chosen[0], seconds=0.0, problem=None)
     )
-    monkeypatch.setattr(extension, "stated_of_windows", lambda n: np.full(9, costs[n.name]))
-    monkeypatch.setattr(extension, "independent", lambda problem: 9)
+    monkeypatch.setattr(joint_fit, "stated_of_windows", lambda n: np.full(9, costs[n.name]))
+    monkeypatch.setattr(joint_fit, "independent", lambda problem: 9)
     for first, name in ((0.98, "ab"), (0.991, "")):
         costs["a"], rounds = first, iter([["a"], ["b"], ["c"]])
         monkeypatch.setattr(
@@ -418,8 +421,8 @@ def test_a_law_stays_where_it_saves_a_hundredth_and_more_than_a_standard_error_o
     one[0] = 0.0
     saved = {"": np.ones(100), "much": np.where(np.arange(100) % 2, 0.8, 1.1), "one": one,
              "just": np.full(100, 0.985), "little": np.full(100, 0.991)}  # fmt: skip
-    monkeypatch.setattr(extension, "stated_of_windows", lambda near: saved[near.name])
-    monkeypatch.setattr(extension, "independent", lambda problem: problem)
+    monkeypatch.setattr(joint_fit, "stated_of_windows", lambda near: saved[near.name])
+    monkeypatch.setattr(joint_fit, "independent", lambda problem: problem)
     for name, count, better in (
         ("much", 100, True), ("much", 4, False), ("one", 100, False), ("just", 4, True), ("just", 1, False),
         ("little", 100, False), ("", 100, False),

@@ -767,11 +767,12 @@ def test_without_torques_plain_windows_are_weighed_again_and_both_ways_are_compa
         return x
 
     monkeypatch.setattr(module, "descend", descend)
-    monkeypatch.setattr(module, "follows_better", lambda a, b: compared.append((a.ridge, b.ridge)) is None)
+    told = lambda a, b, sure: compared.append((a.ridge, b.ridge, sure)) is None  # noqa: E731
+    monkeypatch.setattr(module, "follows_better", told)
     found = without_torques(near, Deadline())
     assert ways == [(np.inf, False), (module.TUNING, False)]
-    assert all(a == b for a, b in compared)
-    assert compared[0] == (10.0, 10.0)
+    assert all(a == b for a, b, _ in compared)
+    assert compared[0] == (10.0, 10.0, module.SURE_WITHOUT)
     assert found.ridge != 10.0  # each keeps its own
 
 

@@ -68,6 +68,8 @@ GAIN = 0.02
 """Share of the error of folds that a law must save, to first order and in simulation [1]."""
 SURE = 1.0
 """Standard errors by which it must help [1]."""
+SURE_WITHOUT = 2.0
+"""Standard errors by which a fit must follow folds better that does without the torques: two are tried [1]."""
 RIDGE = 1e-6
 """Pull towards the solution where windows say nothing, per what they say [1]."""
 TORQUES = 0.02
@@ -225,8 +227,9 @@ def without_torques(near: Linearised, deadline: Deadline) -> Linearised:
     """The solution that the torques have no say in, where it follows folds that it was not fitted to better.
 
     A servo whose gain, delay and limit are not as given asks for other torques than its law with the given ones does.
-    It has to save as much as a new law would: that is how torques keep a simulation from coasting. Both are compared
-    with the larger ridge of the two, or the one whose folds hardly move would be judged by what it was fitted to.
+    It has to save as much as a new law would, and more surely: torques keep a simulation from coasting. Both are
+    compared with the larger ridge of the two, or the one whose folds hardly move would be judged by what it was fitted
+    to.
     """
     problem, best, start = near.problem, near, near
     if problem.torques is None:
@@ -238,28 +241,33 @@ def without_torques(near: Linearised, deadline: Deadline) -> Linearised:
         x = descend(in_units(way, problem.squares(start.errors)), start.values, near.free, SLOPES[2], deadline)
         start = trusted(linearise(weighed(way, x), x, near.free))
         ridge = max(best.ridge, start.ridge)
-        if follows_better(replace(best, ridge=ridge), replace(start, ridge=ridge)):
+        if follows_better(replace(best, ridge=ridge), replace(start, ridge=ridge), SURE_WITHOUT):
             best = start
     return best
 
 
-def follows_better(near: Linearised, other: Linearised) -> bool:
+def follows_better(near: Linearised, other: Linearised, sure: float = SURE) -> bool:
     """Whether another fit of the same windows has less of the error that is stated, and by more than it is in doubt."""
     count = independent(near.problem)
-    return gain_of(stated_of_windows(near), stated_of_windows(other), count, GAIN / 2) > 0
+    return gain_of(stated_of_windows(near), stated_of_windows(other), count, GAIN / 2, sure) > 0
 
 
-def gain_of(before: Array, after: Array, count: int, least: float = GAIN) -> float:
+def gain_of(before: Array, after: Array, count: int, least: float = GAIN, sure: float = SURE) -> float:
     """Share of the windows' cost (W,) that is saved; nothing where it is in doubt, as where one window alone saves it.
 
-    ``count`` of the windows are independent of each other.
+    Args:
+        before: Cost of each window.
+        after: Cost of each window.
+        count: Windows that are independent of each other.
+        least: Share that it must save [1].
+        sure: Standard errors by which it must [1].
     """
     if count < 2:
         return 0.0
     saved = before - after
     doubt = float(saved.std(ddof=1)) / np.sqrt(count)
     gain = float(saved.mean())
-    return gain / float(before.mean()) if gain > max(least * float(before.mean()), SURE * doubt) else 0.0
+    return gain / float(before.mean()) if gain > max(least * float(before.mean()), sure * doubt) else 0.0
 
 
 def stated(near: Linearised) -> float:
