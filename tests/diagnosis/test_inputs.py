@@ -133,11 +133,11 @@ def test_a_joint_that_is_no_hinge_nor_slide_is_told_before_anything_is_run(tmp_p
 def test_what_one_of_several_recordings_lacks_is_told():
     log = record(pendulum(), smooth_torque(1.0))
     lacking = replace(log, metadata={"gains": "of the model", "driven_by": "torque_measured"})
-    told = inputs_module.Inputs("robot.xml", [log, lacking], []).notes
+    told = inputs_module.Inputs(SERVO, [log, lacking], []).notes
     assert [note.partition(":")[0] for note in told] == [
         "The recordings say no gains", "The recordings hold no command"
     ]  # fmt: skip
-    assert inputs_module.Inputs("robot.xml", [log], []).notes == []
+    assert inputs_module.Inputs(SERVO, [log], []).notes == []
 
 
 def test_targets_without_gains_take_the_models(tmp_path):
