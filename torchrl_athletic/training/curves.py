@@ -28,6 +28,7 @@ def draw_curves(
         ValueError: If no table has any of the columns.
     """
     from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter
 
     runs = {name: _columns_of(table) for name, table in tables.items()}
     shown = [name for name in columns if any(name in run for run in runs.values())]
@@ -43,6 +44,7 @@ def draw_curves(
                 axis.plot(run[against][known], smoothed(run[name][known]), label=label, lw=1.2)
         axis.set_title(columns[name], fontsize=9)
         axis.set_xlabel(against, fontsize=8)
+        axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # whole numbers of samples would run into each other
         axis.tick_params(labelsize=7)
         axis.grid(alpha=0.3)
         axis.spines[["top", "right"]].set_visible(False)
