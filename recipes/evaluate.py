@@ -35,7 +35,7 @@ class Config:
     """Robots at once."""
     seed: int = 1_000_003
     """Seed of robots, commands and pushes: other than in training."""
-    commands: Literal["around", "ahead"] | None = None
+    commands: Literal["around", "ahead", "box"] | None = None
     """Goals of the hand, as of ``pretrain_wbc.py``; None takes those that the policy was trained on."""
     actuation: str = "uan"
     """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""

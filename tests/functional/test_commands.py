@@ -65,8 +65,20 @@ def test_goals_ahead_are_ahead_of_the_shoulder_and_those_around_are_not():
         forward[name] = place[:, 0]
     assert (forward["ahead"] > 0).all()
     assert (forward["around"] < 0).float().mean() > 0.2
-    with pytest.raises(ValueError, match="there are \\['ahead', 'around'\\]"):
+    with pytest.raises(ValueError, match="there are \\['ahead', 'around', 'box'\\]"):
         command_ranges("behind")
+
+
+def test_goals_in_a_box_fill_it_evenly_and_their_middle_is_the_box_s():
+    ranges, shoulder = command_ranges("box"), torch.tensor(RANGES.shoulder)
+    goal, _ = draw_goal(streams.stream(0, torch.arange(N)), ranges.bounds(), 0.0, shoulder)
+    low, high = torch.tensor(ranges.box).T
+    unit = (goal_to_pose(goal, shoulder)[:, :3] - low) / (high - low)
+    assert ((unit > -1e-4) & (unit < 1 + 1e-4)).all()
+    torch.testing.assert_close(unit.mean(0), torch.full((3,), 0.5), atol=0.02, rtol=0)
+    torch.testing.assert_close(torch.corrcoef(unit.T), torch.eye(3), atol=0.06, rtol=0)
+    middle = goal_to_pose(ranges.centre(), shoulder)[:3]
+    torch.testing.assert_close(middle, (low + high) / 2, atol=1e-5, rtol=0)
 
 
 def test_one_sled_command_in_five_is_to_stand_and_the_others_go_backwards_only():

@@ -155,6 +155,15 @@ def test_a_pose_is_told_from_a_shoulder_and_in_a_frame_of_one_s_own():
     torch.testing.assert_close(start, seen, atol=1e-5, rtol=1e-5)
 
 
+def test_goals_of_a_box_are_drawn_from_it():
+    ranges = commands.command_ranges("box")
+    steps = rollout(400, replace(ranges, standstill_probability=0.0))
+    places = commands.goal_to_pose(steps["command_goal"][:, [0, -1]], torch.tensor(ranges.shoulder))[..., :3]
+    low, high = torch.tensor(ranges.box).T
+    assert ((places > low - 1e-4) & (places < high + 1e-4)).all()
+    assert (places[:, 0] != places[:, 1]).any(-1).all()
+
+
 @pytest.mark.parametrize(
     ("interval", "dt", "steps"), [(0.3, 0.1, 3), (7.0, 0.02, 350), (0.29, 0.01, 29), (0.01, 0.1, 1)]
 )

@@ -43,6 +43,8 @@ class CommandRanges:
     """Elevation of the hand over the shoulder's horizon [rad]; more than a right angle is behind it."""
     azimuth: Range = (-math.pi / 6, math.pi / 6)
     """Azimuth of the plane in which the hand is elevated, counter-clockwise [rad]."""
+    box: tuple[Range, Range, Range] | None = None
+    """Draw places from a box in the commands' frame instead: ahead, to the left and upwards [m]."""
     roll: Range = (-math.pi / 4, math.pi / 4)
     """Roll of the end effector about its own x axis [rad]; last of the three turns in its own axes."""
     pitch: Range = (-math.pi / 9, math.pi / 4)
@@ -79,20 +81,32 @@ class CommandRanges:
     def centre(self) -> Tensor:
         """A goal in the middle of the ranges, at rest, pointing away from the shoulder. Shape (10,)."""
         middle = self.bounds().mean(0)[PLACE]
+        if self.box:
+            middle = place_of(middle, torch.tensor(self.shoulder))
         return torch.cat((torch.zeros(3), middle, torch.tensor([1.0, 0.0, 0.0, 0.0])))
 
     def _ranges(self) -> dict[str, Range]:
-        names = ("forward", "lateral", "yaw_rate", "distance", "elevation", "azimuth", "roll", "pitch", "yaw")
-        ranges: dict[str, Range] = {name: getattr(self, name) for name in names}
-        return ranges | {"duration of velocity": self.duration, "duration of pose": self.duration}
+        places = ("distance", "elevation", "azimuth")
+        place = {f"box {k}": side for k, side in enumerate(self.box)} if self.box else self._named(places)
+        return {
+            **self._named(("forward", "lateral", "yaw_rate")),
+            **place,
+            **self._named(("roll", "pitch", "yaw")),
+            "duration of velocity": self.duration,
+            "duration of pose": self.duration,
+        }
+
+    def _named(self, names: Sequence[str]) -> dict[str, Range]:
+        return {name: getattr(self, name) for name in names}
 
 
 def command_ranges(name: str) -> CommandRanges:
     """Ranges of a pre-training, by name.
 
     Args:
-        name: ``"around"``, the defaults, which reach from the ground ahead to behind the head; or ``"ahead"``, from the
-            ground to a little over the shoulder, which is where pre-trainings of others have the hand.
+        name: ``"around"``, the defaults, which reach from the ground ahead to behind the head; ``"ahead"``, from the
+            ground to a little over the shoulder, which is where pre-trainings of others have the hand; or ``"box"``,
+            ahead of the robot, too, but not as near, which is what the shipped ``wbc`` was trained on.
 
     Raises:
         ValueError: If there are no such ranges.
@@ -105,7 +119,8 @@ def command_ranges(name: str) -> CommandRanges:
         (0.4, 0.8)
     """
     ahead = CommandRanges(distance=(0.4, 0.8), elevation=(math.radians(-50), math.radians(35)))
-    known = {"around": CommandRanges(), "ahead": ahead}
+    box = CommandRanges(box=((0.5, 0.8), (-0.3, 0.3), (-0.25, 0.5)))
+    known = {"around": CommandRanges(), "ahead": ahead, "box": box}
     if name not in known:
         raise ValueError(f"there are no commands {name!r}; there are {sorted(known)}.")
     return known[name]
@@ -122,13 +137,16 @@ def sled_commands() -> CommandRanges:
     )
 
 
-def draw_goal(key: Tensor, bounds: Tensor, standstill_probability: float = 0.0) -> tuple[Tensor, Tensor]:
+def draw_goal(
+    key: Tensor, bounds: Tensor, standstill_probability: float = 0.0, box_from: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
     """A goal, and how long the way to it takes.
 
     Args:
         key: Of :func:`~.streams.stream`. Shape (*B,).
         bounds: Of :meth:`CommandRanges.bounds`. Shape (2, 11).
         standstill_probability: That the velocity is 0.
+        box_from: The shoulder, where places are drawn from a box [m]. Shape (3,).
 
     Returns:
         Goal: base velocity [m/s, m/s, rad/s]; the hand's distance [m], elevation and azimuth [rad]; its quaternion
@@ -147,6 +165,8 @@ def draw_goal(key: Tensor, bounds: Tensor, standstill_probability: float = 0.0) 
     drawn = bounds[0] + (bounds[1] - bounds[0]) * unit[..., 1:]
     velocity, place, angles, duration = drawn.split((3, 3, 3, 2), -1)
     velocity = torch.where(unit[..., :1] < standstill_probability, torch.zeros_like(velocity), velocity)
+    if box_from is not None:
+        place = place_of(place, box_from)
     return torch.cat((velocity, place, from_roll_pitch_yaw(angles)), -1), duration
 
 
@@ -175,9 +195,6 @@ def goal_to_pose(goal: Tensor, shoulder: Tensor) -> Tensor:
 def pose_to_goal(pose: Tensor, shoulder: Tensor) -> Tensor:
     """A pose of the hand as a goal at rest.
 
-    Azimuths lie within a right angle, so that what is behind the shoulder is elevated by more than one; what is behind
-    and below is told by elevations of up to one and a half half-turns.
-
     Args:
         pose: Position [m] and quaternion (wxyz) in the commands' frame. Shape (*B, 7).
         shoulder: There too [m]. Shape (3,).
@@ -185,16 +202,37 @@ def pose_to_goal(pose: Tensor, shoulder: Tensor) -> Tensor:
     Returns:
         Shape (*B, 10).
     """
-    way = pose[..., :3] - shoulder
+    place = place_of(pose[..., :3], shoulder)
+    _, elevation, azimuth = place.split(1, -1)
+    attitude = rotations.multiply(rotations.conjugate(_aim(elevation, azimuth)), pose[..., 3:])
+    return torch.cat((torch.zeros_like(place), place, attitude), -1)
+
+
+def place_of(position: Tensor, shoulder: Tensor) -> Tensor:
+    """Distance [m], elevation and azimuth [rad] of a place, seen from the shoulder.
+
+    Azimuths lie within a right angle, so that what is behind the shoulder is elevated by more than one; what is behind
+    and below is told by elevations of up to one and a half half-turns.
+
+    Args:
+        position: In the commands' frame [m]. Shape (*B, 3).
+        shoulder: There too [m]. Shape (3,).
+
+    Returns:
+        Shape (*B, 3).
+
+    Example:
+        >>> place_of(torch.tensor([0.0, 0.0, 0.8]), torch.zeros(3)).tolist()  # overhead
+        [0.800000011920929, 1.5707963705062866, 0.0]
+    """
+    way = position - shoulder
     x, y, z = way.split(1, -1)
     behind = x < 0
     level = torch.where(behind, -1.0, 1.0) * torch.hypot(x, y)
     azimuth = torch.atan2(torch.where(behind, -y, y), x.abs())
     elevation = torch.atan2(z, level)
     elevation = torch.where(behind & (z < 0), elevation + 2 * math.pi, elevation)
-    attitude = rotations.multiply(rotations.conjugate(_aim(elevation, azimuth)), pose[..., 3:])
-    distance = torch.linalg.vector_norm(way, dim=-1, keepdim=True)
-    return torch.cat((torch.zeros_like(way), distance, elevation, azimuth, attitude), -1)
+    return torch.cat((torch.linalg.vector_norm(way, dim=-1, keepdim=True), elevation, azimuth), -1)
 
 
 def _aim(elevation: Tensor, azimuth: Tensor) -> Tensor:

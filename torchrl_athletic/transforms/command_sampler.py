@@ -125,7 +125,8 @@ class CommandSampler(RandomTransform):
         }
 
     def _goal(self, key: Tensor) -> tuple[Tensor, Tensor]:
-        return commands.draw_goal(key, self.bounds, self.ranges.standstill_probability)
+        box_from = self.shoulder if self.ranges.box else None
+        return commands.draw_goal(key, self.bounds, self.ranges.standstill_probability, box_from)
 
     def _blend(self, memory: dict[str, Tensor]) -> Tensor:
         elapsed = memory["step"] * self.dt
