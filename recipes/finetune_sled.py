@@ -9,7 +9,7 @@ What came out: docs/tasks.md.
 """
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,8 @@ LOOK_AT = ["base_position", "base_quaternion", "start_line", "sled_position", "s
 
 @dataclass(frozen=True)
 class Config(training.FineTune):
+    ppo: training.PPO = field(default_factory=lambda: replace(training.FINE_TUNE, warm_up=42))
+    """What else is chosen by hand. Drift grows over an episode, so nothing is learnt from the first 42 x 24 steps."""
     output: Path = Path("outputs/finetune_sled")
     """Folder for all that is written."""
 

@@ -1,5 +1,6 @@
 """The recipes that tune the controller to a task run as they say."""
 
+import dataclasses
 import importlib
 import json
 import math
@@ -14,7 +15,7 @@ import tyro
 from tensordict import TensorDict
 
 from torchrl_athletic.networks import pretrained
-from torchrl_athletic.training import CSVTable
+from torchrl_athletic.training import FINE_TUNE, CSVTable
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "recipes"))
@@ -145,3 +146,10 @@ def test_a_sled_s_way_and_the_robot_s_drift():
     assert found["sled_moved_m"] == pytest.approx(4.0)
     assert found["lateral_drift_m"] == pytest.approx(0.4)
     assert found["mean_tension_n"] == pytest.approx(50.0)
+
+
+def test_nothing_is_learnt_from_the_first_episode_of_a_sled():
+    """Its robots have not drifted yet: the curve would begin with their rewards and fall."""
+    ppo = sled.Config().ppo
+    assert ppo.warm_up * ppo.horizon >= sled.STEPS
+    assert ppo == dataclasses.replace(FINE_TUNE, warm_up=ppo.warm_up)

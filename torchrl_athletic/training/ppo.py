@@ -83,7 +83,7 @@ class PPO:
     """Most samples that go through the critic at once."""
     warm_up: int = 0
     """Batches before the first update that nothing is learnt from: where all episodes begin with the same phase of a
-    task, the curve would begin with that phase and fall as it ends."""
+    task, or without the drift that they gather, the curve would begin with that and fall as it ends."""
     critic_first: int = 0
     """Iterations in which the critic alone learns, for a policy that goes on without the critic that it had."""
 
@@ -273,10 +273,7 @@ def iterate(learner: Learner) -> TensorDict:
         NonFiniteError: If a NaN or an infinity was collected, or an update made one.
     """
     if learner.iteration == 0:
-        for _ in range(learner.config.warm_up):
-            collect(learner)
-        if learner.normalizers:
-            _learn_scale(learner, collect(learner))
+        _warm_up(learner)
     if learner.iteration and learner.iteration == learner.config.critic_first:
         learner.stepper.actor_lr.fill_(learner.config.actor_lr)
     learner.kl_target.fill_(learner.config.kl_target_at(learner.iteration))
@@ -291,6 +288,14 @@ def iterate(learner: Learner) -> TensorDict:
     _learn_scale(learner, batch)
     learner.iteration += 1
     return report
+
+
+def _warm_up(learner: Learner) -> None:
+    hidden = None if learner.processes.rank == 0 else True  # None: where nobody looks
+    for _ in tqdm(range(learner.config.warm_up), "warm-up", unit="batch", leave=False, disable=hidden):
+        collect(learner)
+    if learner.normalizers:
+        _learn_scale(learner, collect(learner))
 
 
 def collect(learner: Learner) -> TensorDict:
