@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import importlib
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
+
+sys.path.append(str(Path(__file__).parents[1] / "recipes"))
 
 RESULTS = Path("benchmarks/results/throw_ablation.json")
 PICTURE = Path("docs/images/throw_ablation.svg")
@@ -20,7 +23,7 @@ MEANS = {"release_speed_m_s": ".1f", "peak_leg_power_kw": ".1f", "peak_arm_speed
 def main() -> None:
     kept = json.loads(RESULTS.read_text(encoding="utf-8"))
     RESULTS.with_suffix(".md").write_text(table(kept["figures"], kept["minutes"]), encoding="utf-8")
-    importlib.import_module("recipes.ablate_finetuning").draw(kept["figures"], PICTURE)
+    importlib.import_module("ablate_finetuning").draw(kept["figures"], PICTURE)
     print(RESULTS.with_suffix(".md").read_text(encoding="utf-8"), PICTURE)
 
 

@@ -2,7 +2,7 @@
 
 python recipes/finetune_sled.py                  # ten minutes of two cores: first steps, curves and a video
 python recipes/finetune_sled.py --device cuda    # the paper's scale: 4,096 robots, 15 minutes
-python recipes/finetune_sled.py --actuation outputs/identification/diagnosed   # in an identified simulator
+python recipes/finetune_sled.py --actuation outputs/identification/diagnosed_seed0   # in an identified simulator
 
 Starts from the shipped whole-body controller. The same command goes on after Ctrl-C or a crash.
 What came out: docs/tasks.md.
@@ -56,6 +56,7 @@ def main(cfg: Config) -> None:
         look_at=LOOK_AT,
         judge=judge,
         annotate=draw_sled,
+        view=training.View(distance=5.5, elevation=-25.0),
         steps=STEPS,
     )
 

@@ -120,6 +120,23 @@ def test_only_a_launch_in_the_throw_ahead_of_the_start_is_paid_and_sideways_cost
     assert earned("lateral", [-2.0, 5.0, 1.0]) == pytest.approx(-2.0)
 
 
+def test_as_printed_each_step_of_the_throw_pays_the_ball_s_velocity_and_a_loss_costs_nothing():
+    terms, scales = ball_throw_rewards(ROBOT, PHASES, as_printed=True)
+    assert not {"distance", "overspeed", "lost_ball", "failure"} & scales.keys()
+    assert terms.keys() == scales.keys()
+
+    def earned(velocity, phase=1):
+        """Forward, upward, lateral; the robot looks to the left."""
+        before = TensorDict(task_phase_index=[[phase]], batch_size=[1])
+        line = [[3.0, 1.0, math.pi / 2]]
+        after = TensorDict(ball_linear_velocity=[velocity], start_line=line, batch_size=[1])
+        return [scales[name] * float(terms[name](before, after)) for name in ("forward", "upward", "lateral")]
+
+    assert earned([-2.0, 3.0, 4.0]) == pytest.approx([60.0, 80.0, -2.0], rel=1e-5)
+    assert earned([0.0, -3.0, -4.0]) == pytest.approx([0.0, 0.0, 0.0], abs=1e-5)
+    assert earned([-2.0, 3.0, 4.0], phase=0) == [0.0, 0.0, 0.0]
+
+
 def test_what_an_arm_s_joint_turns_beyond_its_motor_costs_either_way_and_legs_do_not():
     terms, scales = ball_throw_rewards(ROBOT, PHASES)
     arm = list(ROBOT.joint_groups["arm"])

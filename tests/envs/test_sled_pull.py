@@ -128,6 +128,9 @@ def test_each_term_has_its_phase_and_its_scale():
     assert {name: terms[name].phases for name in own} == dict.fromkeys(own, (1,)) | {"ee_pose_tracking": (0,)}
     assert [scales[name] for name in own] == [5.0, -20.0, -4.0, -1.0, -1.0]
     assert scales["failure"] == -1000.0
+    _, printed = sled_pull_rewards(ROBOT, sled_phases(), as_printed=True)
+    assert [printed[name] for name in own] == [5.0, -5.0, -1.0, -1.0, -1.0]
+    assert printed.keys() == scales.keys() - {"failure"}
 
 
 def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_training(monkeypatch):

@@ -8,6 +8,7 @@ import pytest
 import torch
 from recipes.test_commands import load
 
+from torchrl_athletic.functional.commands import command_ranges
 from torchrl_athletic.networks import pretrained, shipped_path
 from torchrl_athletic.training import examine, table_of, wbc_conditions
 from torchrl_athletic.training import wbc_evaluation as module
@@ -69,9 +70,7 @@ def test_a_finer_simulation_moves_as_often():
 
 def test_the_recipe_writes_a_table_a_picture_and_the_episodes_it_counted(tmp_path, capsys, monkeypatch):
     drawn = []
-    monkeypatch.setattr(
-        recipe.training, "draw_episode", lambda *args, **_: drawn.append(args) or [np.zeros((4, 4, 3), np.uint8)] * 3
-    )
+    monkeypatch.setattr(recipe.training, "draw_episode", lambda *args, **_: drawn.append(args) or PICTURE * 20)
     monkeypatch.setattr(recipe.training, "write_video", lambda frames, path, rate: path)
     cfg = recipe.Config(conditions=("nominal", "pushes"), episodes=3, batch=2, seconds=0.4, output=tmp_path)
     recipe.main(cfg)
@@ -103,16 +102,22 @@ def test_what_was_examined_is_kept_and_another_policy_s_table_is_refused(tmp_pat
 
 
 real = module._play
+PICTURE = [np.zeros((4, 4, 3), np.uint8)]
 
 
 class Noted:
-    """A condition that tells what was asked of it."""
+    """A condition that tells what was asked of it, and whose robots fall in the third of twenty steps, or do not."""
 
-    def __init__(self):
-        self.asked = []
+    def __init__(self, falls=()):
+        self.asked, self.falls = [], falls
 
     def env(self, num_envs, **told):
         self.asked.append((num_envs, told))
+        return 3 if told["first_row"] in self.falls else 20
+
+
+def played(env, *args, **told):
+    return PICTURE * env
 
 
 @pytest.mark.parametrize(
@@ -126,26 +131,51 @@ class Noted:
     ids=["two fell", "the first fell", "all fell", "none fell"],
 )
 def test_videos_are_of_the_first_robot_that_stood_and_of_the_first_that_fell(tmp_path, monkeypatch, fallen, drawn):
-    frames = [np.zeros((4, 4, 3), np.uint8)] * 3
     written = []
-    monkeypatch.setattr(recipe.training, "draw_episode", lambda *args, **_: frames)
+    monkeypatch.setattr(recipe.training, "draw_episode", played)
     monkeypatch.setattr(recipe.training, "write_video", lambda frames, path, rate: written.append(path) or path)
     cfg = recipe.Config(episodes=3, seconds=0.4, output=tmp_path)
-    condition, told = Noted(), {"seed": 5, "actuation": "ideal", "history": 10}
+    condition, told = Noted(fallen), {"seed": 5, "actuation": "ideal", "history": 10}
     recipe.draw(cfg, None, {"moon": condition}, {"moon": {"fallen": fallen}}, told)
     assert written == [tmp_path / f"{kind}.mp4" for kind in drawn]
     assert condition.asked == [(1, {"max_steps": 20, "first_row": row, **told}) for row in drawn.values()]
 
 
 def test_a_failed_episode_is_looked_for_in_every_condition(tmp_path, monkeypatch):
-    frames = [np.zeros((4, 4, 3), np.uint8)] * 3
-    monkeypatch.setattr(recipe.training, "draw_episode", lambda *args, **_: frames)
+    monkeypatch.setattr(recipe.training, "draw_episode", played)
     monkeypatch.setattr(recipe.training, "write_video", lambda frames, path, rate: path)
-    moon, mars = Noted(), Noted()
+    moon, mars = Noted(), Noted([2])
     results = {"moon": {"fallen": []}, "mars": {"fallen": [2]}}
-    recipe.draw(recipe.Config(episodes=3, output=tmp_path), None, {"moon": moon, "mars": mars}, results, {})
+    cfg = recipe.Config(episodes=3, seconds=0.4, output=tmp_path)
+    recipe.draw(cfg, None, {"moon": moon, "mars": mars}, results, {})
     assert [told["first_row"] for _, told in moon.asked] == [0]
     assert [told["first_row"] for _, told in mars.asked] == [2]
+
+
+def test_a_robot_that_stays_up_when_it_is_played_again_is_not_shown_as_one_that_fell(tmp_path, monkeypatch):
+    monkeypatch.setattr(recipe.training, "draw_episode", played)
+    written = []
+    monkeypatch.setattr(recipe.training, "write_video", lambda frames, path, rate: written.append(len(frames)) or path)
+    cfg = recipe.Config(episodes=9, seconds=0.4, output=tmp_path)
+    moon = Noted([1])
+    recipe.draw(cfg, None, {"moon": moon}, {"moon": {"fallen": [0, 1, 2]}}, {})
+    assert [told["first_row"] for _, told in moon.asked] == [3, 0, 1]
+    assert written == [20, 3]
+    never = Noted()
+    recipe.draw(cfg, None, {"moon": never}, {"moon": {"fallen": list(range(9))}}, {})
+    assert len(never.asked) == recipe.TRIES
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"), [({}, "box"), ({"policy": "wbc_wide"}, "around"), ({"commands": "ahead"}, "ahead")]
+)
+def test_a_policy_is_examined_on_the_goals_that_it_was_trained_on(tmp_path, monkeypatch, told, expected):
+    asked = {}
+    monkeypatch.setattr(recipe.training, "examine", lambda *args, **told: asked.update(told) or {"nominal": {}})
+    monkeypatch.setattr(recipe.training, "table_of", lambda results: "")
+    monkeypatch.setattr(recipe.training, "draw_conditions", lambda results, path: path)
+    recipe.main(recipe.Config(conditions=("nominal",), video=False, output=tmp_path, **told))
+    assert asked["commands"] == command_ranges(expected)
 
 
 def test_an_unknown_condition_is_named(tmp_path):

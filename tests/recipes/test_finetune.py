@@ -14,6 +14,8 @@ import torch
 import tyro
 from tensordict import TensorDict
 
+from torchrl_athletic import training
+from torchrl_athletic.envs import draw_ball, draw_sled
 from torchrl_athletic.networks import pretrained
 from torchrl_athletic.training import FINE_TUNE, CSVTable
 
@@ -102,6 +104,16 @@ def test_a_throw_counts_from_where_the_robot_started_and_one_that_was_kept_is_no
     assert (found["elevation_deg"], found["azimuth_deg"]) == (pytest.approx(45.0), pytest.approx(45.0))  # to the left
     assert (found["peak_leg_power_kw"], found["thrown"]) == (pytest.approx(10 / 3), pytest.approx(1 / 3))
     assert found["peak_arm_speed_rad_s"] == pytest.approx(3.0)  # means of each episode's peak: 5, 4 and 0
+
+
+def test_the_ball_and_the_sled_are_drawn(monkeypatch):
+    told = {}
+    monkeypatch.setattr(training, "fine_tune", lambda cfg, make_env, name, **asked: told.update({name: asked}))
+    for recipe in (throw, snatch, sled):
+        recipe.main(recipe.Config())
+    assert told["throw"]["annotate"] is draw_ball
+    assert told["sled"]["annotate"] is draw_sled
+    assert told["sled"]["view"].distance > 5  # the sled is three metres ahead
 
 
 def test_every_episode_of_an_exam_has_its_deed_in_it():

@@ -181,8 +181,9 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
         ppo=ppo, episodes=5, logger="none", output=tmp_path,
     )  # fmt: skip
     task = {"name": "throw", "known": {"goal": 2.0}, "curves": {"kl": "how far"}, "look_at": ["hand"], "steps": 500}
+    task |= {"annotate": "ball", "view": "far"}
     make_env = told.of("env", "world")
-    fine_tune(cfg, make_env, judge=lambda episodes: {"far": float(len(told["rollout"]))}, annotate="ball", **task)
+    fine_tune(cfg, make_env, judge=lambda episodes: {"far": float(len(told["rollout"]))}, **task)
 
     assert told["seed"] == [((6,), {})]
     training, *exams, film = told["env"]
@@ -210,7 +211,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
         assert (world, look_at, steps) == ("world", ["hand"], 500)
         assert played is not policy  # which may be part of what a graph has recorded
     assert told["save_wbc"][0][1] == {"name": "throw", "trained_as": str(cfg), "history": 10}
-    assert told["draw_episode"] == [(("world", policy, 400), {"annotate": "ball", "follow": "base"})]
+    assert told["draw_episode"] == [(("world", policy, 400), {"annotate": "ball", "follow": "base", "view": "far"})]
     assert told["write_video"][0][0][1:] == (tmp_path / "throw.mp4", 50.0)
     assert told["frame_strip"][0][0][1:] == (6, tmp_path / "throw.png")
     curves = {"throw": tmp_path / "progress.csv"}, {"kl": "how far"}, tmp_path / "curves.png"

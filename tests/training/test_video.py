@@ -14,6 +14,7 @@ from training.tasks import SEEN, arm_env
 from torchrl_athletic.networks import actor
 from torchrl_athletic.training import record_video
 from torchrl_athletic.training.video import (
+    View,
     _centre_and_distance,
     _gl_context,
     draw_episode,
@@ -110,6 +111,20 @@ def test_it_is_drawn_from_the_camera_that_is_named():
     assert red[2] == 0
 
 
+def test_the_free_camera_stands_where_it_is_told_to():
+    if not can_draw():
+        pytest.skip("nothing here can draw")
+    model = mujoco.MjModel.from_xml_string(BALL)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    red = []
+    for view in (View(), View(distance=2.0), View(distance=4.0, azimuth=0.0, elevation=-10.0)):
+        with renderer(model, (64, 64), view=view) as draw:
+            red.append((redness(draw(data, look_at=np.zeros(3))) > 20).sum())
+    assert red[1] == pytest.approx(4 * red[2], rel=0.3)
+    assert red[0] not in red[1:]  # from as far as the model asks for
+
+
 def test_a_camera_that_is_carried_sees_all_that_stands_about(monkeypatch):
     """However much that is."""
     if not can_draw():
@@ -162,16 +177,16 @@ def test_a_strip_shows_frames_evenly_from_the_first_to_the_last_side_by_side(tmp
 
 
 def test_the_camera_keeps_a_floating_base_in_its_middle_unless_told_otherwise(monkeypatch, tmp_path):
-    drawn, robot = [], SimpleNamespace(base="trunk")
+    drawn, robot, far = [], SimpleNamespace(base="trunk"), View(distance=9.0)
     env = SimpleNamespace(physics=object(), robot=robot)
     for name in ("draw_episode", "write_video"):
         monkeypatch.setattr(f"torchrl_athletic.training.video.{name}", lambda *told: drawn.append(told))
     for follow in (None, "hand"):
         record_video(
             env, "policy", tmp_path / "a.mp4", steps=7, frame_rate=25.0, size=(8, 9), camera=2, annotate="goal",
-            follow=follow,
+            follow=follow, view=far,
         )  # fmt: skip
-    assert [told for told in drawn[::2]] == [(env, "policy", 7, (8, 9), 2, "goal", body) for body in ("trunk", "hand")]
+    assert drawn[::2] == [(env, "policy", 7, (8, 9), 2, "goal", body, far) for body in ("trunk", "hand")]
     assert drawn[1] == (None, tmp_path / "a.mp4", 25.0)
 
 

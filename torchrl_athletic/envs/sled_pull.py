@@ -45,6 +45,7 @@ def sled_pull_env(
     schedule: PhaseSchedule | None = None,
     disturbances: Disturbances | None = None,
     motion: str = "sled",
+    as_printed: bool = False,
     max_steps: int = 1000,
     seed: int = 0,
     first_row: int = 0,
@@ -63,6 +64,7 @@ def sled_pull_env(
         schedule: None takes :func:`~torchrl_athletic.functional.phase.sled_phases`.
         disturbances: None takes the paper's.
         motion: Of the hand to go by, as of :func:`~torchrl_athletic.robots.read_motion`.
+        as_printed: Take the paper's scales, see :func:`sled_pull_rewards`.
         max_steps: Length of an episode [policy steps]: 20 s.
         seed: Of all draws.
         first_row: Number of the first row, for parts of a larger batch.
@@ -87,7 +89,7 @@ def sled_pull_env(
         num_envs=num_envs,
         commands=[walk, *hold],
         schedule=schedule,
-        terms=sled_pull_rewards(robot, schedule, position_key_of(chance.encoder_offset)),
+        terms=sled_pull_rewards(robot, schedule, position_key_of(chance.encoder_offset), as_printed),
         disturbances=chance,
         privileged=(*PRIVILEGED, *KNOWN),
         objects=[SledRope(PHYSICS_DT, mass=mass, friction=friction, **rows)],
@@ -99,13 +101,14 @@ def sled_pull_env(
 
 
 def sled_pull_rewards(
-    robot: Robot, schedule: PhaseSchedule, position_key: NestedKey = "joint_position"
+    robot: Robot, schedule: PhaseSchedule, position_key: NestedKey = "joint_position", as_printed: bool = False
 ) -> tuple[dict[str, RewardTerm], dict[str, float]]:
     """Terms by name, and their scales.
 
     The paper prints the set-up's reward under the pull's name, and the drifts without their signs: here the pose is
     tracked in the set-up, and drift to either side costs alike. Three scales are ours: the wrong velocity costs 20, not
     5, or a heavy sled is left to stand; drift to the side costs 4, not 1; and a failure costs :data:`FAILURE`.
+    ``as_printed`` takes the paper's, and a failure costs nothing.
 
     Source:
         Fey et al. 2025, appendix B-C.
@@ -120,7 +123,11 @@ def sled_pull_rewards(
     }
     scales = {"ee_pose_tracking": 5.0, "velocity": -20.0, "lateral_drift": -4.0, "heading_drift": -1.0, "wrist": -1.0}
     shared, shared_scales = auxiliary_rewards(robot, position_key)
-    return terms | shared, scales | shared_scales | {"failure": FAILURE}
+    terms, scales = terms | shared, scales | shared_scales
+    if as_printed:
+        del terms["failure"], scales["failure"]
+        return terms, scales | {"velocity": -5.0, "lateral_drift": -1.0}
+    return terms, scales | {"failure": FAILURE}
 
 
 def sled_drift(step: TensorDictBase) -> tuple[Tensor, Tensor]:

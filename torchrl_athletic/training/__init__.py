@@ -28,7 +28,7 @@ from torchrl_athletic.training.uan import (
     with_gains_of,
 )
 from torchrl_athletic.training.uan_gradient import DifferentiableTorqueEnv, GradientLearner, descend
-from torchrl_athletic.training.video import draw_episode, frame_strip, record_video, write_video
+from torchrl_athletic.training.video import View, draw_episode, frame_strip, record_video, write_video
 from torchrl_athletic.training.wbc import CURVES, read_wbc, save_wbc, wbc_learner
 from torchrl_athletic.training.wbc_evaluation import Condition, draw_conditions, examine, table_of, wbc_conditions
 
@@ -57,6 +57,7 @@ __all__ = [
     "RayRollout",
     "Rollout",
     "Validation",
+    "View",
     "chain_with",
     "check_finite",
     "control_step",

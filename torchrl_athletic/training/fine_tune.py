@@ -22,7 +22,7 @@ from torchrl_athletic.training.curves import draw_curves
 from torchrl_athletic.training.evaluation import whole_rollout
 from torchrl_athletic.training.logging import LoggerName, make_logger
 from torchrl_athletic.training.ppo import FINE_TUNE, PPO, Learner, train
-from torchrl_athletic.training.video import draw_episode, frame_strip, write_video
+from torchrl_athletic.training.video import View, draw_episode, frame_strip, write_video
 from torchrl_athletic.training.wbc import WATCHED, check_sizes, read_wbc, save_wbc, wbc_learner
 from torchrl_athletic.transforms import RewardTerms
 
@@ -125,6 +125,8 @@ def task_learner(
 
 DRAWN = 400
 """Most policy steps in a video: 8 s."""
+NEAR = View(distance=4.0, elevation=-15.0)
+"""A hand overhead is in the picture."""
 MakeEnv = Callable[..., TransformedEnv]
 """``make_env(num_envs, exam=False, **told)``."""
 
@@ -139,6 +141,7 @@ def fine_tune(
     look_at: Sequence[str],
     judge: Callable[[TensorDict], dict[str, float]],
     annotate: Callable[..., None] | None = None,
+    view: View = NEAR,
     steps: int,
 ) -> dict[str, float]:
     """Tune a controller to a task, and leave policy, curves, figures, video and a strip of its frames.
@@ -154,6 +157,7 @@ def fine_tune(
         look_at: Entries that ``judge`` needs.
         judge: From :func:`~.evaluation.whole_rollout` to figures.
         annotate: Adds shapes to the video, as of :func:`~.video.record_video`.
+        view: From where it is seen.
         steps: Of an episode [policy steps].
 
     Returns:
@@ -198,7 +202,7 @@ def fine_tune(
         print(f"{key:>20} {before:9.3g} -> {figures[key]:.3g}")
     if cfg.video:
         shown = make_env(1, exam=True, seed=cfg.seed + 1)
-        frames = draw_episode(shown, policy, min(steps, DRAWN), annotate=annotate, follow="base")
+        frames = draw_episode(shown, policy, min(steps, DRAWN), annotate=annotate, follow="base", view=view)
         print("video:", write_video(frames, cfg.output / f"{name}.mp4", 50.0))
         frame_strip(frames, 6, cfg.output / f"{name}.png")
     return figures

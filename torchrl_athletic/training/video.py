@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,21 @@ BACKENDS = ("egl", "osmesa", "glfw")
 """Ways to draw without a screen, and at last with one."""
 
 
+@dataclass(frozen=True)
+class View:
+    """From where MuJoCo's free camera looks at what it keeps in its middle."""
+
+    distance: float | None = None
+    """Distance [m]; None sees all bodies of the first keyframe."""
+    azimuth: float | None = None
+    """Direction in which it looks, counter-clockwise from x [degree]; None is the model's."""
+    elevation: float | None = None
+    """How far above the horizon it looks [degree]; None is the model's."""
+
+
+FREE = View()
+
+
 def record_video(
     env: EnvBase,
     policy: Policy,
@@ -33,6 +49,7 @@ def record_video(
     camera: int | str = -1,
     annotate: Callable[..., None] | None = None,
     follow: str | None = None,
+    view: View = FREE,
 ) -> Path:
     """Draw an episode of the first environment.
 
@@ -47,6 +64,7 @@ def record_video(
         annotate: Adds shapes to the scene, such as a goal: called with the scene and, as ``step``, what the first
             environment showed after the step.
         follow: Body that the free camera keeps in its middle; None takes the robot's floating base, if it has one.
+        view: Of the free camera.
 
     Returns:
         What was written.
@@ -65,7 +83,7 @@ def record_video(
             f"{type(base).__name__} has no MuJoCo physics to draw. Give a TorqueEnv, or one with transforms."
         )
     follow = getattr(getattr(base, "robot", None), "base", None) if follow is None else follow
-    return write_video(draw_episode(env, policy, steps, size, camera, annotate, follow), path, frame_rate)
+    return write_video(draw_episode(env, policy, steps, size, camera, annotate, follow, view), path, frame_rate)
 
 
 @torch.no_grad()
@@ -77,11 +95,12 @@ def draw_episode(
     camera: int | str = -1,
     annotate: Callable[..., None] | None = None,
     follow: str | None = None,
+    view: View = FREE,
 ) -> list[NDArray[np.uint8]]:
     """Images of an episode of the first environment, as of :func:`record_video`. Shape (height, width, 3) each."""
     physics = (env.base_env if isinstance(env, TransformedEnv) else env).physics
     data, frames = mujoco.MjData(physics.model), []
-    with renderer(physics.model, size, camera) as draw:
+    with renderer(physics.model, size, camera, view) as draw:
         for step in acting(env, policy, steps):
             data.qpos[:] = physics.qpos[0].cpu().numpy()
             mujoco.mj_forward(physics.model, data)
@@ -111,7 +130,7 @@ Draw = Callable[..., NDArray[np.uint8]]
 
 
 @contextmanager
-def renderer(model: mujoco.MjModel, size: tuple[int, int], camera: int | str = -1) -> Iterator[Draw]:
+def renderer(model: mujoco.MjModel, size: tuple[int, int], camera: int | str = -1, view: View = FREE) -> Iterator[Draw]:
     """Something that draws a state: ``draw(data, annotate, look_at)`` gives an image (height, width, 3).
 
     Raises:
@@ -124,12 +143,15 @@ def renderer(model: mujoco.MjModel, size: tuple[int, int], camera: int | str = -
     scene = mujoco.MjvScene(model, maxgeom=2000)
     target = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, target)
-    view, option = mujoco.MjvCamera(), mujoco.MjvOption()
-    mujoco.mjv_defaultFreeCamera(model, view)
-    view.lookat[:], view.distance = _centre_and_distance(model)
+    eye, option = mujoco.MjvCamera(), mujoco.MjvOption()
+    mujoco.mjv_defaultFreeCamera(model, eye)
+    eye.lookat[:], eye.distance = _centre_and_distance(model)
+    for name, value in asdict(view).items():
+        if value is not None:
+            setattr(eye, name, value)
     if camera != -1:
-        view.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
-        view.fixedcamid = model.camera(camera).id
+        eye.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
+        eye.fixedcamid = model.camera(camera).id
     viewport = mujoco.MjrRect(0, 0, width, height)
 
     def draw(
@@ -138,8 +160,8 @@ def renderer(model: mujoco.MjModel, size: tuple[int, int], camera: int | str = -
         look_at: NDArray[np.float64] | None = None,
     ) -> NDArray[np.uint8]:
         if look_at is not None:
-            view.lookat[:] = look_at
-        mujoco.mjv_updateScene(model, data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL.value, scene)
+            eye.lookat[:] = look_at
+        mujoco.mjv_updateScene(model, data, option, None, eye, mujoco.mjtCatBit.mjCAT_ALL.value, scene)
         if annotate is not None:
             annotate(scene)
         image = np.empty((height, width, 3), np.uint8)
