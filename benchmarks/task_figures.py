@@ -2,6 +2,7 @@
 
     python -m benchmarks.task_figures                                     # the shipped ones: half an hour of two cores
     python -m benchmarks.task_figures --only throw --policy outputs/finetune_throw/throw.npz
+    python -m benchmarks.task_figures --untuned      # the controllers that they were tuned from: three minutes
 
 The same command goes on after a kill. Robots are randomised as in training, with other seeds. One condition differs
 from the first by what its name says: a policy that learnt the solver's error, or the actuator net's, falls behind
@@ -28,9 +29,9 @@ from tqdm import tqdm
 
 from benchmarks.by_case import commit
 from benchmarks.concealed import on_legs
-from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, sled_drift
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, phase_inputs, sled_drift
 from torchrl_athletic.functional.commands import sled_commands
-from torchrl_athletic.networks import digest_of, pretrained, read_network
+from torchrl_athletic.networks import digest_of, open_inputs, pretrained, read_network
 from torchrl_athletic.robots import with_options
 from torchrl_athletic.training import whole_rollout
 from torchrl_athletic.transforms import RandomizationRanges
@@ -71,6 +72,8 @@ class Config:
     """Names of tasks; none takes all."""
     policy: str | None = None
     """A file that a recipe wrote; None takes the shipped policies."""
+    untuned: bool = False
+    """Play the controllers that tuning begins with, as it begins with them, in the first condition alone."""
     episodes: int = 100
     """In each condition."""
     seed: int = 2_000_003
@@ -86,38 +89,51 @@ def main(cfg: Config) -> None:
         raise SystemExit(f"there is no task {unknown[0]!r}; there are {list(TASKS)}.")
     if cfg.policy is not None and len(cfg.only) != 1:
         raise SystemExit("--policy is of one task: name it with --only.")
+    if cfg.policy is not None and cfg.untuned:
+        raise SystemExit("--untuned names the policy, and so does --policy: give one of them.")
     torch.set_grad_enabled(False)
     for task in cfg.only or TASKS:
         policy: Any = pretrained(task) if cfg.policy is None else read_network(cfg.policy)
-        rows = played(task, policy, cfg)
+        policy, name = (untuned(task), f"{task}_untuned") if cfg.untuned else (policy, task)
+        rows = played(task, policy, cfg, cfg.output / f"task_{name}.json")
         lines = [
             f"| {task} | {' | '.join(SHOWN[task])} |",
             "|---" * (len(SHOWN[task]) + 1) + "|",
             *(f"| {name} | {' | '.join(f'{row[key]:.3g}' for key in SHOWN[task])} |" for name, row in rows.items()),
         ]
         made = (
-            f"`python -m benchmarks.task_figures --only {task}`, {cfg.episodes} episodes each, policy "
+            f"`python -m benchmarks.task_figures --only {task}{' --untuned' * cfg.untuned}`, {cfg.episodes} episodes "
+            f"each, policy "
             f"{digest_of(policy)}, {platform.machine()}, MuJoCo {mujoco.__version__}, commit "
             f"{', '.join(dict.fromkeys(str(row['commit']) for row in rows.values()))}."
         )
-        text = "\n".join([f"# What the tuned policy can do: {task}", "", *lines, "", made, ""])
+        kind = "untuned" if cfg.untuned else "tuned"
+        text = "\n".join([f"# What the {kind} policy can do: {task}", "", *lines, "", made, ""])
         print(text)
-        (cfg.output / f"task_{task}.md").write_text(text)
+        (cfg.output / f"task_{name}.md").write_text(text)
 
 
-def played(task: str, policy: Any, cfg: Config) -> dict[str, dict[str, Any]]:
+def untuned(task: str) -> Any:
+    """The controller of a task's recipe, deaf to phases as it is when its tuning begins."""
+    recipe = importlib.import_module(f"recipes.finetune_{task}")
+    controller = pretrained(recipe.Config().start)
+    open_inputs(controller, phase_inputs(recipe.make_env("ideal", 1)))
+    return controller
+
+
+def played(task: str, policy: Any, cfg: Config, path: Path) -> dict[str, dict[str, Any]]:
     """Figures by condition, kept after each of them."""
-    path = cfg.output / f"task_{task}.json"
     same = {"policy": digest_of(policy), "episodes": cfg.episodes, "seed": cfg.seed}
     known = json.loads(path.read_text("utf-8")) if path.exists() else {}
     rows = known["rows"] if {key: known.get(key) for key in same} == same else {}
-    for name, told in tqdm(list(conditions(task)), desc=task):
+    wanted = list(conditions(task))[: 1 if cfg.untuned else None]
+    for name, told in tqdm(wanted, desc=task):
         if name not in rows:
             rows[name] = figures(task, policy, told, cfg) | {"commit": cfg.commit or commit()}
             part = path.with_name(f".{path.name}")
             part.write_text(json.dumps(same | {"rows": rows}, indent=1) + "\n", "utf-8")
             part.replace(path)
-    return {name: rows[name] for name, _ in conditions(task)}
+    return {name: rows[name] for name, _ in wanted}
 
 
 def conditions(task: str) -> Iterator[tuple[str, dict[str, Any]]]:
