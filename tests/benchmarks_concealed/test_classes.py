@@ -1,0 +1,75 @@
+"""Classes of what is concealed on real benches: what counts as found, as wrong, and as nobody's knowledge."""
+
+import pytest
+
+from benchmarks.concealed.classes import known, learn, probability, statements, table
+
+
+def finding(effect, joint, p=0.4, stated=0.7, rivals=(), left=0.1, energy=0.9, senseless=False):
+    return {
+        "effect": effect, "joint": joint, "probability": p, "class_probability": stated, "open": left,
+        "energy": energy, "senseless": senseless, "rivals": [list(r) for r in rivals],
+    }  # fmt: skip
+
+
+def case(*findings, bench="arm", kind="removed", truth=("coulomb_friction", "elbow")):
+    return {"bench": bench, "kind": kind, "truths": [list(truth)], "findings": list(findings)}
+
+
+CONTROL = {"bench": "arm", "kind": "complete", "truths": [], "findings": [finding("payload", "elbow")]}
+
+
+def graded(*cases):
+    return statements(cases, known([CONTROL]))
+
+
+def test_a_class_is_right_by_its_joint_and_known_where_the_complete_model_says_it_too():
+    said = graded(
+        case(
+            finding("stribeck_friction", "elbow"),
+            finding("coulomb_friction", "shoulder"),
+            finding("link_mass", "elbow"),
+        )
+    )
+    assert [s.right for s in said] == [True, False, False]
+    assert [s.known for s in said] == [False, False, True]
+
+
+def test_rivals_of_the_same_class_and_joint_are_on_its_side():
+    rivals = [("viscous_friction", "elbow", 0.2), ("viscous_friction", "hip", 0.1), ("payload", "elbow", 0.1)]
+    [said] = graded(case(finding("coulomb_friction", "elbow", 0.4, rivals=rivals)))
+    assert said.alike == pytest.approx(0.6)
+
+
+def test_a_class_is_no_likelier_than_what_is_closed_and_accounted_for_unless_its_law_is():
+    likely = (9.0, 1.0)
+    for told, most in (({"left": 0.7}, 0.3), ({"energy": 0.2}, 0.2), ({"senseless": True, "p": 0.1}, 0.1)):
+        [said] = graded(case(finding("coulomb_friction", "elbow", **{"p": 0.1} | told)))
+        assert probability(said, likely) == pytest.approx(most)
+    [sure] = graded(case(finding("coulomb_friction", "elbow", 0.8, left=0.9)))
+    assert probability(sure, likely) == 0.8
+
+
+def test_the_table_counts_cases_found_and_wrong_classes_and_leaves_out_what_nobody_knows():
+    cases = [
+        case(finding("stribeck_friction", "elbow", stated=0.7), finding("viscous_friction", "elbow", stated=0.6)),
+        case(finding("coulomb_friction", "elbow", stated=0.4), finding("backlash", "elbow", stated=0.9)),
+        case(finding("payload", "elbow", stated=0.9)),  # the complete model's diagnosis says so, too
+        case(finding("payload", "elbow", stated=0.9), truth=("link_mass", "elbow")),
+        case(),
+    ]
+    said = graded(*cases)
+    *_, row = table(cases, {"as stated": {s: s.in_force for s in said}})
+    assert row == "| as stated | 5 | 3 | 2 | 1 | 3 | 1 |"
+
+
+def test_what_is_right_more_often_is_learnt_to_be_likelier():
+    said = [
+        *graded(*[case(finding("coulomb_friction", "elbow", 0.6))] * 9),
+        *graded(*[case(finding("backlash", "elbow", 0.6))] * 1),
+        *graded(*[case(finding("backlash", "elbow", 0.1))] * 9),
+    ]
+    level, steepness = learn(said)
+    assert steepness > 0
+    high, low = (probability(s, (level, steepness)) for s in (said[0], said[-1]))
+    assert high > 0.5 > low
