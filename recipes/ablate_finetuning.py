@@ -5,7 +5,7 @@ python recipes/ablate_finetuning.py --device cuda    # the paper's scale: 15 min
 
 ``No-Fine-Tuning`` is the controller that follows the reference; ``No-Pre-Training`` begins anew; ``No-E2E`` is a policy
 that commands the frozen controller; ``Ours`` goes on from the controller. Each throws 100 times. Leaves a table and a
-picture; the same command goes on after Ctrl-C or a crash. What came out: docs/tasks.md.
+picture; the same command goes on after Ctrl-C or a crash. What came out: docs/task_throw.md.
 """
 
 import json

@@ -5,7 +5,7 @@ python recipes/finetune_snatch.py --device cuda    # the paper's scale: 4,096 ro
 python recipes/finetune_snatch.py --actuation outputs/identification/diagnosed_seed0   # in an identified simulator
 
 Starts from the shipped whole-body controller. The same command goes on after Ctrl-C or a crash.
-What came out: docs/tasks.md.
+What came out: docs/task_snatch.md.
 """
 
 import os

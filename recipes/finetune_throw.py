@@ -5,7 +5,7 @@ python recipes/finetune_throw.py --device cuda    # the paper's scale: 4,096 rob
 python recipes/finetune_throw.py --actuation outputs/identification/diagnosed_seed0   # in an identified simulator
 
 Starts from the shipped whole-body controller. The same command goes on after Ctrl-C or a crash.
-What came out: docs/tasks.md.
+What came out: docs/task_throw.md.
 """
 
 import os

@@ -17,7 +17,7 @@ def kick():
     """All that the page's code defines, but for what records a video."""
     scope = {}
     for block in re.findall(r"^```python\n(.*?)^```", PAGE, re.S | re.M):
-        if "record_video" not in block:
+        if "record_video" not in block and "fine_tune(" not in block:
             exec(compile(block, "tasks.md", "exec"), scope)
     return scope
 
@@ -60,6 +60,16 @@ def test_the_kick_has_its_phases_and_rewards_the_foot_in_one_of_them(kick):
 def test_the_kick_is_tuned_from_the_controller(kick):
     assert kick["learner"].samples == 8 * 8 * (FINE_TUNE.warm_up + 1)  # nothing is learnt from what comes first
     assert torch.isfinite(kick["report"]["reward"])
+
+
+def test_the_kick_is_trained_as_the_recipes_train(kick, tmp_path):
+    block = next(code for code in re.findall(r"^```python\n(.*?)^```", PAGE, re.S | re.M) if "fine_tune(" in code)
+    small = "iterations=1, num_envs=2, episodes=1, video=False, ppo=replace(FINE_TUNE, horizon=4, warm_up=0)"
+    code = block.replace("minutes=10.0", small).replace("outputs/kick", str(tmp_path))
+    exec(compile(code.replace("steps=150", "steps=2"), "tasks.md", "exec"), dict(kick))
+    assert {"kick.npz", "kick_critic.npz", "curves.png", "figures.json", "progress.csv"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
 
 
 def test_gymnasium_makes_the_sled(kick):

@@ -106,7 +106,8 @@ def command_ranges(name: str) -> CommandRanges:
     Args:
         name: ``"around"``, the defaults, which reach from the ground ahead to behind the head; ``"ahead"``, from the
             ground to a little over the shoulder, which is where pre-trainings of others have the hand; or ``"box"``,
-            ahead of the robot, too, but not as near, which is what the shipped ``wbc`` was trained on.
+            ahead of the robot, too, but not as near: the places on which the shipped ``wbc`` was trained, with
+            attitudes that differ by 0.09 rad in the mean.
 
     Raises:
         ValueError: If there are no such ranges.

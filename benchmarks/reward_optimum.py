@@ -1,0 +1,193 @@
+"""Where the pre-training's reward itself has the hand, by several readings of two terms that the paper leaves open.
+
+    python benchmarks/reward_optimum.py
+
+The paper prints a sum over key points "up to three", a third each, but speaks of four; and bare bars about the joints'
+deviation from the default pose, which may be a sum of absolute values or a length. For goals of the command ranges, the
+joints and the base's height, roll and pitch are sought, by gradients from several starts, at which tracking less
+deviation pays most, with all feet on level ground. Nothing moves, nothing collides and no other term counts: what it
+says of a trained policy is a bound, not a forecast.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import torch
+import tyro
+from torch import Tensor
+from tqdm import tqdm
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+from benchmarks.by_case import commit
+from torchrl_athletic.functional import rotations, streams
+from torchrl_athletic.functional.commands import command_ranges, draw_goal, goal_to_pose
+from torchrl_athletic.functional.rewards import WBC_SCALES
+from torchrl_athletic.recordings.whole_file import whole_file
+from torchrl_athletic.robots import b2z1
+from torchrl_athletic.robots.b2z1 import FOOT_RADIUS, LEGS
+
+LENGTH = 0.3
+"""Length of the key points' axes [m]."""
+LEAST, MOST = (0.35, -0.4, -0.4), (0.68, 0.4, 0.4)
+"""Height [m], roll and pitch [rad] of the base."""
+GROUND = 2000.0
+"""Price of a foot that is off the ground, by its square [1/m²]."""
+Deviation = Callable[[Tensor], Tensor]
+Chain = list[tuple[Tensor, Tensor, Tensor | None, int]]
+"""From the base to a site: place, attitude, axis and number of each joint."""
+
+
+@dataclass(frozen=True)
+class Config:
+    goals: int = 100
+    """Goals of each kind."""
+    starts: int = 4
+    """Starts of the search for each goal."""
+    steps: int = 600
+    """Steps of each search."""
+    seed: int = 0
+    """Seed of goals and starts."""
+    output: Path = Path("benchmarks/results/reward_optimum.md")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the two terms may mean."""
+
+    words: str
+    weight: float
+    """Of each of the four key points."""
+    deviation: Deviation
+
+
+def total(change: Tensor) -> Tensor:
+    """Sum of absolute values, rounded at 0 for the gradient."""
+    return (change.square() + 1e-8).sqrt().sum(-1)
+
+
+def length(change: Tensor) -> Tensor:
+    """Length, rounded at 0 for the gradient."""
+    return (change.square().sum(-1) + 1e-6).sqrt()
+
+
+READINGS = (
+    Reading("mean of four key points, sum of absolute deviations (ours)", 1 / 4, total),
+    Reading("a third of each key point, sum of absolute deviations", 1 / 3, total),
+    Reading("mean of four key points, length of the deviation", 1 / 4, length),
+    Reading("a third of each key point, length of the deviation", 1 / 3, length),
+)
+
+
+class Body:
+    """The robot's kinematics in torch: joint angles, base height, roll and pitch to hand and feet."""
+
+    def __init__(self) -> None:
+        robot = b2z1()
+        self.model = robot.model()
+        self.names = robot.joint_names
+        self.pose = torch.tensor(robot.default_pose)
+        self.limits = torch.tensor(robot.position_limit).T
+        self.feet = [self._chain(f"{leg}_foot") for leg in LEGS]
+        self.hand = self._chain("end_effector")
+
+    def _chain(self, site: str) -> Chain:
+        model, links = self.model, []
+        body = model.site(site).bodyid[0]
+        links.append((model.site(site).pos, model.site(site).quat, None, -1))
+        while model.body_parentid[body] != 0:
+            axis, number = None, -1
+            if model.body_jntnum[body]:
+                joint = model.joint(model.body_jntadr[body])
+                axis, number = torch.tensor(joint.axis).float(), self.names.index(joint.name)
+            links.append((model.body_pos[body], model.body_quat[body], axis, number))
+            body = model.body_parentid[body]
+        tensors = [(torch.tensor(p).float(), torch.tensor(q).float(), a, n) for p, q, a, n in links]
+        return tensors[::-1]
+
+    def place(self, chain: Chain, q: Tensor, base: Tensor) -> tuple[Tensor, Tensor]:
+        """Position [m] and quaternion of a site. Joints (*B, J) and base (*B, 3) to (*B, 3) and (*B, 4)."""
+        zero = torch.zeros_like(base[..., :1])
+        position = torch.cat((zero, zero, base[..., :1]), -1)
+        attitude = rotations.multiply(_turn(base[..., 2], (0.0, 1.0, 0.0)), _turn(base[..., 1], (1.0, 0.0, 0.0)))
+        for offset, quaternion, axis, number in chain:
+            position = position + rotations.rotate(attitude, offset.expand_as(position))
+            attitude = rotations.multiply(attitude, quaternion.expand_as(attitude))
+            if axis is not None:
+                attitude = rotations.multiply(attitude, _turn(q[..., number], axis.tolist()))
+        return position, attitude
+
+
+def _turn(angle: Tensor, axis: list[float] | tuple[float, ...]) -> Tensor:
+    half = angle.unsqueeze(-1) / 2
+    return torch.cat((half.cos(), half.sin() * torch.tensor(axis)), -1)
+
+
+def keypoints(position: Tensor, attitude: Tensor) -> Tensor:
+    return rotations.keypoints(position, rotations.matrix(attitude), LENGTH)
+
+
+def best(reading: Reading, kind: str, cfg: Config) -> tuple[float, float, float]:
+    """Means over goals, at what pays most: attitude [rad], hand [m] and key points [m]."""
+    body, ranges = Body(), command_ranges(kind)
+    shoulder = torch.tensor(ranges.shoulder)
+    drawn, _ = draw_goal(
+        streams.stream(cfg.seed, torch.arange(cfg.goals)), ranges.bounds(), box_from=shoulder if ranges.box else None
+    )
+    pose = goal_to_pose(drawn, shoulder)
+    above = torch.tensor([0.0, 0.0, ranges.frame_height])
+    goal = keypoints(pose[:, :3] + above, pose[:, 3:]).repeat(cfg.starts, 1, 1)
+    generator = torch.Generator().manual_seed(cfg.seed)
+    rows = cfg.goals * cfg.starts
+    shaken = 0.4 * torch.randn(rows, len(body.names), generator=generator)
+    shaken[: cfg.goals] = 0.0
+    shaken[:, [k for k, name in enumerate(body.names) if name[:2] in LEGS]] *= 0.25
+    q = (body.pose + shaken).clamp(*body.limits).requires_grad_()
+    base = torch.tensor([0.55, 0.0, 0.0]).repeat(rows, 1).requires_grad_()
+    search = torch.optim.Adam([q, base], lr=0.03)
+
+    def paid() -> tuple[Tensor, Tensor]:
+        way = keypoints(*body.place(body.hand, q, base)) - goal
+        near = torch.exp(-2 * (way.square().sum(-1) + 1e-10).sqrt()).sum(-1)
+        lifted = torch.stack([body.place(foot, q, base)[0][..., 2] - FOOT_RADIUS for foot in body.feet], -1)
+        price = WBC_SCALES["joint_deviation"] * reading.deviation(q - body.pose)
+        reward = WBC_SCALES["ee_pose_tracking"] * reading.weight * near + price
+        return reward - GROUND * lifted.square().sum(-1), way
+
+    for step in tqdm(range(cfg.steps), desc=f"{kind}, {reading.words}", leave=False):
+        search.param_groups[0]["lr"] = 0.03 * (1 - step / cfg.steps) + 1e-4
+        search.zero_grad()
+        (-paid()[0].sum()).backward()
+        search.step()
+        with torch.no_grad():
+            q.copy_(q.clamp(*body.limits))
+            base.copy_(base.clamp(torch.tensor(LEAST), torch.tensor(MOST)))
+    with torch.no_grad():
+        reward, way = paid()
+        chosen = reward.view(cfg.starts, cfg.goals).argmax(0) * cfg.goals + torch.arange(cfg.goals)
+        way = way[chosen]
+        turned = (way[:, 1:] - way[:, :1]).flatten(1).norm(dim=-1) / (LENGTH * 8**0.5)
+        far = way.norm(dim=-1)
+        return float(2 * turned.clamp(max=1).asin().mean()), float(far[:, 0].mean()), float(far.mean())
+
+
+def main(cfg: Config) -> None:
+    torch.set_num_threads(1)
+    lines = ["| reading | goals | attitude [rad] | hand [cm] | key points [cm] |", "|---|---|---|---|---|"]
+    for reading in READINGS:
+        for kind in ("box", "ahead", "around"):
+            attitude, hand, mean = best(reading, kind, cfg)
+            lines.append(f"| {reading.words} | `{kind}` | {attitude:.3f} | {100 * hand:.1f} | {100 * mean:.1f} |")
+            print(lines[-1], flush=True)
+    told = f"`python benchmarks/reward_optimum.py`, {cfg.goals} goals, MuJoCo {mujoco.__version__}, commit {commit()}."
+    with whole_file(cfg.output) as part:
+        part.write_text("\n".join(["# Where the reward has the hand", "", *lines, "", told, ""]), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))
