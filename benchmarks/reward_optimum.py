@@ -36,8 +36,9 @@ LENGTH = 0.3
 """Length of the key points' axes [m]."""
 LEAST, MOST = (0.35, -0.4, -0.4), (0.68, 0.4, 0.4)
 """Height [m], roll and pitch [rad] of the base."""
-GROUND = 2000.0
-"""Price of a foot that is off the ground, by its square [1/m²]."""
+GROUND = (10.0, 2000.0)
+"""Price of a foot that is off the ground, by its square, at first and at last [1/m²]: a base that must not lift a foot at
+all would hardly be moved."""
 Deviation = Callable[[Tensor], Tensor]
 Chain = list[tuple[Tensor, Tensor, Tensor | None, int]]
 """From the base to a site: place, attitude, axis and number of each joint."""
@@ -49,7 +50,7 @@ class Config:
     """Goals of each kind."""
     starts: int = 4
     """Starts of the search for each goal."""
-    steps: int = 600
+    steps: int = 400
     """Steps of each search."""
     seed: int = 0
     """Seed of goals and starts."""
@@ -151,24 +152,25 @@ def best(reading: Reading, kind: str, cfg: Config) -> tuple[float, float, float]
     base = torch.tensor([0.55, 0.0, 0.0]).repeat(rows, 1).requires_grad_()
     search = torch.optim.Adam([q, base], lr=0.03)
 
-    def paid() -> tuple[Tensor, Tensor]:
+    def paid(share: float) -> tuple[Tensor, Tensor]:
         way = keypoints(*body.place(body.hand, q, base)) - goal
         near = torch.exp(-2 * (way.square().sum(-1) + 1e-10).sqrt()).sum(-1)
         lifted = torch.stack([body.place(foot, q, base)[0][..., 2] - FOOT_RADIUS for foot in body.feet], -1)
         price = WBC_SCALES["joint_deviation"] * reading.deviation(q - body.pose)
         reward = WBC_SCALES["ee_pose_tracking"] * reading.weight * near + price
-        return reward - GROUND * lifted.square().sum(-1), way
+        ground = GROUND[0] * (GROUND[1] / GROUND[0]) ** share
+        return reward - ground * lifted.square().sum(-1), way
 
     for step in tqdm(range(cfg.steps), desc=f"{kind}, {reading.words}", leave=False):
         search.param_groups[0]["lr"] = 0.03 * (1 - step / cfg.steps) + 1e-4
         search.zero_grad()
-        (-paid()[0].sum()).backward()
+        (-paid(step / cfg.steps)[0].sum()).backward()
         search.step()
         with torch.no_grad():
             q.copy_(q.clamp(*body.limits))
             base.copy_(base.clamp(torch.tensor(LEAST), torch.tensor(MOST)))
     with torch.no_grad():
-        reward, way = paid()
+        reward, way = paid(1.0)
         chosen = reward.view(cfg.starts, cfg.goals).argmax(0) * cfg.goals + torch.arange(cfg.goals)
         way = way[chosen]
         turned = (way[:, 1:] - way[:, :1]).flatten(1).norm(dim=-1) / (LENGTH * 8**0.5)

@@ -56,7 +56,7 @@ def main(cfg: Config) -> None:
         look_at=LOOK_AT,
         judge=judge,
         annotate=draw_sled,
-        view=training.View(distance=5.5, elevation=-25.0),
+        view=training.View(distance=5.5, azimuth=45.0, elevation=-25.0),
         steps=STEPS,
     )
 
