@@ -37,8 +37,8 @@ LENGTH = 0.3
 LEAST, MOST = (0.35, -0.4, -0.4), (0.68, 0.4, 0.4)
 """Height [m], roll and pitch [rad] of the base."""
 GROUND = (10.0, 2000.0)
-"""Price of a foot that is off the ground, by its square, at first and at last [1/m²]: a base that must not lift a foot at
-all would hardly be moved."""
+"""Price of a foot off the ground, by its square, at first and at last [1/m²]: a base that must not lift a foot at all
+would hardly be moved."""
 Deviation = Callable[[Tensor], Tensor]
 Chain = list[tuple[Tensor, Tensor, Tensor | None, int]]
 """From the base to a site: place, attitude, axis and number of each joint."""
