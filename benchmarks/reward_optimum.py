@@ -188,7 +188,7 @@ def main(cfg: Config) -> None:
             print(lines[-1], flush=True)
     told = f"`python benchmarks/reward_optimum.py`, {cfg.goals} goals, MuJoCo {mujoco.__version__}, commit {commit()}."
     with whole_file(cfg.output) as part:
-        part.write_text("\n".join(["# Where the reward has the hand", "", *lines, "", told, ""]), encoding="utf-8")
+        part.write_text("\n".join(["Where the reward has the hand:", "", *lines, "", told, ""]), encoding="utf-8")
 
 
 if __name__ == "__main__":
