@@ -40,8 +40,8 @@ LOOK_AT = ["base_position", "base_quaternion", "start_line", "sled_position", "s
 
 @dataclass(frozen=True)
 class Config(training.FineTune):
-    ppo: training.PPO = field(default_factory=lambda: replace(training.FINE_TUNE, warm_up=42))
-    """What else is chosen by hand. Drift grows over an episode, so nothing is learnt from the first 42 x 24 steps."""
+    ppo: training.PPO = field(default_factory=lambda: replace(training.FINE_TUNE, critic_first=36))
+    """What else is chosen by hand. Drift grows over a robot's first episode, in which the critic learns alone."""
     output: Path = Path("outputs/finetune_sled")
     """Folder for all that is written."""
 

@@ -160,8 +160,8 @@ def test_a_sled_s_way_and_the_robot_s_drift():
     assert found["mean_tension_n"] == pytest.approx(50.0)
 
 
-def test_nothing_is_learnt_from_the_first_episode_of_a_sled():
+def test_the_actor_learns_nothing_from_the_first_episode_of_a_sled():
     """Its robots have not drifted yet: the curve would begin with their rewards and fall."""
     ppo = sled.Config().ppo
-    assert ppo.warm_up * ppo.horizon >= sled.STEPS
-    assert ppo == dataclasses.replace(FINE_TUNE, warm_up=ppo.warm_up)
+    assert (ppo.warm_up + ppo.critic_first) * ppo.horizon >= sled.STEPS
+    assert ppo == dataclasses.replace(FINE_TUNE, critic_first=ppo.critic_first)

@@ -109,3 +109,13 @@ def test_a_line_is_the_mean_over_a_fiftieth_of_the_run_and_its_axis_says_over_wh
     assert path.exists()
     assert labels == ["seconds"]
     np.testing.assert_allclose(lines[0], np.isin(np.arange(150), (74, 75, 76)))
+
+
+@pytest.mark.parametrize("shaded", [0.0, 12.0])
+def test_every_panel_is_grey_as_far_as_is_told_and_not_at_all_by_itself(tmp_path, monkeypatch, shaded):
+    table, grey = CSVTable(tmp_path / "one.csv"), []
+    for k in range(3):
+        table.log_metrics({"samples": 10.0 * k, "a": 1.0, "b": 2.0}, step=k)
+    monkeypatch.setattr(Axes, "axvspan", lambda axis, low, high, **_: grey.append((low, high)))
+    draw_curves({"one": tmp_path / "one.csv"}, {"a": "a", "b": "b"}, tmp_path / "c.png", shaded=shaded)
+    assert grey == ([(0, shaded)] * 2 if shaded else [])

@@ -90,7 +90,7 @@ from torchrl_athletic.training import (
         (Learner, {"normalized": "observation", "seed": 0, "collector": False, "cuda_graph": False}),
         (RayRollout, {"seed": 0}),
         (Rollout, {"collector": False}),
-        (draw_curves, {"against": "samples"}),
+        (draw_curves, {"against": "samples", "shaded": 0.0}),
         (draw_episode, {"size": (480, 640), "camera": -1}),
         (
             examine,

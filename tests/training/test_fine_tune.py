@@ -175,7 +175,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     monkeypatch.setattr(module, "whole_rollout", told.of("rollout", TensorDict()))
     monkeypatch.setattr(module, "Checkpoints", told.of("checkpoints", "states"))
     monkeypatch.setattr(torch, "manual_seed", told.of("seed"))
-    ppo = PPO(num_envs=48, horizon=7, entropy_coeff=0.25)
+    ppo = PPO(num_envs=48, horizon=7, entropy_coeff=0.25, warm_up=1, critic_first=3)
     cfg = FineTune(
         device=device, minutes=minutes, iterations=9, seed=6, start="other", actuation="ideal", num_envs=num_envs,
         ppo=ppo, episodes=5, logger="none", output=tmp_path,
@@ -215,7 +215,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     assert told["write_video"][0][0][1:] == (tmp_path / "throw.mp4", 50.0)
     assert told["frame_strip"][0][0][1:] == (6, tmp_path / "throw.png")
     curves = {"throw": tmp_path / "progress.csv"}, {"kl": "how far"}, tmp_path / "curves.png"
-    assert told["draw_curves"] == [(curves, {})]
+    assert told["draw_curves"] == [(curves, {"shaded": (1 + 3) * 7 * rows})]
     assert "far         1 -> 2\n" in capsys.readouterr().out
 
 

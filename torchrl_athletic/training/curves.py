@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 
 
 def draw_curves(
-    tables: Mapping[str, str | Path], columns: Mapping[str, str], path: str | Path, *, against: str = "samples"
+    tables: Mapping[str, str | Path],
+    columns: Mapping[str, str],
+    path: str | Path,
+    *,
+    against: str = "samples",
+    shaded: float = 0.0,
 ) -> Path:
     """Draw columns of ``progress.csv``, a panel for each, a line for each run.
 
@@ -20,6 +25,7 @@ def draw_curves(
         columns: Titles of the panels by the columns' names; a column that no table has is left out.
         path: Of the picture, ``.png`` or ``.svg``; its folder is made.
         against: Column of the horizontal axis.
+        shaded: Until where on that axis the panels are grey: where the critic learns alone, say.
 
     Returns:
         The path.
@@ -42,6 +48,8 @@ def draw_curves(
             if name in run:
                 known = ~np.isnan(run[name])
                 axis.plot(run[against][known], smoothed(run[name][known]), label=label, lw=1.2)
+        if shaded:
+            axis.axvspan(0, shaded, color="0.9", lw=0)
         axis.set_title(columns[name], fontsize=9)
         axis.set_xlabel(against, fontsize=8)
         axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # whole numbers of samples would run into each other

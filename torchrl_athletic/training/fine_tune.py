@@ -196,7 +196,8 @@ def fine_tune(
     print("policy:", save_wbc(learner, cfg.output, name=name, trained_as=str(cfg), history=10))
     policy = learner.actor.to("cpu")
     if (progress := cfg.output / "progress.csv").exists():
-        print("curves:", draw_curves({name: progress}, curves, cfg.output / "curves.png"))
+        alone = (ppo.warm_up + ppo.critic_first) * ppo.horizon * ppo.num_envs if ppo.critic_first else 0
+        print("curves:", draw_curves({name: progress}, curves, cfg.output / "curves.png", shaded=alone))
     figures = _examine(cfg, make_env, policy, cfg.output / "figures.json", look_at, judge, steps)
     for key, before in json.loads(first.read_text("utf-8")).items():
         print(f"{key:>20} {before:9.3g} -> {figures[key]:.3g}")
