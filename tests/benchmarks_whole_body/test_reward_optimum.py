@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reward_optimum import READINGS, Body
+from benchmarks.reward_optimum import READINGS, Body, Config, best
 from torchrl_athletic.functional import rotations
 from torchrl_athletic.robots.b2z1 import LEGS
 
@@ -32,5 +32,15 @@ def test_hand_and_feet_are_where_mujoco_has_them():
 
 def test_readings_differ_in_what_they_say():
     change = torch.tensor([[0.3, -0.4, 0.0]])
-    assert [float(reading.deviation(change)) for reading in READINGS] == pytest.approx([0.7, 0.7, 0.5, 0.5], abs=1e-3)
-    assert [4 * reading.weight for reading in READINGS] == pytest.approx([1, 4 / 3, 1, 4 / 3])
+    assert [float(reading.deviation(change)) for reading in READINGS] == pytest.approx([0.7, 0.7, 0.5], abs=1e-3)
+    assert [4 * reading.weight for reading in READINGS] == pytest.approx([1, 4 / 3, 1])
+
+
+def test_more_starts_pay_no_less_and_a_cheaper_deviation_pays_more():
+    few, many = (best(READINGS[0], "box", Config(goals=6, starts=starts, steps=60)) for starts in (1, 6))
+    assert (many.reward >= few.reward - 1e-5).all()
+    assert few.gain == 0
+    assert many.gain >= 0
+    cheap = best(READINGS[2], "box", Config(goals=6, starts=6, steps=60))
+    assert cheap.reward.mean() > many.reward.mean()
+    assert cheap.attitude.mean() < many.attitude.mean()
