@@ -90,6 +90,7 @@ def draw(
     steps = round(50 * cfg.seconds)
     fell = {(name, row): row in results[name]["fallen"] for name in chosen for row in range(cfg.episodes)}
     for kind, wanted in {"good": False, "failed": True}.items():
+        (cfg.output / f"{kind}.mp4").unlink(missing_ok=True)
         for condition, row in [key for key, failed in fell.items() if failed == wanted][:TRIES]:
             env = chosen[condition].env(1, max_steps=steps, first_row=row, **told)
             frames = training.draw_episode(env, policy, steps, (360, 480), annotate=draw_command, follow="base")
@@ -99,6 +100,8 @@ def draw(
                 last = frames if kind == "good" else frames[-100:]  # the two seconds before the end
                 training.frame_strip(last, 6, cfg.output / f"{kind}.png")
                 break
+        else:
+            print(f"{kind}: no video, since no robot did so when it was played again.")
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ class Config:
     minutes: float | None = None  # when to stop; None takes 10 on CPUs and 25 on a GPU
     iterations: int | None = None  # when to stop in any case
     seed: int = 0  # of weights, robots, commands and exploration
-    commands: Literal["around", "ahead", "box"] = "around"  # goals of the hand: to behind the head, or ahead alone
+    commands: Literal["around", "ahead", "box"] = "around"  # goals: to behind the head, ahead, ahead and not near
     actuation: str = "uan"
     """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     randomize: bool = True

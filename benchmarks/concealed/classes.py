@@ -4,8 +4,8 @@
 
 Reads the committed answers of ``benchmarks/concealed_real.py``: cases in which physics was taken out of a bench's model
 or put into its recordings, by more than three times the noise. A class is right if the physics that was concealed is of
-it, on that joint. Nobody knows whether classes are true that the complete model's own diagnosis names: they count
-neither as wrong nor for learning, and cases whose class is among them are also counted apart.
+it, on that joint. Nobody knows whether classes are true that the complete model's own diagnosis names: probabilities
+are neither learnt from them nor judged by them, and cases in which only they are right are counted apart.
 
 Prints the two numbers that ``calibration.json`` holds, learnt from all benches, and writes what they are worth on a
 bench that they were not learnt on.
@@ -27,6 +27,7 @@ from scipy.optimize import minimize
 
 sys.path.append(str(Path(__file__).parents[2]))
 
+from torchrl_athletic.diagnosis.calibration import class_probability
 from torchrl_athletic.diagnosis.thresholds import STATEMENT
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings.whole_file import whole_file
@@ -60,8 +61,12 @@ class Statement:
     """Probability of the law."""
     alike: float
     """The same with its rivals of the same class and joint."""
-    most: float
-    """That the class may have at most, as in :func:`~torchrl_athletic.diagnosis.calibration.class_probability`."""
+    closed: float
+    """Share of the error that the correction closes."""
+    energy: float
+    """Share of the joint's missing torque that the finding accounts for."""
+    senseless: bool
+    """Whether its values are none that a robot has: then the class is no likelier than the law."""
     in_force: float
     """What the diagnosis stated for the class."""
     right: bool
@@ -73,14 +78,15 @@ def main(cfg: Config) -> None:
     content = json.loads(cfg.answers.read_text(encoding="utf-8"))
     cases = [c for c in content["cases"] if c["truths"] and c.get("over_noise", 0.0) >= VISIBLE]
     stated = statements(cases, known(content["cases"]))
-    learning = [s for s in stated if s.right or not s.known]
-    level, steepness = learn(learning)
-    print(f"level {level:.3f}, steepness {steepness:.3f}, from {len(learning)} findings")
+    learning = [s for s in stated if not s.known]
+    weights = learn(learning)
+    print(f"level {weights['level']:.3f}, steepness {weights['steepness']:.3f}, from {len(learning)} findings")
     crossed: dict[Statement, float] = {}
     for bench in {s.bench for s in stated}:
-        weights = learn([s for s in learning if s.bench != bench])
-        crossed |= {s: probability(s, weights) for s in stated if s.bench == bench}
-    lines = table(cases, {"as stated": {s: s.in_force for s in stated}, "one bench left out": crossed})
+        others = learn([s for s in learning if s.bench != bench])
+        crossed |= {s: probability(s, others) for s in stated if s.bench == bench}
+    in_force = {s: s.in_force for s in stated}
+    lines = table(cases, {"as stated": in_force, "learnt on the other benches": crossed})
     commits = ", ".join(f"`{c}`" for c in sorted({c["commit"] for c in cases}))
     head = f"Made by `python benchmarks/concealed/classes.py` from {cfg.answers.name}, answers of {commits}."
     with whole_file(cfg.output) as part:
@@ -102,7 +108,9 @@ def statements(cases: Sequence[Mapping[str, Any]], of_control: Mapping[str, set[
             place=_place(f),
             law=f["probability"],
             alike=f["probability"] + sum(p for e, j, p in f["rivals"] if (CLASS[e], j) == _place(f)),
-            most=0.0 if f["senseless"] else min(1.0 - f["open"], f["energy"]),
+            closed=1.0 - f["open"],
+            energy=f["energy"],
+            senseless=f["senseless"],
             in_force=f["class_probability"],
             right=_place(f) in _hidden(case),
             known=_place(f) in of_control[case["bench"]],
@@ -121,45 +129,46 @@ def _place(finding: Mapping[str, Any]) -> Place:
 
 
 def table(cases: Sequence[Mapping[str, Any]], by: Mapping[str, Mapping[Statement, float]]) -> list[str]:
-    """Cases whose class is found, and classes above one half that are wrong."""
-    head = ("probabilities", "cases", "class and joint named", "over one half", "of these the control is silent in",
-            "classes over one half", "of these wrong")  # fmt: skip
+    """Cases whose class is found; then, where the control is silent, how many classes over one half are wrong."""
+    head = ("probabilities", "cases", "class and joint named", "over one half", "named, control silent",
+            "over one half, control silent", "classes over one half", "of these wrong", "Brier score")  # fmt: skip
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for name, of in by.items():
-        over = [s for s, p in of.items() if p > STATEMENT.likely and (s.right or not s.known)]
+        right = {s: p for s, p in of.items() if s.right}
+        judged = {s: p for s, p in of.items() if not s.known}
+        over = {s: p for s, p in judged.items() if p > STATEMENT.likely}
         cells = [
             len(cases),
-            len({s.case for s in of if s.right}),
+            len({s.case for s in right}),
+            len({s.case for s, p in right.items() if p > STATEMENT.likely}),
+            len({s.case for s in judged if s.right}),
             len({s.case for s in over if s.right}),
-            len({s.case for s in over if s.right and not s.known}),
             len({(s.case, s.place) for s in over}),
             len({(s.case, s.place) for s in over if not s.right}),
         ]
-        lines.append(f"| {name} | {' | '.join(map(str, cells))} |")
+        brier = sum((p - s.right) ** 2 for s, p in judged.items()) / max(1, len(judged))
+        lines.append(f"| {name} | {' | '.join(map(str, cells))} | {brier:.3f} |")
     return lines
 
 
-def probability(stated: Statement, weights: tuple[float, float]) -> float:
+def probability(stated: Statement, weights: Mapping[str, float]) -> float:
     """Of its class, by these weights."""
-    return max(stated.law, min(float(chance(weights, np.array(stated.alike))), stated.most))
+    if stated.senseless:
+        return stated.law
+    return class_probability(stated.law, stated.alike, stated.closed, stated.energy, weights)
 
 
-def chance(weights: tuple[float, float], alike: Array) -> Array:
-    """A logistic function of the log odds. Shape (F,)."""
-    p = np.clip(alike, 1e-3, 1 - 1e-3)
-    return np.asarray(1.0 / (1.0 + np.exp(-(weights[0] + weights[1] * np.log(p / (1.0 - p))))))
-
-
-def learn(stated: Sequence[Statement]) -> tuple[float, float]:
-    """Level and steepness (Platt 1999)."""
-    alike, right = (np.array([getattr(s, name) for s in stated]) for name in ("alike", "right"))
+def learn(stated: Sequence[Statement]) -> dict[str, float]:
+    """Level and steepness of a logistic function of the log odds (Platt 1999)."""
+    alike = np.clip([s.alike for s in stated], 1e-3, 1 - 1e-3)
+    odds, right = np.log(alike / (1 - alike)), np.array([s.right for s in stated])
 
     def loss(w: Array) -> float:
-        p = np.clip(chance((w[0], w[1]), alike), 1e-9, 1 - 1e-9)
-        return float(-np.log(np.where(right, p, 1 - p)).sum() + RIDGE * (w[1] - 1.0) ** 2)
+        z = w[0] + w[1] * odds
+        return float(np.logaddexp(0.0, np.where(right, -z, z)).sum() + RIDGE * (w[1] - 1.0) ** 2)
 
     level, steepness = minimize(loss, np.array([0.0, 1.0]), bounds=[(None, None), (0, None)]).x
-    return float(level), float(steepness)
+    return {"level": float(level), "steepness": float(steepness)}
 
 
 if __name__ == "__main__":

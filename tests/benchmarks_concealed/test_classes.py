@@ -42,7 +42,7 @@ def test_rivals_of_the_same_class_and_joint_are_on_its_side():
 
 
 def test_a_class_is_no_likelier_than_what_is_closed_and_accounted_for_unless_its_law_is():
-    likely = (9.0, 1.0)
+    likely = {"level": 9.0, "steepness": 1.0}
     for told, most in (({"left": 0.7}, 0.3), ({"energy": 0.2}, 0.2), ({"senseless": True, "p": 0.1}, 0.1)):
         [said] = graded(case(finding("coulomb_friction", "elbow", **{"p": 0.1} | told)))
         assert probability(said, likely) == pytest.approx(most)
@@ -50,17 +50,18 @@ def test_a_class_is_no_likelier_than_what_is_closed_and_accounted_for_unless_its
     assert probability(sure, likely) == 0.8
 
 
-def test_the_table_counts_cases_found_and_wrong_classes_and_leaves_out_what_nobody_knows():
+def test_the_table_counts_cases_found_and_wrong_classes_and_judges_none_that_nobody_knows():
     cases = [
         case(finding("stribeck_friction", "elbow", stated=0.7), finding("viscous_friction", "elbow", stated=0.6)),
         case(finding("coulomb_friction", "elbow", stated=0.4), finding("backlash", "elbow", stated=0.9)),
         case(finding("payload", "elbow", stated=0.9)),  # the complete model's diagnosis says so, too
-        case(finding("payload", "elbow", stated=0.9), truth=("link_mass", "elbow")),
+        case(finding("payload", "elbow", stated=0.9), truth=("link_mass", "elbow")),  # likewise
         case(),
     ]
     said = graded(*cases)
     *_, row = table(cases, {"as stated": {s: s.in_force for s in said}})
-    assert row == "| as stated | 5 | 3 | 2 | 1 | 3 | 1 |"
+    brier = (0.3**2 + 0.4**2 + 0.6**2 + 0.9**2) / 4
+    assert row == f"| as stated | 5 | 3 | 2 | 2 | 1 | 2 | 1 | {brier:.3f} |"
 
 
 def test_what_is_right_more_often_is_learnt_to_be_likelier():
@@ -69,7 +70,7 @@ def test_what_is_right_more_often_is_learnt_to_be_likelier():
         *graded(*[case(finding("backlash", "elbow", 0.6))] * 1),
         *graded(*[case(finding("backlash", "elbow", 0.1))] * 9),
     ]
-    level, steepness = learn(said)
-    assert steepness > 0
-    high, low = (probability(s, (level, steepness)) for s in (said[0], said[-1]))
+    weights = learn(said)
+    assert weights["steepness"] > 0
+    high, low = (probability(s, weights) for s in (said[0], said[-1]))
     assert high > 0.5 > low

@@ -197,6 +197,8 @@ def test_a_base_that_shall_stand_is_left_where_it_is():
         ({"duration": (2.0, 8.0)}, "at most the interval"),
         ({"duration": (0.0, 2.0)}, "more than 0"),
         ({"standstill_probability": 1.2}, "0 to 1"),
+        ({"box": ((0.5, 0.8), (0.3, -0.3), (0.0, 0.5))}, "box to the left is"),
+        ({"box": ((0.5, 0.8), (-0.3, 0.3), (0.0, 0.5)), "distance": (0.1, 0.2)}, "'distance'.* would be ignored"),
     ],
 )
 def test_ranges_that_cannot_be_drawn_from_are_refused(arguments, told):

@@ -152,7 +152,7 @@ def test_a_failed_episode_is_looked_for_in_every_condition(tmp_path, monkeypatch
     assert [told["first_row"] for _, told in mars.asked] == [2]
 
 
-def test_a_robot_that_stays_up_when_it_is_played_again_is_not_shown_as_one_that_fell(tmp_path, monkeypatch):
+def test_a_robot_that_stays_up_when_it_is_played_again_is_not_shown_as_one_that_fell(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(recipe.training, "draw_episode", played)
     written = []
     monkeypatch.setattr(recipe.training, "write_video", lambda frames, path, rate: written.append(len(frames)) or path)
@@ -162,8 +162,14 @@ def test_a_robot_that_stays_up_when_it_is_played_again_is_not_shown_as_one_that_
     assert [told["first_row"] for _, told in moon.asked] == [3, 0, 1]
     assert written == [20, 3]
     never = Noted()
+    (tmp_path / "failed.mp4").touch()  # of an earlier examination
     recipe.draw(cfg, None, {"moon": never}, {"moon": {"fallen": list(range(9))}}, {})
     assert len(never.asked) == recipe.TRIES
+    assert not (tmp_path / "failed.mp4").exists()
+    assert "failed: no video" in capsys.readouterr().out
+    always = Noted(range(9))
+    recipe.draw(cfg, None, {"moon": always}, {"moon": {"fallen": [0, 1, 2]}}, {})
+    assert [told["first_row"] for _, told in always.asked] == [*range(3, 3 + recipe.TRIES), 0]
 
 
 @pytest.mark.parametrize(

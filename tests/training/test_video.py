@@ -114,15 +114,30 @@ def test_it_is_drawn_from_the_camera_that_is_named():
 def test_the_free_camera_stands_where_it_is_told_to():
     if not can_draw():
         pytest.skip("nothing here can draw")
-    model = mujoco.MjModel.from_xml_string(BALL)
+    model = mujoco.MjModel.from_xml_string(BESIDE)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    red = []
-    for view in (View(), View(distance=2.0), View(distance=4.0, azimuth=0.0, elevation=-10.0)):
+    middle, seen = np.arange(64) - 31.5, {}
+    for name, view in {
+        "near": View(distance=2.0, azimuth=0.0, elevation=0.0),
+        "far": View(distance=4.0, azimuth=0.0, elevation=0.0),
+        "behind": View(distance=2.0, azimuth=180.0, elevation=0.0),
+        "above": View(distance=2.0, azimuth=90.0, elevation=-89.0),
+    }.items():
         with renderer(model, (64, 64), view=view) as draw:
-            red.append((redness(draw(data, look_at=np.zeros(3))) > 20).sum())
-    assert red[1] == pytest.approx(4 * red[2], rel=0.3)
-    assert red[0] not in red[1:]  # from as far as the model asks for
+            red = redness(draw(data, look_at=np.zeros(3)))
+        seen[name] = (np.average(middle, weights=red.sum(0)), np.average(middle, weights=red.sum(1)), (red > 20).sum())
+    assert seen["near"][0] < -5 < 5 < seen["behind"][0]  # to the left is to the right from the other side
+    assert seen["far"][0] == pytest.approx(seen["near"][0] / 2, rel=0.3)
+    assert seen["near"][2] == pytest.approx(4 * seen["far"][2], rel=0.3)
+    assert abs(seen["near"][1]) < 2
+    assert seen["above"][1] < -5  # ahead is up
+
+
+BESIDE = """
+<mujoco><worldbody>
+  <body pos="0 0.3 0"><geom size="0.1" rgba="1 0 0 1"/></body>
+</worldbody></mujoco>"""
 
 
 def test_a_camera_that_is_carried_sees_all_that_stands_about(monkeypatch):

@@ -101,7 +101,9 @@ def probability(grounds: Grounds, effect: str = "") -> float:
     return float(min(1.0 / (1.0 + np.exp(-np.clip(odds, -20, 20))), grounds.most))
 
 
-def class_probability(law: float, alike: float, closed: float, energy: float = 1.0) -> float:
+def class_probability(
+    law: float, alike: float, closed: float, energy: float = 1.0, weights: Mapping[str, float] | None = None
+) -> float:
     """That physics of a finding's class is missing at its joint, whatever the law: learnt on real benches.
 
     What the correction leaves open may be of another class, and what accounts for little of the missing torque may
@@ -112,6 +114,7 @@ def class_probability(law: float, alike: float, closed: float, energy: float = 1
         alike: The same with its rivals of the same class and joint.
         closed: Share of the simulation's error energy above the floor that the correction closes, 0..1.
         energy: Share of the joint's missing torque that the finding accounts for, 0..1.
+        weights: Level and steepness of the logistic; None takes those in force.
 
     Example:
         >>> class_probability(law=0.4, alike=0.4, closed=0.9) > class_probability(law=0.4, alike=0.4, closed=0.5) == 0.5
@@ -119,7 +122,7 @@ def class_probability(law: float, alike: float, closed: float, energy: float = 1
         >>> class_probability(law=0.9, alike=0.9, closed=0.5)
         0.9
     """
-    weights, p = learnt("class"), float(np.clip(alike, 1e-3, 1 - 1e-3))
+    weights, p = weights or learnt("class"), float(np.clip(alike, 1e-3, 1 - 1e-3))
     odds = weights["level"] + weights["steepness"] * np.log(p / (1 - p))
     return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, energy)))
 

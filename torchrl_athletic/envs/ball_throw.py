@@ -72,7 +72,7 @@ def ball_throw_env(
         schedule: None takes :func:`~torchrl_athletic.functional.phase.throw_phases`.
         disturbances: None takes the paper's.
         motion: To go by, as of :func:`~torchrl_athletic.robots.read_motion`.
-        as_printed: Take the paper's rewards to the letter, see :func:`ball_throw_rewards`.
+        as_printed: Take the paper's terms and scales, see :func:`ball_throw_rewards`.
         max_steps: Length of an episode [policy steps]: 6 s.
         seed: Of all draws.
         first_row: Number of the first row, for parts of a larger batch.
@@ -96,7 +96,7 @@ def ball_throw_env(
         num_envs=num_envs,
         commands=references(motion, robot, schedule),
         schedule=schedule,
-        terms=ball_throw_rewards(robot, schedule, position_key_of(chance.encoder_offset), as_printed),
+        terms=ball_throw_rewards(robot, schedule, position_key_of(chance.encoder_offset), as_printed=as_printed),
         disturbances=chance,
         privileged=(*PRIVILEGED, *KNOWN),
         objects=[arm_brake(robot), flight, PeakPower("leg")],
@@ -109,7 +109,7 @@ def ball_throw_env(
 
 
 def ball_throw_rewards(
-    robot: Robot, schedule: PhaseSchedule, position_key: NestedKey = "joint_position", as_printed: bool = False
+    robot: Robot, schedule: PhaseSchedule, position_key: NestedKey = "joint_position", *, as_printed: bool = False
 ) -> tuple[dict[str, RewardTerm], dict[str, float]]:
     """Terms by name, and their scales.
 
@@ -121,7 +121,8 @@ def ball_throw_rewards(
     downwards. Here a launch is paid once, by how far it will go; velocity across costs in each step, as printed. A lost
     ball costs :data:`LOST_BALL`: at the price of a fall it is cheaper to drop it than to learn to hold it. A failure
     costs :data:`FAILURE`. And an arm's joint that turns faster than its motor can costs: no motor drives it there, but
-    the swing of the body does. ``as_printed`` leaves these four out, and pays as the paper does.
+    the swing of the body does. ``as_printed`` leaves these four out and
+    pays the ball's velocity; signs and axes stay as told above.
 
     Source:
         Fey et al. 2025, appendix B-A.
@@ -184,8 +185,10 @@ def _forward(velocity: Tensor, line: Tensor) -> Tensor:
 
 
 def _upward(velocity: Tensor) -> Tensor:
+    """Velocity upwards, 0 downwards [m/s]."""
     return velocity[..., 2:].clamp(min=0)
 
 
 def _ahead(velocity: Tensor, line: Tensor) -> Tensor:
+    """Velocity in the axes of the start: ahead, to the left, upwards [m/s]. Shape (*B, 3)."""
     return rotations.rotate_inverse(rotations.yaw_quaternion(line[..., 2:]), velocity)

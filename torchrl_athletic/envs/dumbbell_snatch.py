@@ -35,6 +35,7 @@ def dumbbell_snatch_env(
     schedule: PhaseSchedule | None = None,
     disturbances: Disturbances | None = None,
     motion: str = "snatch",
+    as_printed: bool = False,
     max_steps: int = 500,
     seed: int = 0,
     first_row: int = 0,
@@ -51,6 +52,7 @@ def dumbbell_snatch_env(
         schedule: None takes :func:`~torchrl_athletic.functional.phase.snatch_phases`.
         disturbances: None takes the paper's.
         motion: To go by, as of :func:`~torchrl_athletic.robots.read_motion`.
+        as_printed: Take the paper's terms and scales, see :func:`dumbbell_snatch_rewards`.
         max_steps: Length of an episode [policy steps]: 10 s, of which the weight is carried for 7.5 s.
         seed: Of all draws.
         first_row: Number of the first row, for parts of a larger batch.
@@ -73,7 +75,7 @@ def dumbbell_snatch_env(
         num_envs=num_envs,
         commands=references(motion, robot, schedule),
         schedule=schedule,
-        terms=dumbbell_snatch_rewards(robot, schedule, position_key_of(chance.encoder_offset)),
+        terms=dumbbell_snatch_rewards(robot, schedule, position_key_of(chance.encoder_offset), as_printed=as_printed),
         disturbances=chance,
         privileged=(*PRIVILEGED, *KNOWN),
         extra=[AddedMass("dumbbell", mass, phase=schedule.index("snatch"), **rows)],
@@ -84,11 +86,12 @@ def dumbbell_snatch_env(
 
 
 def dumbbell_snatch_rewards(
-    robot: Robot, schedule: PhaseSchedule, position_key: NestedKey = "joint_position"
+    robot: Robot, schedule: PhaseSchedule, position_key: NestedKey = "joint_position", *, as_printed: bool = False
 ) -> tuple[dict[str, RewardTerm], dict[str, float]]:
     """Terms by name, and their scales.
 
     The hand's height is that over the ground under the robot. Its force is what its touch sensor feels.
+    That a failure costs something is ours; ``as_printed`` leaves it out.
 
     Source:
         Fey et al. 2025, appendix B-B.
@@ -102,7 +105,10 @@ def dumbbell_snatch_rewards(
     }
     scales = {"ee_pose_tracking": 5.0, "force_smoothness": -0.005, "hand_height": 4.0, "wrist": -1.0}
     shared, shared_scales = auxiliary_rewards(robot, position_key)
-    return terms | shared, scales | shared_scales
+    terms, scales = terms | shared, scales | shared_scales
+    if as_printed:
+        del terms["failure"], scales["failure"]
+    return terms, scales
 
 
 def hand_height(hand: Tensor, base: Tensor, base_height: Tensor) -> Tensor:

@@ -64,7 +64,7 @@ def sled_pull_env(
         schedule: None takes :func:`~torchrl_athletic.functional.phase.sled_phases`.
         disturbances: None takes the paper's.
         motion: Of the hand to go by, as of :func:`~torchrl_athletic.robots.read_motion`.
-        as_printed: Take the paper's scales, see :func:`sled_pull_rewards`.
+        as_printed: Take the paper's terms and scales, see :func:`sled_pull_rewards`.
         max_steps: Length of an episode [policy steps]: 20 s.
         seed: Of all draws.
         first_row: Number of the first row, for parts of a larger batch.
@@ -89,7 +89,7 @@ def sled_pull_env(
         num_envs=num_envs,
         commands=[walk, *hold],
         schedule=schedule,
-        terms=sled_pull_rewards(robot, schedule, position_key_of(chance.encoder_offset), as_printed),
+        terms=sled_pull_rewards(robot, schedule, position_key_of(chance.encoder_offset), as_printed=as_printed),
         disturbances=chance,
         privileged=(*PRIVILEGED, *KNOWN),
         objects=[SledRope(PHYSICS_DT, mass=mass, friction=friction, **rows)],
@@ -101,7 +101,7 @@ def sled_pull_env(
 
 
 def sled_pull_rewards(
-    robot: Robot, schedule: PhaseSchedule, position_key: NestedKey = "joint_position", as_printed: bool = False
+    robot: Robot, schedule: PhaseSchedule, position_key: NestedKey = "joint_position", *, as_printed: bool = False
 ) -> tuple[dict[str, RewardTerm], dict[str, float]]:
     """Terms by name, and their scales.
 

@@ -17,6 +17,8 @@ VELOCITY, PLACE, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 10)
 """Columns of a goal: base velocity; the hand's distance from the shoulder, elevation and azimuth; its attitude from the
 line of sight (wxyz)."""
 
+PLACES = ("distance", "elevation", "azimuth")
+
 
 @dataclass(frozen=True)
 class CommandRanges:
@@ -43,8 +45,6 @@ class CommandRanges:
     """Elevation of the hand over the shoulder's horizon [rad]; more than a right angle is behind it."""
     azimuth: Range = (-math.pi / 6, math.pi / 6)
     """Azimuth of the plane in which the hand is elevated, counter-clockwise [rad]."""
-    box: tuple[Range, Range, Range] | None = None
-    """Draw places from a box in the commands' frame instead: ahead, to the left and upwards [m]."""
     roll: Range = (-math.pi / 4, math.pi / 4)
     """Roll of the end effector about its own x axis [rad]; last of the three turns in its own axes."""
     pitch: Range = (-math.pi / 9, math.pi / 4)
@@ -61,8 +61,13 @@ class CommandRanges:
     """Duration of the way from the command before to a goal [s], drawn for velocity and pose apart."""
     straighten: float = 0.0
     """While the robot is told to walk, command it back to the line on which its episode began, at this rate [1/s]."""
+    box: tuple[Range, Range, Range] | None = None
+    """Draw places from a box in the commands' frame, and not by distance, elevation and azimuth: ahead, to the left and
+    upwards [m]."""
 
     def __post_init__(self) -> None:
+        if self.box and (told := [name for name in PLACES if getattr(self, name) != getattr(CommandRanges, name)]):
+            raise ValueError(f"places are drawn from the box {self.box}, so {told} would be ignored. Give one of both.")
         for name, (low, high) in self._ranges().items():
             if not low <= high:
                 raise ValueError(f"{name} is ({low}, {high}): nothing lies between. Give the lower bound first.")
@@ -75,7 +80,7 @@ class CommandRanges:
             raise ValueError(f"standstill_probability is {self.standstill_probability}, needed is 0 to 1.")
 
     def bounds(self) -> Tensor:
-        """Lower and upper bounds of what :func:`draw_goal` draws. Shape (2, 11)."""
+        """Lower and upper bounds of what :func:`draw_goal` draws, which needs ``box_from`` for a box. Shape (2, 11)."""
         return torch.tensor(list(self._ranges().values())).T.contiguous()
 
     def centre(self) -> Tensor:
@@ -86,8 +91,8 @@ class CommandRanges:
         return torch.cat((torch.zeros(3), middle, torch.tensor([1.0, 0.0, 0.0, 0.0])))
 
     def _ranges(self) -> dict[str, Range]:
-        places = ("distance", "elevation", "azimuth")
-        place = {f"box {k}": side for k, side in enumerate(self.box)} if self.box else self._named(places)
+        sides = ("box ahead", "box to the left", "box upwards")
+        place = dict(zip(sides, self.box, strict=True)) if self.box else self._named(PLACES)
         return {
             **self._named(("forward", "lateral", "yaw_rate")),
             **place,
@@ -106,8 +111,8 @@ def command_ranges(name: str) -> CommandRanges:
     Args:
         name: ``"around"``, the defaults, which reach from the ground ahead to behind the head; ``"ahead"``, from the
             ground to a little over the shoulder, which is where pre-trainings of others have the hand; or ``"box"``,
-            ahead of the robot, too, but not as near: the places on which the shipped ``wbc`` was trained, with
-            attitudes that differ by 0.09 rad in the mean.
+            ahead of the robot, but no nearer than 0.5 m: the places on which the shipped ``wbc`` was trained. Attitudes
+            differ from those by 0.09 rad in the mean, and ways lead around the shoulder instead of straight.
 
     Raises:
         ValueError: If there are no such ranges.
@@ -147,7 +152,7 @@ def draw_goal(
         key: Of :func:`~.streams.stream`. Shape (*B,).
         bounds: Of :meth:`CommandRanges.bounds`. Shape (2, 11).
         standstill_probability: That the velocity is 0.
-        box_from: The shoulder, where places are drawn from a box [m]. Shape (3,).
+        box_from: The shoulder [m], where the bounds are those of a box. Shape (3,).
 
     Returns:
         Goal: base velocity [m/s, m/s, rad/s]; the hand's distance [m], elevation and azimuth [rad]; its quaternion

@@ -126,7 +126,7 @@ def task_learner(
 DRAWN = 400
 """Most policy steps in a video: 8 s."""
 NEAR = View(distance=4.0, azimuth=45.0, elevation=-15.0)
-"""A hand overhead is in the picture."""
+"""A robot's video, from its right: a hand overhead is in the picture."""
 MakeEnv = Callable[..., TransformedEnv]
 """``make_env(num_envs, exam=False, **told)``."""
 

@@ -6,6 +6,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -83,9 +84,10 @@ class PPO:
     """Most samples that go through the critic at once."""
     warm_up: int = 0
     """Batches before the first update that nothing is learnt from: where all episodes begin with the same phase of a
-    task, or without the drift that they gather, the curve would begin with that and fall as it ends."""
+    task, the curve would begin with that phase and fall as it ends."""
     critic_first: int = 0
-    """Iterations in which the critic alone learns, for a policy that goes on without the critic that it had."""
+    """Iterations in which the critic alone learns: for a policy that goes on without the critic that it had, or until
+    first episodes, which begin in better order than others, are over."""
 
     def __post_init__(self) -> None:
         if self.actor_lr < self.least_actor_lr:
@@ -257,7 +259,7 @@ class Learner:
             setattr(self, name, count)
 
 
-def iterate(learner: Learner) -> TensorDict:
+def iterate(learner: Learner, progress: bool = False) -> TensorDict:
     """Collect once and learn from it.
 
     The very first time, ``warm_up`` batches go before it, and one more shows the normaliser what observations look
@@ -265,6 +267,7 @@ def iterate(learner: Learner) -> TensorDict:
 
     Args:
         learner: Changed in place.
+        progress: Whether to show a bar of those batches.
 
     Returns:
         What the update reports, and the means of ``reward`` and of what is watched; over all processes. Shape ().
@@ -273,7 +276,7 @@ def iterate(learner: Learner) -> TensorDict:
         NonFiniteError: If a NaN or an infinity was collected, or an update made one.
     """
     if learner.iteration == 0:
-        _warm_up(learner)
+        _warm_up(learner, progress)
     if learner.iteration and learner.iteration == learner.config.critic_first:
         learner.stepper.actor_lr.fill_(learner.config.actor_lr)
     learner.kl_target.fill_(learner.config.kl_target_at(learner.iteration))
@@ -290,9 +293,8 @@ def iterate(learner: Learner) -> TensorDict:
     return report
 
 
-def _warm_up(learner: Learner) -> None:
-    hidden = None if learner.processes.rank == 0 else True  # None: where nobody looks
-    for _ in tqdm(range(learner.config.warm_up), "warm-up", unit="batch", leave=False, disable=hidden):
+def _warm_up(learner: Learner, progress: bool) -> None:
+    for _ in tqdm(range(learner.config.warm_up), "warm-up", unit="batch", leave=False, disable=not progress):
         collect(learner)
     if learner.normalizers:
         _learn_scale(learner, collect(learner))
@@ -383,6 +385,8 @@ def train(
     def clock() -> float:
         return processes.of_first(lambda: time.perf_counter() - began)  # or they would stop at different times
 
+    if progress and step is iterate:
+        step = partial(iterate, progress=True)
     metrics: dict[str, float] = {}
     share = _share_done(learner, iterations, minutes)
     with tqdm(total=1.0, initial=share, bar_format=BAR, disable=not progress) as bar:

@@ -32,10 +32,11 @@ class View:
     azimuth: float | None = None
     """Direction in which it looks, counter-clockwise from x [degree]; None is the model's."""
     elevation: float | None = None
-    """How far above the horizon it looks [degree]; None is the model's."""
+    """Elevation of its line of sight [degree]: negative where it looks down from above; None is the model's."""
 
 
 FREE = View()
+"""The model's own."""
 
 
 def record_video(
@@ -64,7 +65,7 @@ def record_video(
         annotate: Adds shapes to the scene, such as a goal: called with the scene and, as ``step``, what the first
             environment showed after the step.
         follow: Body that the free camera keeps in its middle; None takes the robot's floating base, if it has one.
-        view: Of the free camera.
+        view: Of the free camera; a camera of the model has its own.
 
     Returns:
         What was written.
