@@ -316,7 +316,7 @@ def test_the_summary_says_the_most_important_first():
     assert text[0] == FINDING.sentence
     assert text[1] == "80 % of the error arises at elbow; it is densest when moving backwards (elbow)."
     assert text[2].startswith("Over 0.5 s windows of recordings kept aside the error falls to 10 %")
-    assert "4 % of its energy above the sensors' floor stays unexplained" in text[2]
+    assert "what is named leaves 4 % of its energy above the sensors' floor" in text[2]
     other = (Location("wrist", "everywhere", 0.9, (0.8, 1.0)), *WHERE)
     assert summarise("explained", [FINDING], other, None, True, 0.0)[1] == (
         "90 % of the error arises at wrist; it is densest when moving backwards (elbow)."

@@ -117,7 +117,7 @@ def summarise(
         out.append(
             f"Over 0.5 s windows of {kind} the error falls to {100 * score.after / max(score.before, 1e-12):.0f} % "
             "of what it was; "
-            f"{100 * share:.0f} % of its energy above the sensors' floor stays unexplained."
+            f"what is named leaves {100 * share:.0f} % of its energy above the sensors' floor."
         )
     return tuple(out)
 
