@@ -554,7 +554,6 @@ def graded(case: Case, answered: Mapping[str, Any], control: Mapping[str, Any] |
         "verdict": answer["verdict"],
         "findings": [
             {"effect": f["effect"], "joint": f["joint"], "probability": f["probability"],
-             "class_probability": f["class_probability"],
              "open": f["grounds"]["open"], "energy": f["grounds"]["energy"],
              "senseless": bool(f["grounds"]["senseless"]),
              "parameters": {p: [e["value"], e["unit"]] for p, e in f["parameters"].items()},

@@ -27,7 +27,7 @@ from scipy.optimize import minimize
 
 sys.path.append(str(Path(__file__).parents[2]))
 
-from torchrl_athletic.diagnosis.calibration import class_probability
+from torchrl_athletic.diagnosis.calibration import class_probability, learnt
 from torchrl_athletic.diagnosis.thresholds import STATEMENT
 from torchrl_athletic.effects import CATALOGUE
 from torchrl_athletic.recordings.whole_file import whole_file
@@ -67,8 +67,6 @@ class Statement:
     """Share of the joint's missing torque that the finding accounts for."""
     senseless: bool
     """Whether its values are none that a robot has: then the class is no likelier than the law."""
-    in_force: float
-    """What the diagnosis stated for the class."""
     right: bool
     known: bool
     """Whether the complete model's diagnosis names this class there, too."""
@@ -85,8 +83,8 @@ def main(cfg: Config) -> None:
     for bench in {s.bench for s in stated}:
         others = learn([s for s in learning if s.bench != bench])
         crossed |= {s: probability(s, others) for s in stated if s.bench == bench}
-    in_force = {s: s.in_force for s in stated}
-    lines = table(cases, {"as stated": in_force, "learnt on the other benches": crossed})
+    in_force = {s: probability(s, learnt("class")) for s in stated}
+    lines = table(cases, {"in force, learnt on all benches": in_force, "learnt on the other benches": crossed})
     commits = ", ".join(f"`{c}`" for c in sorted({c["commit"] for c in cases}))
     head = f"Made by `python benchmarks/concealed/classes.py` from {cfg.answers.name}, answers of {commits}."
     with whole_file(cfg.output) as part:
@@ -111,7 +109,6 @@ def statements(cases: Sequence[Mapping[str, Any]], of_control: Mapping[str, set[
             closed=1.0 - f["open"],
             energy=f["energy"],
             senseless=f["senseless"],
-            in_force=f["class_probability"],
             right=_place(f) in _hidden(case),
             known=_place(f) in of_control[case["bench"]],
         )

