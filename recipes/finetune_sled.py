@@ -30,6 +30,7 @@ from torchrl_athletic.robots import Handle, Robot, Terrain, b2z1
 CURVES = {
     "reward": "reward per step",
     "reward_terms/velocity": "reward for velocity",
+    "rope_tension": "tension of the rope [N]",
     "reward_terms/lateral_drift": "reward for lateral drift",
     "reward_terms/heading_drift": "reward for heading drift",
     "terminated": "falls per step",
@@ -55,6 +56,7 @@ def main(cfg: Config) -> None:
         curves=CURVES,
         look_at=LOOK_AT,
         judge=judge,
+        watch=["rope_tension"],
         annotate=draw_sled,
         view=training.View(distance=5.5, azimuth=45.0, elevation=-25.0),
         steps=STEPS,

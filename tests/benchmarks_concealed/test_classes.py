@@ -44,7 +44,11 @@ def test_rivals_of_the_same_class_and_joint_are_on_its_side():
 
 def test_a_class_is_no_likelier_than_what_is_closed_and_accounted_for_unless_its_law_is():
     likely = {"level": 9.0, "steepness": 1.0}
-    for told, most in (({"left": 0.7}, 0.3), ({"energy": 0.4 * STATEMENT.faint}, 0.2), ({"senseless": True, "p": 0.1}, 0.1)):
+    for told, most in (
+        ({"left": 0.7}, 0.3),
+        ({"energy": 0.4 * STATEMENT.faint}, 0.2),
+        ({"senseless": True, "p": 0.1}, 0.1),
+    ):
         [said] = graded(case(finding("coulomb_friction", "elbow", **{"p": 0.1} | told)))
         assert probability(said, likely) == pytest.approx(most)
     [sure] = graded(case(finding("coulomb_friction", "elbow", 0.8, left=0.9)))

@@ -41,6 +41,7 @@ def test_it_learns_and_says_how_good_it_is(tmp_path, monkeypatch):
     monkeypatch.setattr(sled, "STEPS", 3)  # of an episode that is judged
     sled.main(tyro.cli(sled.Config, args=told(tmp_path)))
     assert_left(tmp_path, "sled")
+    assert set(sled.CURVES) <= CSVTable(tmp_path / "progress.csv").rows[0].keys()
 
 
 @pytest.mark.slow

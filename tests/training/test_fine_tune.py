@@ -101,8 +101,9 @@ def test_a_critic_may_learn_before_its_policy_does(env, monkeypatch):
 
 
 def test_without_a_start_it_begins_anew(env):
-    learner = task_learner(env, SMALL, start=None, known=KNOWN)
+    learner = task_learner(env, SMALL, start=None, known=KNOWN, watch=["bucket_axis"])
     assert actions(learner.actor, env.reset().select("observation")).abs().max() < 0.1
+    assert {"reward_terms/distance", "bucket_axis"} <= set(iterate(learner).keys())
 
 
 def test_a_controller_of_other_sizes_is_refused(env):
@@ -181,7 +182,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
         ppo=ppo, episodes=5, logger="none", output=tmp_path,
     )  # fmt: skip
     task = {"name": "throw", "known": {"goal": 2.0}, "curves": {"kl": "how far"}, "look_at": ["hand"], "steps": 500}
-    task |= {"annotate": "ball", "view": "far"}
+    task |= {"watch": ["rope"], "annotate": "ball", "view": "far"}
     make_env = told.of("env", "world")
     fine_tune(cfg, make_env, judge=lambda episodes: {"far": float(len(told["rollout"]))}, **task)
 
@@ -195,7 +196,8 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     assert len({training[1]["seed"], exams[0][1]["seed"], film[1]["seed"]}) == 3
     ((world, config), options), = told["learner"]  # fmt: skip
     assert (world, config) == ("world", replace(ppo, num_envs=rows))
-    assert options == {"start": "other", "known": {"goal": 2.0}, "seed": 6, "cuda_graph": device == "cuda"}
+    known = {"start": "other", "known": {"goal": 2.0}, "watch": ["rope"]}
+    assert options == known | {"seed": 6, "cuda_graph": device == "cuda"}
     (((trained,), options),) = told["train"]
     assert trained is learner
     assert (options["minutes"], options["iterations"], options["checkpoint_every"]) == (spent, 9, every)
@@ -258,8 +260,8 @@ def test_a_controller_that_goes_on_with_a_task_that_adds_nothing_is_deaf_to_phas
 def test_one_that_begins_anew_is_told_the_configuration_its_seed_and_where_to_record(monkeypatch):
     told = Told()
     monkeypatch.setattr(module, "wbc_learner", told.of("anew", "learner"))
-    assert task_learner("env", SMALL, start=None, known=KNOWN, seed=6, cuda_graph=True) == "learner"
-    assert told["anew"] == [(("env", SMALL), {"seed": 6, "cuda_graph": True})]
+    assert task_learner("env", SMALL, start=None, known=KNOWN, watch=["rope"], seed=6, cuda_graph=True) == "learner"
+    assert told["anew"] == [(("env", SMALL), {"watch": ["rope"], "seed": 6, "cuda_graph": True})]
 
 
 @pytest.mark.parametrize("flag", ["episodes", "num_envs"])

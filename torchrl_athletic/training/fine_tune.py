@@ -63,6 +63,7 @@ def task_learner(
     *,
     start: str | Path | None = "wbc",
     known: Mapping[str, float] = MappingProxyType({}),
+    watch: Sequence[str] = (),
     seed: int = 0,
     cuda_graph: bool = False,
 ) -> Learner:
@@ -79,6 +80,7 @@ def task_learner(
         start: A shipped policy, ``"wbc"``, or a file of :func:`~.wbc.save_wbc` or :func:`fine_tune`; None begins anew.
         known: What the task adds to the end of ``privileged``, which the critic learns to listen to, and the usual
             size of each, in its unit.
+        watch: Entries of a step whose means are reported, beside those of the pre-training.
         seed: Of the order of samples.
         cuda_graph: Capture control step and update, on a GPU only.
 
@@ -96,7 +98,7 @@ def task_learner(
         (['observation'], 0)
     """
     if start is None:
-        return wbc_learner(env, config, seed=seed, cuda_graph=cuda_graph)
+        return wbc_learner(env, config, watch=watch, seed=seed, cuda_graph=cuda_graph)
     shown = env.observation_spec
     seen, told = (shown[key].shape[-1] for key in ("observation", "privileged"))
     new = [size for key, size in known.items() for _ in range(shown[key].shape[env.ndim :].numel())]
@@ -117,7 +119,7 @@ def task_learner(
         policy.to(env.device),
         value.to(env.device),
         config,
-        watch=WATCHED,
+        watch=(*WATCHED, *watch),
         seed=seed,
         cuda_graph=cuda_graph,
     )
@@ -140,6 +142,7 @@ def fine_tune(
     curves: Mapping[str, str],
     look_at: Sequence[str],
     judge: Callable[[TensorDict], dict[str, float]],
+    watch: Sequence[str] = (),
     annotate: Callable[..., None] | None = None,
     view: View = NEAR,
     steps: int,
@@ -156,6 +159,7 @@ def fine_tune(
         curves: Columns of ``progress.csv`` to draw, and their titles.
         look_at: Entries that ``judge`` needs.
         judge: From :func:`~.evaluation.whole_rollout` to figures.
+        watch: As of :func:`task_learner`; columns to draw may be among them.
         annotate: Adds shapes to the video, as of :func:`~.video.record_video`.
         view: From where it is seen.
         steps: Of an episode [policy steps].
@@ -178,6 +182,7 @@ def fine_tune(
         ppo,
         start=cfg.start,
         known=known,
+        watch=watch,
         seed=cfg.seed,
         cuda_graph=on_gpu,
     )

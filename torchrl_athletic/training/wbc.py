@@ -46,6 +46,7 @@ def wbc_learner(
     start: str | Path | None = None,
     hidden: Sequence[int] = (512, 512, 512),
     scale: float = 0.5,
+    watch: Sequence[str] = (),
     seed: int = 0,
     cuda_graph: bool = False,
     collect_by: MakeRollout | None = None,
@@ -61,6 +62,7 @@ def wbc_learner(
         start: A shipped policy, ``"wbc"``, or a file of :func:`save_wbc`, to go on from; None begins anew.
         hidden: Layers of both networks, if they are new.
         scale: First standard deviation of the actions, if they are new [1].
+        watch: Entries of a step whose means are reported, beside :data:`WATCHED`.
         seed: Of the order of samples.
         cuda_graph: Capture control step and update, on a GPU only.
         collect_by: Makes what collects in place of ``env``: a :class:`~.RayRollout`.
@@ -92,14 +94,14 @@ def wbc_learner(
         "observation": trunk_of(policy).normalizer,
         "privileged": trunk_of(value).normalizer,
     }
-    rollout = None if collect_by is None else collect_by(policy, ["privileged", *under_next(WATCHED)])
+    rollout = None if collect_by is None else collect_by(policy, ["privileged", *under_next((*WATCHED, *watch))])
     return Learner(
         env if rollout is None else rollout.env,
         policy,
         value,
         config,
         normalizer=scales,
-        watch=WATCHED,
+        watch=(*WATCHED, *watch),
         seed=seed,
         cuda_graph=cuda_graph,
         rollout=rollout,
