@@ -122,6 +122,7 @@ def test_a_kind_of_motion_that_is_kept_aside_is_not_fitted(real_recordings):
 def finding(effect: str, joint: str | None, probability: float = 0.9, *rivals: tuple[str, str, float]) -> dict:
     return {
         "effect": effect, "joint": joint, "probability": probability, "parameters": {},
+        "grounds": {"open": 0.1, "energy": 0.9, "senseless": False},
         "rivals": [{"effect": e, "joint": j, "probability": p} for e, j, p in rivals],
     }  # fmt: skip
 

@@ -195,7 +195,7 @@ class Statement:
     the simulation with it is still far from the recordings [1; statistical]."""
     faint: float = 0.02
     """Share of its joint's missing torque for which a finding accounts where its class has one half at most, as what
-    stands in for a little of another one's torque [1; tuned, by hand, on the benches of ``concealed_real``]."""
+    stands in for a little of another one's torque; set by hand on the benches of ``concealed_real`` [1; tuned]."""
     senseless: float = 0.2
     """The most of a finding that makes no sense as it stands: a motor at the end of what may be, a gear seen in noise
     [1; tuned]."""
