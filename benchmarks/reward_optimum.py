@@ -95,19 +95,19 @@ class Body:
         self.feet = [self._chain(f"{leg}_foot") for leg in LEGS]
         self.hand = self._chain("end_effector")
 
-    def _chain(self, site: str) -> Chain:
-        model, links = self.model, []
-        body = model.site(site).bodyid[0]
-        links.append((model.site(site).pos, model.site(site).quat, None, -1))
+    def _chain(self, name: str) -> Chain:
+        model, site = self.model, self.model.site(name)
+        body = site.bodyid[0]
+        links: Chain = [(torch.tensor(site.pos).float(), torch.tensor(site.quat).float(), None, -1)]
         while model.body_parentid[body] != 0:
             axis, number = None, -1
             if model.body_jntnum[body]:
                 joint = model.joint(model.body_jntadr[body])
                 axis, number = torch.tensor(joint.axis).float(), self.names.index(joint.name)
-            links.append((model.body_pos[body], model.body_quat[body], axis, number))
+            place, attitude = (torch.tensor(value[body]).float() for value in (model.body_pos, model.body_quat))
+            links.append((place, attitude, axis, number))
             body = model.body_parentid[body]
-        tensors = [(torch.tensor(p).float(), torch.tensor(q).float(), a, n) for p, q, a, n in links]
-        return tensors[::-1]
+        return links[::-1]
 
     def place(self, chain: Chain, q: Tensor, base: Tensor) -> tuple[Tensor, Tensor]:
         """Position [m] and quaternion of a site. Joints (*B, J) and base (*B, 3) to (*B, 3) and (*B, 4)."""
