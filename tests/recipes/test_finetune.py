@@ -37,10 +37,11 @@ def assert_left(output, name):
     assert {"curves.png", f"{name}.npz", f"{name}_critic.npz"} <= {path.name for path in output.iterdir()}
 
 
-def test_it_learns_and_says_how_good_it_is(tmp_path, monkeypatch):
+def test_it_learns_and_says_how_good_it_is(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sled, "STEPS", 3)  # of an episode that is judged
     sled.main(tyro.cli(sled.Config, args=told(tmp_path)))
     assert_left(tmp_path, "sled")
+    assert "the policy will stay as it is" in capsys.readouterr().out  # two iterations, of the critic alone
     assert set(sled.CURVES) <= CSVTable(tmp_path / "progress.csv").rows[0].keys()
 
 

@@ -174,6 +174,9 @@ def fine_tune(
     torch.manual_seed(cfg.seed)
     torch.set_float32_matmul_precision("high")
     ppo = replace(cfg.ppo, num_envs=cfg.num_envs or (cfg.ppo.num_envs if on_gpu else 256))
+    if cfg.iterations is not None and 0 < cfg.iterations <= ppo.critic_first:
+        why = f"the critic learns alone in the first {ppo.critic_first}; --ppo.critic-first 0 lets both learn"
+        print(f"--iterations {cfg.iterations}: the policy will stay as it is, since {why}.")
     env = make_env(ppo.num_envs, device=cfg.device, seed=cfg.seed, staggered=True)
     same = {key: str(getattr(cfg, key)) for key in ("seed", "start", "actuation")}
     same |= {"task": name, "ppo": str(ppo), **_task_of(env)}
