@@ -93,9 +93,10 @@ def main(cfg: Config) -> None:
         raise SystemExit("--untuned names the policy, and so does --policy: give one of them.")
     torch.set_grad_enabled(False)
     for task in cfg.only or TASKS:
-        policy: Any = pretrained(task) if cfg.policy is None else read_network(cfg.policy)
-        policy, name = (untuned(task), f"{task}_untuned") if cfg.untuned else (policy, task)
-        rows = played(task, policy, cfg, cfg.output / f"task_{name}.json")
+        policy: Any = untuned(task) if cfg.untuned else read_network(cfg.policy) if cfg.policy else pretrained(task)
+        kind = "untuned" if cfg.untuned else "tuned"
+        path = cfg.output / (f"task_{task}_untuned.json" if cfg.untuned else f"task_{task}.json")
+        rows = played(task, policy, cfg, path)
         lines = [
             f"| {task} | {' | '.join(SHOWN[task])} |",
             "|---" * (len(SHOWN[task]) + 1) + "|",
@@ -107,10 +108,9 @@ def main(cfg: Config) -> None:
             f"{digest_of(policy)}, {platform.machine()}, MuJoCo {mujoco.__version__}, commit "
             f"{', '.join(dict.fromkeys(str(row['commit']) for row in rows.values()))}."
         )
-        kind = "untuned" if cfg.untuned else "tuned"
         text = "\n".join([f"# What the {kind} policy can do: {task}", "", *lines, "", made, ""])
         print(text)
-        (cfg.output / f"task_{name}.md").write_text(text)
+        path.with_suffix(".md").write_text(text)
 
 
 def untuned(task: str) -> Any:

@@ -90,7 +90,8 @@ def draw(
     steps = round(50 * cfg.seconds)
     fell = {(name, row): row in results[name]["fallen"] for name in chosen for row in range(cfg.episodes)}
     for kind, wanted in {"good": False, "failed": True}.items():
-        (cfg.output / f"{kind}.mp4").unlink(missing_ok=True)
+        for ending in ("mp4", "gif", "png"):  # of an earlier examination
+            (cfg.output / f"{kind}.{ending}").unlink(missing_ok=True)
         for condition, row in [key for key, failed in fell.items() if failed == wanted][:TRIES]:
             env = chosen[condition].env(1, max_steps=steps, first_row=row, **told)
             frames = training.draw_episode(env, policy, steps, (360, 480), annotate=draw_command, follow="base")
@@ -101,7 +102,7 @@ def draw(
                 training.frame_strip(last, 6, cfg.output / f"{kind}.png")
                 break
         else:
-            print(f"{kind}: no video, since no robot did so when it was played again.")
+            print(f"{kind}: no video, since no episode was so, or none was again when it was played alone.")
 
 
 if __name__ == "__main__":
