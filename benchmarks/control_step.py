@@ -32,12 +32,13 @@ from torchrl.envs import EnvBase
 from tqdm import trange
 
 from torchrl_athletic.envs import make_physics, whole_body_env
-from torchrl_athletic.networks import pretrained
+from torchrl_athletic.functional.commands import command_ranges
 from torchrl_athletic.physics import Physics
 from torchrl_athletic.robots import Robot, Terrain, b2z1
 from torchrl_athletic.training import PPO, Learner, iterate, wbc_learner
 from torchrl_athletic.training.captured import CapturedRollout, fuse_transforms
 from torchrl_athletic.training.ppo import collect, estimate_advantage
+from torchrl_athletic.training.wbc import read_wbc
 
 DECIMATION = 4
 STATE = ("qpos", "qvel", "qacc_warmstart")
@@ -61,6 +62,8 @@ class Config:
     """Control steps of a measurement."""
     fuse: bool = False
     """Compile the transforms on the CPU too; on a GPU they are in any case."""
+    policy: str = "wbc"
+    """A shipped controller, or a file of ``pretrain_wbc.py``, that has the robots walk."""
     learn: bool = False
     """Also time PPO iterations, with nets of 3 x 512 on a GPU and 2 x 128 on a CPU."""
     iterations: int = 20
@@ -88,13 +91,14 @@ def main(cfg: Config) -> None:
 
 
 def make_env(robot: Robot, cfg: Config) -> EnvBase:
-    return whole_body_env(robot, num_envs=cfg.num_envs, device=cfg.device)
+    return whole_body_env(robot, num_envs=cfg.num_envs, device=cfg.device, commands=command_ranges("box"))
 
 
 def compare(robot: Robot, env: Any, cfg: Config) -> list[tuple[str, str]]:
     if cfg.fuse and cfg.device == "cpu":
         fuse_transforms(env)
-    rollout = CapturedRollout(env, pretrained("wbc").to(cfg.device), cfg.steps, keys=["privileged", "applied_torque"])
+    policy = read_wbc(cfg.policy)[0].to(cfg.device)
+    rollout = CapturedRollout(env, policy, cfg.steps, keys=["privileged", "applied_torque"])
     rollout.current["step_count"].random_(0, 1000)  # so that robots restart at all times
     physics: Physics = env.base_env.physics
     rival = make_physics(robot, cfg.num_envs, cfg.device, fields=physics.fields)
@@ -137,8 +141,9 @@ def compare(robot: Robot, env: Any, cfg: Config) -> list[tuple[str, str]]:
 def learn(env: Any, cfg: Config) -> list[tuple[str, str]]:
     """Whole PPO iterations: collect, estimate advantages, update."""
     on_gpu = cfg.device != "cpu"
-    hidden = (512, 512, 512) if on_gpu else (128, 128)
-    learner = wbc_learner(env, PPO(num_envs=cfg.num_envs), hidden=hidden, cuda_graph=on_gpu)
+    hidden, start = ((512, 512, 512), cfg.policy) if on_gpu else ((128, 128), None)
+    config = PPO(num_envs=cfg.num_envs, actor_lr=1e-5)
+    learner = wbc_learner(env, config, start=start, hidden=hidden, cuda_graph=on_gpu)
     for _ in range(3 if on_gpu else 1):
         iterate(learner)
     if on_gpu:

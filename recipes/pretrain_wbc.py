@@ -33,9 +33,9 @@ ONE_RUN = ("seed", "commands", "actuation", "randomize", "start", "without", "hi
 class Config:
     device: Literal["cpu", "cuda"] = "cpu"  # of simulation and nets
     minutes: float | None = None  # when to stop; None takes 10 on CPUs and 25 on a GPU
-    iterations: int | None = None  # when to stop in any case
+    iterations: int | None = None  # when to stop in any case; None takes 1,700 on a GPU
     seed: int = 0  # of weights, robots, commands and exploration
-    commands: Literal["around", "ahead", "box"] = "around"  # goals: to behind the head, ahead, ahead and not near
+    commands: Literal["around", "ahead", "box"] = "box"  # goals: to behind the head, ahead, ahead and not near
     actuation: str = "uan"
     """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     randomize: bool = True
@@ -43,8 +43,7 @@ class Config:
     start: str | None = None
     """A shipped controller, or a file of this recipe, to go on from, at 1e-5 unless told another rate than 1e-3."""
     without: tuple[str, ...] = ()  # terms of the reward to leave out
-    minibatches: Literal["split", "joint"] = "split"
-    """What the critic learns from: the whole batch, or the actor's minibatches."""
+    minibatches: Literal["split", "joint"] = "split"  # what the critic learns from: the whole batch, or the actor's
     history: int = 10  # frames that the policy sees
     hidden: tuple[int, ...] | None = None
     """Layers of both networks; None takes 2 x 128 on CPUs and the paper's 3 x 512 on a GPU."""
@@ -68,6 +67,8 @@ def main(cfg: Config) -> None:
     same = {name: str(getattr(cfg, name)) for name in ONE_RUN}
     if cfg.start is not None and ppo.actor_lr == training.PRE_TRAIN.actor_lr:
         ppo = replace(ppo, actor_lr=training.FINE_TUNE.actor_lr)  # that of the beginning would undo what was learnt
+    iterations = cfg.iterations or (1700 if on_gpu and cfg.minutes is None else None)
+    ppo = ppo.annealed(iterations) if on_gpu and iterations else ppo
     rows, first_row = processes.share(ppo.num_envs), processes.first_row(ppo.num_envs)
     learner = training.wbc_learner(
         make_env(cfg, 1 if cfg.collectors == "ray" else rows, first_row, processes.device, staggered=True),
@@ -82,7 +83,7 @@ def main(cfg: Config) -> None:
     training.train(
         learner,
         minutes=(25.0 if on_gpu else 10.0) if cfg.minutes is None else cfg.minutes,
-        iterations=cfg.iterations,
+        iterations=iterations,
         logger=training.make_logger(cfg.logger, cfg.output, "pretrain_wbc") if processes.rank == 0 else None,
         checkpoints=training.Checkpoints(cfg.output / "checkpoints", made_of=same),
         checkpoint_every=200 if on_gpu else 20,
@@ -91,9 +92,8 @@ def main(cfg: Config) -> None:
     if processes.rank == 0:
         told: dict[str, Any] = {"trained_as": str(cfg), "history": cfg.history, "commands": cfg.commands}
         print("policy:", training.save_wbc(learner, cfg.output, **told))
-        if cfg.logger == "csv":
-            table = {"": cfg.output / "progress.csv"}
-            print("curves:", training.draw_curves(table, training.CURVES, cfg.output / "curves.png"))
+        if (table := cfg.output / "progress.csv").exists():
+            print("curves:", training.draw_curves({"": table}, training.CURVES, cfg.output / "curves.png"))
         if cfg.video:
             env, policy, path = make_env(cfg, 1), learner.actor.to("cpu"), cfg.output / "wbc.mp4"
             print("video:", training.record_video(env, policy, path, steps=500, annotate=draw_command))

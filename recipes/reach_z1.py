@@ -108,7 +108,7 @@ def make_env(robot: Robot, poses: Tensor, num_envs: int, *, by_row: bool = False
         ActionScaling(loc=torch.tensor(robot.default_pose), scale=torch.tensor(scale)),  # 0 is the default pose
         ActionHistory(3),
         PoseGoal(poses, by_row=by_row, seed=seed),
-        RewardTerms(terms, {"far": 2.0, "near": 1.0, "there": 1.0, "rough": -0.005}),
+        RewardTerms(terms, {"far": 1.5, "near": 0.75, "there": 0.75, "rough": -0.005}),
         CatTensors(SEEN, "observation", del_keys=False),
         StepCounter(STEPS),
     )

@@ -12,11 +12,11 @@ def row(*values: float) -> torch.Tensor:
     return torch.tensor([values])
 
 
-def test_keypoints_on_their_goal_earn_one_and_an_attitude_error_costs_as_a_distance_does():
+def test_keypoints_on_their_goal_earn_a_third_each_and_an_attitude_error_costs_as_a_distance_does():
     frame = rotations.keypoints(torch.zeros(1, 3), torch.eye(3)[None])
-    assert rewards.keypoint_tracking(frame, frame) == 1
+    assert rewards.keypoint_tracking(frame, frame).item() == pytest.approx(4 / 3)
     turned = rotations.keypoints(torch.zeros(1, 3), rotations.matrix(rotations.yaw_quaternion(row(math.pi))))
-    by_hand = (1 + 1 + 2 * math.exp(-2 * 2)) / 4  # origin and z axis stay, x and y tips move by 2 m
+    by_hand = (1 + 1 + 2 * math.exp(-2 * 2)) / 3  # origin and z axis stay, x and y tips move by 2 m
     assert rewards.keypoint_tracking(frame, turned).item() == pytest.approx(by_hand, abs=1e-6)
 
 

@@ -51,10 +51,9 @@ UAN_SCALES: Mapping[str, float] = MappingProxyType(
 def keypoint_tracking(keypoints: Tensor, command: Tensor, sharpness: float = 2.0) -> Tensor:
     r"""Closeness of a frame to its goal, both given by keypoints.
 
-    .. math:: \frac{1}{K} \sum_i \exp(-2\,\|p^*_i - p_i\|)
+    .. math:: \sum_{i=0}^{3} \frac{1}{3} \exp(-2\,\|p^*_i - p_i\|)
 
-    The paper prints a third before a sum up to three, while its text counts four keypoints; this is their mean, at
-    most 1.
+    As printed: a third of each, of the four keypoints that the text counts, so 4/3 at most.
 
     Args:
         keypoints: Of :func:`~.rotations.keypoints` [m]. Shape (*B, K, 3).
@@ -65,10 +64,10 @@ def keypoint_tracking(keypoints: Tensor, command: Tensor, sharpness: float = 2.0
         >>> off = torch.zeros(1, 4, 3)
         >>> off[..., 0] = 0.5
         >>> round(float(keypoint_tracking(off, torch.zeros(1, 4, 3))), 4)
-        0.3679
+        0.4905
     """
     distance = torch.linalg.vector_norm(command - keypoints, dim=-1)
-    return torch.exp(-sharpness * distance).mean(-1, keepdim=True)
+    return torch.exp(-sharpness * distance).sum(-1, keepdim=True) / 3
 
 
 def gaussian(value: Tensor, target: Tensor, sharpness: float) -> Tensor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -112,6 +112,19 @@ class PPO:
             return self.kl_target
         share = min(1.0, iteration / self.anneal)
         return (1 - share) * self.kl_target + share * self.kl_target_last
+
+    def annealed(self, iterations: int, first: float = 0.02, last: float = 0.002) -> PPO:
+        """The same with a divergence that falls from ``first`` to ``last``, unless one was told to fall already.
+
+        With one that stays, what is learnt late is lost and learnt again; see the documentation's table of trainings.
+
+        Example:
+            >>> PPO().annealed(1000).kl_target_at(500), PPO(kl_target_last=0.001, anneal=9).annealed(1000).anneal
+            (0.011, 9)
+        """
+        if self.anneal:
+            return self
+        return replace(self, kl_target=first, kl_target_last=last, anneal=iterations)
 
 
 PRE_TRAIN = PPO()
