@@ -77,8 +77,8 @@ def length(change: Tensor) -> Tensor:
 
 
 READINGS = (
-    Reading("mean of four key points, sum of absolute deviations (ours)", 1 / 4, total),
-    Reading("a third of each key point, sum of absolute deviations", 1 / 3, total),
+    Reading("mean of four key points, sum of absolute deviations", 1 / 4, total),
+    Reading("a third of each key point, sum of absolute deviations (ours)", 1 / 3, total),
     Reading("mean of four key points, length of the deviation", 1 / 4, length),
 )
 

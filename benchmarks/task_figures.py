@@ -47,9 +47,10 @@ SHOWN = {
         "peak_leg_power_kw",
         "peak_arm_speed_rad_s",
         "thrown",
+        "feet_slid_m",
         "failed",
     ),
-    "snatch": ("held_s", "held_for_5_s", "lowest_hand_m", "highest_hand_m", "failed"),
+    "snatch": ("held_s", "held_for_5_s", "lowest_hand_m", "highest_hand_m", "feet_slid_m", "failed"),
     "sled": (
         "sled_moved_m",
         "sled_10_m",
@@ -57,11 +58,16 @@ SHOWN = {
         "lateral_drift_m",
         "heading_drift_rad",
         "mean_tension_n",
+        "feet_slid_m",
         "failed",
     ),
 }
+LOADED = 20.0
+"""A foot that is pressed to the ground by more stands on it [N]."""
 DUMBBELLS = (1.0, 4.0, 6.0, 8.0, 10.0)  # kg
 SLEDS = (20.0, 50.0, 100.0, 150.0)  # kg
+ELSEWHERE = ("1 ms steps", "0.2 ms steps", "friction 0.5", "friction 4", "concealed arm")
+"""In which the figures that are asked for are played too."""
 LONG = (1500, 3000)
 """Policy steps in which a sled is pulled 10 m or not: 30 s at 0.5 m/s, and for the heaviest 60 s too."""
 
@@ -70,6 +76,8 @@ LONG = (1500, 3000)
 class Config:
     only: tuple[str, ...] = ()
     """Names of tasks; none takes all."""
+    conditions: tuple[str, ...] = ()
+    """Names of conditions; none takes all. What was played before stays in the tables."""
     policy: str | None = None
     """A file that a recipe wrote; None takes the shipped policies."""
     untuned: bool = False
@@ -92,6 +100,7 @@ def main(cfg: Config) -> None:
     if cfg.policy is not None and cfg.untuned:
         raise SystemExit("--untuned names the policy, and so does --policy: give one of them.")
     torch.set_grad_enabled(False)
+    cfg.output.mkdir(parents=True, exist_ok=True)
     for task in cfg.only or TASKS:
         policy: Any = untuned(task) if cfg.untuned else read_network(cfg.policy) if cfg.policy else pretrained(task)
         kind = "untuned" if cfg.untuned else "tuned"
@@ -127,13 +136,15 @@ def played(task: str, policy: Any, cfg: Config, path: Path) -> dict[str, dict[st
     known = json.loads(path.read_text("utf-8")) if path.exists() else {}
     rows = known["rows"] if {key: known.get(key) for key in same} == same else {}
     wanted = list(conditions(task))[: 1 if cfg.untuned else None]
+    if unknown := [name for name in cfg.conditions if name not in dict(wanted)]:
+        raise SystemExit(f"{task} has no condition {unknown[0]!r}; there are {[name for name, _ in wanted]}.")
     for name, told in tqdm(wanted, desc=task):
-        if name not in rows:
+        if name not in rows and name in (cfg.conditions or dict(wanted)):
             rows[name] = figures(task, policy, told, cfg) | {"commit": cfg.commit or commit()}
             part = path.with_name(f".{path.name}")
             part.write_text(json.dumps(same | {"rows": rows}, indent=1) + "\n", "utf-8")
             part.replace(path)
-    return {name: rows[name] for name, _ in wanted}
+    return {name: rows[name] for name, _ in wanted if name in rows}
 
 
 def conditions(task: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -154,10 +165,20 @@ def conditions(task: str) -> Iterator[tuple[str, dict[str, Any]]]:
         for mass in DUMBBELLS:
             yield f"{mass:g} kg", {"mass": (mass, mass)}
     if task == "sled":
-        back = replace(sled_commands(), forward=(-0.5, -0.5), standstill_probability=0.0)
         for mass, steps in (*((mass, LONG[0]) for mass in SLEDS), (SLEDS[-1], LONG[1])):
-            told = {"mass": (mass, mass), "velocity": back, "max_steps": steps, "steps": steps}
-            yield f"{mass:g} kg, {0.02 * steps:.0f} s", told
+            yield f"{mass:g} kg, {0.02 * steps:.0f} s", pulls(mass, steps)
+    asked = {"snatch": ("8 kg", {"mass": (8.0, 8.0)}), "sled": ("150 kg, 60 s", pulls(150.0, LONG[1]))}
+    if task in asked:
+        figure, told = asked[task]
+        for name, elsewhere in conditions("throw"):
+            if name in ELSEWHERE:
+                yield f"{figure}, {name}", told | elsewhere
+
+
+def pulls(mass: float, steps: int) -> dict[str, Any]:
+    """A sled of one mass, and so many policy steps in which it is pulled all the time."""
+    back = replace(sled_commands(), forward=(-0.5, -0.5), standstill_probability=0.0)
+    return {"mass": (mass, mass), "velocity": back, "max_steps": steps, "steps": steps}
 
 
 def figures(task: str, policy: Any, told: dict[str, Any], cfg: Config) -> dict[str, Any]:
@@ -171,9 +192,16 @@ def figures(task: str, policy: Any, told: dict[str, Any], cfg: Config) -> dict[s
         env = on_legs.put_on(recipe.make_env("ideal", cfg.episodes, robot=robot, **told), robot)
     else:
         env = recipe.make_env(actuation, cfg.episodes, robot=robot, **told)
-    episodes = whole_rollout(env, policy, recipe.LOOK_AT, steps)
+    episodes = whole_rollout(env, policy, [*recipe.LOOK_AT, "foot_velocity", "foot_force"], steps)
     found: dict[str, float] = recipe.judge(episodes)
-    return found | (pulled(episodes) if task == "sled" else {})
+    return found | {"feet_slid_m": slid(episodes)} | (pulled(episodes) if task == "sled" else {})
+
+
+def slid(episodes: TensorDict) -> float:
+    """How far a foot slides over the ground in an episode while it stands on it, mean over feet and episodes [m]."""
+    stands = (episodes["foot_force"] > LOADED) & episodes["counts"]
+    speed = torch.linalg.vector_norm(episodes["foot_velocity"][..., :2], dim=-1)
+    return float(0.02 * torch.where(stands, speed, 0.0).sum(1).mean())
 
 
 def pulled(episodes: TensorDict) -> dict[str, float]:
