@@ -41,6 +41,13 @@ from torchrl_athletic.training.ppo import collect, estimate_advantage
 from torchrl_athletic.training.wbc import read_wbc
 
 DECIMATION = 4
+KERNELS = {
+    "physics": ("cuda_kernel_forward",),
+    "nets": ("gemm", "nvjet", "cutlass", "sm90", "splitK"),
+    "transforms, compiled": ("triton",),
+    "copies": ("Memcpy", "Memset"),
+}
+"""Words in the names of kernels: of Warp, of torch's matrix products, of its compiler."""
 STATE = ("qpos", "qvel", "qacc_warmstart")
 
 
@@ -159,6 +166,10 @@ def learn(env: Any, cfg: Config) -> list[tuple[str, str]]:
         rows.append(("reserved by torch, caches and graphs included", f"{reserved / 2**30:.2f} GiB"))
     for name, phase in phases(learner).items():
         rows.append((f"{name} alone", f"{seconds(phase, cfg.device):.3f} s"))
+    if on_gpu:
+        rows += [(f"kernels of collecting: {kind}", f"{spent:.3f} s") for kind, spent in kernels(learner).items()]
+    else:
+        rows.append(("physics within collecting", f"{stepping(learner, env.base_env.physics):.3f} s"))
     physics = env.base_env.physics
     rival = make_physics(env.base_env.robot, cfg.num_envs, cfg.device, fields=physics.fields)
     rival.set_fields({name: physics.field(name) for name in physics.fields})
@@ -183,6 +194,33 @@ def phases(learner: Learner) -> dict[str, Callable[[], object]]:
         "advantages": lambda: estimate_advantage(learner, held[-1]),
         "update": lambda: learner.stepper.update(held[-1]),
     }
+
+
+def stepping(learner: Learner, physics: Any) -> float:
+    """Time that a batch's physics takes while it is collected [s]."""
+    step, spent = physics.step, []
+
+    def timed(*args: Any, **told: Any) -> None:
+        spent.append(seconds(lambda: step(*args, **told), "cpu"))
+
+    physics.step = timed
+    collect(learner)
+    physics.step = step
+    return sum(spent)
+
+
+def kernels(learner: Learner) -> dict[str, float]:
+    """Time of a batch's kernels by what they are for [s]; what is between them, and within loops of the solver that a
+    profiler does not see into, is in none.
+    """
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CUDA]) as profile:
+        collect(learner)
+        torch.cuda.synchronize()
+    spent: dict[str, float] = {}
+    for event in profile.key_averages():
+        kind = next((kind for kind, words in KERNELS.items() if any(word in event.key for word in words)), "the rest")
+        spent[kind] = spent.get(kind, 0.0) + 1e-6 * event.self_device_time_total
+    return spent
 
 
 def seconds(function: Callable[[], object], device: str) -> float:
