@@ -29,11 +29,11 @@ from tqdm import tqdm
 
 from benchmarks.by_case import commit
 from benchmarks.concealed import on_legs
-from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, phase_inputs, sled_drift
+from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, sled_drift
 from torchrl_athletic.functional.commands import sled_commands
-from torchrl_athletic.networks import digest_of, open_inputs, pretrained, read_network
+from torchrl_athletic.networks import digest_of, pretrained, read_network
 from torchrl_athletic.robots import with_options
-from torchrl_athletic.training import whole_rollout
+from torchrl_athletic.training import controller_for, whole_rollout
 from torchrl_athletic.transforms import RandomizationRanges
 
 TASKS = ("throw", "snatch", "sled")
@@ -125,9 +125,7 @@ def main(cfg: Config) -> None:
 def untuned(task: str) -> Any:
     """The controller of a task's recipe, deaf to phases as it is when its tuning begins."""
     recipe = importlib.import_module(f"recipes.finetune_{task}")
-    controller = pretrained(recipe.Config().start)
-    open_inputs(controller, phase_inputs(recipe.make_env("ideal", 1)))
-    return controller
+    return controller_for(recipe.make_env("ideal", 1), recipe.Config().start)
 
 
 def played(task: str, policy: Any, cfg: Config, path: Path) -> dict[str, dict[str, Any]]:

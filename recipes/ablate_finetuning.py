@@ -21,8 +21,7 @@ from finetune_throw import CURVES, KNOWN, LOOK_AT, STEPS, judge, make_env  # typ
 from torchrl.envs import TransformedEnv
 
 from torchrl_athletic import training
-from torchrl_athletic.envs import FrozenController, phase_inputs
-from torchrl_athletic.networks import open_inputs, pretrained
+from torchrl_athletic.envs import FrozenController
 
 FIGURES = {"distance_m": "distance [m]", "release_speed_m_s": "release [m/s]", "peak_leg_power_kw": "leg power [kW]"}
 START = "wbc_wide"
@@ -93,8 +92,7 @@ def thrown(way: str, seed: int, cfg: Config) -> dict[str, float]:
 
 def led(env: TransformedEnv) -> TransformedEnv:
     """An action moves what the frozen controller is commanded, which is deaf to phases: it has learnt of none."""
-    controller = pretrained(START)
-    open_inputs(controller, phase_inputs(env))
+    controller = training.controller_for(env, START)
     return env.append_transform(FrozenController(controller.to(env.device)))
 
 

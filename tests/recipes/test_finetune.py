@@ -15,8 +15,9 @@ import tyro
 from tensordict import TensorDict
 
 from torchrl_athletic import training
-from torchrl_athletic.envs import draw_ball, draw_sled
+from torchrl_athletic.envs import NO_DISTURBANCES, draw_ball, draw_sled
 from torchrl_athletic.networks import pretrained
+from torchrl_athletic.robots import with_options
 from torchrl_athletic.training import FINE_TUNE, CSVTable
 
 ROOT = Path(__file__).parents[2]
@@ -167,3 +168,15 @@ def test_the_actor_learns_nothing_from_the_first_episode_of_a_sled():
     ppo = sled.Config().ppo
     assert (ppo.warm_up + ppo.critic_first) * ppo.horizon >= sled.STEPS
     assert ppo == dataclasses.replace(FINE_TUNE, critic_first=ppo.critic_first)
+
+
+@pytest.mark.parametrize("task", [throw, snatch, sled], ids=["throw", "snatch", "sled"])
+def test_finer_steps_of_the_physics_leave_an_action_its_20_ms(task):
+    robot = with_options(task.nominal(), timestep=0.001)
+    env = task.make_env("ideal", 1, robot=robot, substeps=5, disturbances=NO_DISTURBANCES)
+    physics = env.base_env.physics
+    steps = []
+    step = physics.step
+    physics.step = lambda nstep=1, **told: (steps.append(nstep), step(nstep, **told))
+    env.rollout(1, break_when_any_done=False)
+    assert 0.001 * sum(steps) == pytest.approx(0.02)

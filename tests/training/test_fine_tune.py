@@ -153,18 +153,19 @@ class Told(dict):
 
 
 @pytest.mark.parametrize(
-    ("device", "minutes", "num_envs", "expected"),
+    ("device", "minutes", "iterations", "num_envs", "expected"),
     [
-        ("cpu", 3.0, 12, (3.0, 12, 20)),
-        ("cpu", None, None, (10.0, 256, 20)),
-        ("cuda", 3.0, 12, (3.0, 12, 100)),
-        ("cuda", None, None, (15.0, 48, 100)),
+        ("cpu", 3.0, 9, 12, (3.0, 9, 12, 20)),
+        ("cpu", None, None, None, (10.0, None, 256, 20)),
+        ("cuda", 3.0, 9, 12, (3.0, 9, 12, 100)),
+        ("cuda", 3.0, None, 12, (3.0, None, 12, 100)),
+        ("cuda", None, None, None, (15.0, 1950, 48, 100)),
     ],
 )
 def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examination(
-    tmp_path, monkeypatch, capsys, device, minutes, num_envs, expected
+    tmp_path, monkeypatch, capsys, device, minutes, iterations, num_envs, expected
 ):
-    spent, rows, every = expected
+    spent, last, rows, every = expected
     told, policy = Told(), torch.nn.Linear(1, 1)
     learner = SimpleNamespace(actor=policy)
     (tmp_path / "progress.csv").touch()
@@ -178,7 +179,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     monkeypatch.setattr(torch, "manual_seed", told.of("seed"))
     ppo = PPO(num_envs=48, horizon=7, entropy_coeff=0.25, warm_up=1, critic_first=3)
     cfg = FineTune(
-        device=device, minutes=minutes, iterations=9, seed=6, start="other", actuation="ideal", num_envs=num_envs,
+        device=device, minutes=minutes, iterations=iterations, seed=6, start="other", actuation="ideal", num_envs=num_envs,
         ppo=ppo, episodes=5, logger="none", output=tmp_path,
     )  # fmt: skip
     task = {"name": "throw", "known": {"goal": 2.0}, "curves": {"kl": "how far"}, "look_at": ["hand"], "steps": 500}
@@ -195,12 +196,13 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     assert film[1]["exam"]
     assert len({training[1]["seed"], exams[0][1]["seed"], film[1]["seed"]}) == 3
     ((world, config), options), = told["learner"]  # fmt: skip
-    assert (world, config) == ("world", replace(ppo, num_envs=rows))
+    ppo = replace(ppo, num_envs=rows)
+    assert (world, config) == ("world", ppo.annealed(last) if device == "cuda" and last else ppo)
     known = {"start": "other", "known": {"goal": 2.0}, "watch": ["rope"]}
     assert options == known | {"seed": 6, "cuda_graph": device == "cuda"}
     (((trained,), options),) = told["train"]
     assert trained is learner
-    assert (options["minutes"], options["iterations"], options["checkpoint_every"]) == (spent, 9, every)
+    assert (options["minutes"], options["iterations"], options["checkpoint_every"]) == (spent, last, every)
     assert (options["logger"], options["checkpoints"]) == ("log", "states")
     assert options["show"] == ["reward", "kl"]
     assert told["logger"] == [(("none", tmp_path, "finetune_throw"), {})]

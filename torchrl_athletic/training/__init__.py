@@ -5,7 +5,7 @@ from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.curves import draw_curves
 from torchrl_athletic.training.distributed import Processes, join_processes, standardized
 from torchrl_athletic.training.evaluation import Episodes, last_of, play, whole_episodes, whole_rollout
-from torchrl_athletic.training.fine_tune import FineTune, fine_tune, task_learner
+from torchrl_athletic.training.fine_tune import FineTune, controller_for, fine_tune, task_learner
 from torchrl_athletic.training.finite import NonFiniteError, check_finite
 from torchrl_athletic.training.logging import CSVTable, LoggerName, MetricLogger, make_logger
 from torchrl_athletic.training.ppo import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
@@ -61,6 +61,7 @@ __all__ = [
     "chain_with",
     "check_finite",
     "control_step",
+    "controller_for",
     "descend",
     "draw_conditions",
     "draw_curves",

@@ -15,7 +15,7 @@ from tensordict import TensorDict
 from torchrl.envs import EnvBase, TransformedEnv
 
 from torchrl_athletic.envs.whole_body import phase_inputs
-from torchrl_athletic.networks import open_inputs, trunk_of
+from torchrl_athletic.networks import open_inputs, pretrained, trunk_of
 from torchrl_athletic.recordings.whole_file import whole_file
 from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.curves import draw_curves
@@ -36,8 +36,8 @@ class FineTune:
     minutes: float | None = None
     """When to stop [min]; None takes 10 on CPUs and 15 on a GPU."""
     iterations: int | None = None
-    """When to stop in any case; None takes 1,950 on a GPU, where the divergence falls until then, unless ``minutes``
-    are given."""
+    """When to stop in any case; None takes 1,950 on a GPU, unless ``minutes`` are given. On a GPU the divergence falls
+    until then, and the critic begins 40 iterations before the actor, unless ``ppo`` says otherwise."""
     seed: int = 0
     """Seed of robots, disturbances and exploration."""
     start: str | None = "wbc"
@@ -126,6 +126,23 @@ def task_learner(
     )
 
 
+def controller_for(env: EnvBase, name: str) -> Any:
+    """A shipped controller as it begins a task: it acts as in its pre-training, whatever phase it is told of.
+
+    Args:
+        env: Of the task.
+        name: ``"wbc"``, say.
+
+    Example:
+        >>> from torchrl_athletic.envs import sled_pull_env
+        >>> controller_for(sled_pull_env(num_envs=1), "wbc").in_keys
+        ['observation']
+    """
+    controller = pretrained(name)
+    open_inputs(controller, phase_inputs(env))
+    return controller
+
+
 DRAWN = 400
 """Most policy steps in a video: 8 s."""
 NEAR = View(distance=4.0, azimuth=45.0, elevation=-15.0)
@@ -177,7 +194,7 @@ def fine_tune(
     ppo = replace(cfg.ppo, num_envs=cfg.num_envs or (cfg.ppo.num_envs if on_gpu else 256))
     iterations = 1950 if cfg.iterations is None and cfg.minutes is None and on_gpu else cfg.iterations
     if on_gpu and iterations:
-        ppo = ppo.annealed(iterations)
+        ppo = replace(ppo.annealed(iterations), critic_first=ppo.critic_first or 40)
     if iterations is not None and 0 < iterations <= ppo.critic_first:
         why = f"the critic learns alone in the first {ppo.critic_first}; --ppo.critic-first 0 lets both learn"
         print(f"--iterations {iterations}: the policy will stay as it is, since {why}.")

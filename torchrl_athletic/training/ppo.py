@@ -116,7 +116,7 @@ class PPO:
     def annealed(self, iterations: int, first: float = 0.02, last: float = 0.002) -> PPO:
         """The same with a divergence that falls from ``first`` to ``last``, unless one was told to fall already.
 
-        With one that stays, what is learnt late is lost and learnt again; see the documentation's table of trainings.
+        With one that stays, what is learnt late is lost and learnt again. The rate may fall with it, to 1e-6.
 
         Example:
             >>> PPO().annealed(1000).kl_target_at(500), PPO(kl_target_last=0.001, anneal=9).annealed(1000).anneal
@@ -124,7 +124,8 @@ class PPO:
         """
         if self.anneal:
             return self
-        return replace(self, kl_target=first, kl_target_last=last, anneal=iterations)
+        least = min(self.least_actor_lr, 1e-6)
+        return replace(self, kl_target=first, kl_target_last=last, anneal=iterations, least_actor_lr=least)
 
 
 PRE_TRAIN = PPO()
