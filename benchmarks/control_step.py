@@ -90,7 +90,7 @@ def main(cfg: Config) -> None:
         gc.collect()  # or the environment above would count as memory of the training
         rows += learn(make_env(robot, cfg), cfg)
     table = "\n".join(["| what | figure |", "|---|---|", *(f"| {name} | {figure} |" for name, figure in rows)])
-    text = f"# {'Control step' if cfg.pairs else 'PPO iteration'}\n\n{table}\n\n{origin(cfg)}\n"
+    text = f"{'Control step' if cfg.pairs else 'Where the time of an iteration goes'}:\n\n{table}\n\n{origin(cfg)}\n"
     print(text)
     cfg.output.mkdir(parents=True, exist_ok=True)
     name = "control_step" if cfg.pairs else "ppo_iteration"
@@ -242,7 +242,7 @@ def origin(cfg: Config) -> str:
     )
     where = torch.cuda.get_device_name() if cfg.device != "cpu" else f"{len(os.sched_getaffinity(0))} cores"
     flags = f"--device {cfg.device} --num-envs {cfg.num_envs} --cone {cfg.cone}{' --learn' if cfg.learn else ''}"
-    flags += " --flat" if cfg.flat else ""
+    flags += (" --flat" if cfg.flat else "") + (f" --policy {cfg.policy}" if cfg.policy != "wbc" else "")
     flags += (" --fuse" if cfg.fuse else "") + ("" if cfg.pairs else " --pairs 0")
     machine = f"{where} of {platform.machine()}, torch {torch.__version__}"
     return f"`python benchmarks/control_step.py {flags}`, commit {commit}, {machine}."
