@@ -11,6 +11,7 @@ from __future__ import annotations
 import platform
 import sys
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import torch
@@ -66,7 +67,7 @@ def binned(shown: TensorDict) -> list[tuple[str, float, float]]:
     error = shown["tracking", "attitude"].squeeze(-1)[counts]
     up = elevation(shown["end_effector_command"][counts])
     rows = []
-    for low, high in zip(EDGES, EDGES[1:], strict=False):
+    for low, high in pairwise(EDGES):
         inside = (up > low) & (up <= high)
         if inside.any():
             share = float(inside.float().mean())

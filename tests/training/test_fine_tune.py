@@ -179,8 +179,8 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     monkeypatch.setattr(torch, "manual_seed", told.of("seed"))
     ppo = PPO(num_envs=48, horizon=7, entropy_coeff=0.25, warm_up=1, critic_first=3)
     cfg = FineTune(
-        device=device, minutes=minutes, iterations=iterations, seed=6, start="other", actuation="ideal", num_envs=num_envs,
-        ppo=ppo, episodes=5, logger="none", output=tmp_path,
+        device=device, minutes=minutes, iterations=iterations, seed=6, start="other", actuation="ideal",
+        num_envs=num_envs, ppo=ppo, episodes=5, logger="none", output=tmp_path,
     )  # fmt: skip
     task = {"name": "throw", "known": {"goal": 2.0}, "curves": {"kl": "how far"}, "look_at": ["hand"], "steps": 500}
     task |= {"watch": ["rope"], "annotate": "ball", "view": "far"}
