@@ -13,6 +13,7 @@ import sys
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import torch
 import tyro
@@ -47,7 +48,7 @@ class Config:
 
 def main(cfg: Config) -> None:
     torch.set_grad_enabled(False)
-    told = {"max_steps": cfg.steps, "seed": cfg.seed, "commands": command_ranges("box")}
+    told: dict[str, Any] = {"max_steps": cfg.steps, "seed": cfg.seed, "commands": command_ranges("box")}
     env = wbc_conditions()["nominal"].env(cfg.robots, **told)
     keys = ["end_effector_command", "tracking"]
     shown = whole_rollout(env, read_wbc(cfg.policy)[0], keys, cfg.steps, progress=f"{cfg.robots} robots")
