@@ -137,7 +137,8 @@ def played(task: str, policy: Any, cfg: Config, path: Path) -> dict[str, dict[st
     if unknown := [name for name in cfg.conditions if name not in dict(wanted)]:
         raise SystemExit(f"{task} has no condition {unknown[0]!r}; there are {[name for name, _ in wanted]}.")
     for name, told in tqdm(wanted, desc=task):
-        if name not in rows and name in (cfg.conditions or dict(wanted)):
+        complete = name in rows and set(SHOWN[task]) <= rows[name].keys()
+        if not complete and name in (cfg.conditions or dict(wanted)):
             rows[name] = figures(task, policy, told, cfg) | {"commit": cfg.commit or commit()}
             part = path.with_name(f".{path.name}")
             part.write_text(json.dumps(same | {"rows": rows}, indent=1) + "\n", "utf-8")
@@ -196,7 +197,10 @@ def figures(task: str, policy: Any, told: dict[str, Any], cfg: Config) -> dict[s
 
 
 def slid(episodes: TensorDict) -> float:
-    """How far a foot slides over the ground in an episode while it stands on it, mean over feet and episodes [m]."""
+    """How far a foot moves over the ground in an episode while it is pressed to it, mean over feet and episodes [m].
+
+    By the velocity of its centre at 50 Hz, so that a foot that rolls, or lands, counts a little.
+    """
     stands = (episodes["foot_force"] > LOADED) & episodes["counts"]
     speed = torch.linalg.vector_norm(episodes["foot_velocity"][..., :2], dim=-1)
     return float(0.02 * torch.where(stands, speed, 0.0).sum(1).mean())

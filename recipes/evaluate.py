@@ -17,7 +17,7 @@ import tyro
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import draw_command
-from torchrl_athletic.functional.commands import command_ranges
+from torchrl_athletic.functional.commands import CommandName, command_ranges
 from torchrl_athletic.networks import pretrained, read_metadata, read_network, shipped_path
 
 
@@ -35,7 +35,7 @@ class Config:
     """Robots at once."""
     seed: int = 1_000_003
     """Seed of robots, commands and pushes: other than in training."""
-    commands: Literal["around", "ahead", "box"] | None = None
+    commands: CommandName | None = None
     """Goals of the hand, as of ``pretrain_wbc.py``; None takes those that the policy was trained on."""
     actuation: str = "uan"
     """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""

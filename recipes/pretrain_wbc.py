@@ -22,7 +22,7 @@ from torchrl.envs import TransformedEnv
 
 from torchrl_athletic import training
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, draw_command, whole_body_env, whole_body_rewards
-from torchrl_athletic.functional.commands import command_ranges
+from torchrl_athletic.functional.commands import CommandName, command_ranges
 from torchrl_athletic.identification import with_actuation
 from torchrl_athletic.robots import Terrain, b2z1
 
@@ -35,7 +35,7 @@ class Config:
     minutes: float | None = None  # when to stop; None takes 10 on CPUs and 29 on a GPU
     iterations: int | None = None  # when to stop in any case; None takes 4,000 on a GPU
     seed: int = 0  # of weights, robots, commands and exploration
-    commands: Literal["around", "ahead", "box"] = "box"  # goals: to behind the head, ahead, ahead and not near
+    commands: CommandName | None = None  # goals; None takes those of ``start``, or a box ahead
     actuation: str = "uan"
     """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     randomize: bool = True
@@ -63,12 +63,13 @@ def main(cfg: Config) -> None:
     torch.set_float32_matmul_precision("high")
     ppo = replace(cfg.ppo, num_envs=cfg.num_envs or (cfg.ppo.num_envs if on_gpu else 512))
     ppo = replace(ppo, critic_minibatches=ppo.actor_minibatches if cfg.minibatches == "joint" else 1)
-    cfg = replace(cfg, ppo=ppo, hidden=cfg.hidden or ((512, 512, 512) if on_gpu else (128, 128)))
-    same = {name: str(getattr(cfg, name)) for name in ONE_RUN}
     if cfg.start is not None and ppo.actor_lr == training.PRE_TRAIN.actor_lr:
         ppo = replace(ppo, actor_lr=training.FINE_TUNE.actor_lr)  # that of the beginning would undo what was learnt
-    iterations = cfg.iterations or (4000 if on_gpu and cfg.minutes is None else None)
+    iterations = 4000 if on_gpu and cfg.iterations is None else cfg.iterations
     ppo = ppo.annealed(iterations) if on_gpu and iterations else ppo
+    cfg = replace(cfg, ppo=ppo, iterations=iterations, commands=cfg.commands or training.commands_of(cfg.start))
+    cfg = replace(cfg, hidden=cfg.hidden or ((512, 512, 512) if on_gpu else (128, 128)))
+    same = {name: str(getattr(cfg, name)) for name in ONE_RUN}
     rows, first_row = processes.share(ppo.num_envs), processes.first_row(ppo.num_envs)
     learner = training.wbc_learner(
         make_env(cfg, 1 if cfg.collectors == "ray" else rows, first_row, processes.device, staggered=True),
@@ -83,7 +84,7 @@ def main(cfg: Config) -> None:
     training.train(
         learner,
         minutes=(29.0 if on_gpu else 10.0) if cfg.minutes is None else cfg.minutes,
-        iterations=iterations,
+        iterations=cfg.iterations,
         logger=training.make_logger(cfg.logger, cfg.output, "pretrain_wbc") if processes.rank == 0 else None,
         checkpoints=training.Checkpoints(cfg.output / "checkpoints", made_of=same),
         checkpoint_every=200 if on_gpu else 20,
@@ -102,11 +103,10 @@ def main(cfg: Config) -> None:
 
 def make_env(cfg: Config, num_envs: int, first_row: int = 0, device: str = "cpu", **told: Any) -> TransformedEnv:
     chance, rows = Disturbances() if cfg.randomize else NO_DISTURBANCES, {"seed": cfg.seed, "first_row": first_row}
-    nominal = b2z1(terrain=Terrain(), cone="pyramidal")
-    robot, chain = with_actuation(nominal, cfg.actuation, delay=chance.delay, **rows)
+    robot, chain = with_actuation(b2z1(terrain=Terrain(), cone="pyramidal"), cfg.actuation, delay=chance.delay, **rows)
     terms = whole_body_rewards(robot, "true_joint_position" if cfg.randomize else "joint_position", cfg.without)
     told |= rows | {"chain": chain, "terms": terms, "disturbances": chance, "history": cfg.history}
-    told["commands"] = command_ranges(cfg.commands)
+    told["commands"] = command_ranges(cfg.commands or training.commands_of(cfg.start))
     return whole_body_env(robot, num_envs=num_envs, device=device, **told)
 
 

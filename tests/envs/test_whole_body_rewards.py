@@ -36,9 +36,9 @@ def test_only_the_command_s_own_components_are_tracked():
 
 def test_the_hand_is_tracked_by_its_four_keypoints():
     way = torch.zeros(4, 3)
-    assert earned("ee_pose_tracking", pose_error=way) == 1.0
+    assert earned("ee_pose_tracking", pose_error=way) == pytest.approx(4 / 3)
     way[2, 1] = -0.5
-    assert earned("ee_pose_tracking", pose_error=way) == pytest.approx((3 + math.exp(-2 * 0.5)) / 4)
+    assert earned("ee_pose_tracking", pose_error=way) == pytest.approx((3 + math.exp(-2 * 0.5)) / 3)
 
 
 def test_feet_that_should_stand_are_asked_not_to_slide_and_the_others_are_free():

@@ -10,6 +10,7 @@ import pytest
 import torch
 from recipes.test_commands import load
 
+from torchrl_athletic.functional.commands import command_ranges
 from torchrl_athletic.identification import Simulator
 from torchrl_athletic.networks import read_network, uan
 from torchrl_athletic.robots import z1
@@ -101,6 +102,40 @@ def test_a_controller_goes_on_by_small_steps_unless_told_otherwise(tmp_path, mon
 
 
 @pytest.mark.parametrize(
+    ("device", "iterations", "ppo", "schedule"),
+    [
+        ("cpu", 2, FEW, (0.01, None, 0)),
+        ("cuda", None, FEW, (0.02, 0.002, 4000)),
+        ("cuda", 7, FEW, (0.02, 0.002, 7)),
+        ("cuda", 0, FEW, (0.01, None, 0)),
+        ("cuda", 7, replace(FEW, kl_target=0.005), (0.005, None, 0)),
+    ],
+)
+def test_on_a_gpu_the_divergence_falls_as_for_the_shipped_controller(
+    tmp_path, monkeypatch, device, iterations, ppo, schedule
+):
+    seen = []
+
+    def stop(env, ppo, **told):
+        seen.append((ppo.kl_target, ppo.kl_target_last, ppo.anneal))
+        raise KeyboardInterrupt
+
+    alone = recipe.training.join_processes("cpu")
+    monkeypatch.setattr(recipe.training, "join_processes", lambda device: alone)
+    monkeypatch.setattr(recipe.training, "wbc_learner", stop)
+    monkeypatch.setattr(recipe, "make_env", lambda *args, **told: None)
+    with pytest.raises(KeyboardInterrupt):
+        recipe.main(replace(short(tmp_path), device=device, iterations=iterations, ppo=ppo))
+    assert seen == [schedule]
+
+
+def test_goals_are_those_of_the_controller_that_it_goes_on_from(tmp_path):
+    for start, commands in {None: "box", "wbc": "box", "wbc_wide": "around"}.items():
+        assert parts_of(short(tmp_path, start=start))[CommandSampler].ranges == command_ranges(commands)
+    assert parts_of(short(tmp_path, commands="ahead"))[CommandSampler].ranges == command_ranges("ahead")
+
+
+@pytest.mark.parametrize(
     ("changes", "told"),
     [
         ({"seed": 1}, r"whose seed is '0'; here it is '1'"),
@@ -112,7 +147,7 @@ def test_a_controller_goes_on_by_small_steps_unless_told_otherwise(tmp_path, mon
         ({"num_envs": 6}, r"whose ppo is .*num_envs=4.* here it is .*num_envs=6"),
         ({"minibatches": "joint"}, r"whose ppo is .*critic_minibatches=1"),
         ({"hidden": (8,)}, r"whose hidden is '\(16,\)'"),
-        ({"start": "wbc"}, r"whose start is 'None'"),
+        ({"start": "wbc"}, r"whose ppo is .*actor_lr=0\.001.* here it is .*actor_lr=1e-05"),
         ({"collectors": "ray"}, r"whose collectors is 'here'"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",

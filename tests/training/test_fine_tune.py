@@ -158,7 +158,7 @@ class Told(dict):
         ("cpu", 3.0, 9, 12, (3.0, 9, 12, 20)),
         ("cpu", None, None, None, (10.0, None, 256, 20)),
         ("cuda", 3.0, 9, 12, (3.0, 9, 12, 100)),
-        ("cuda", 3.0, None, 12, (3.0, None, 12, 100)),
+        ("cuda", 3.0, None, 12, (3.0, 1950, 12, 100)),
         ("cuda", None, None, None, (15.0, 1950, 48, 100)),
     ],
 )
@@ -214,7 +214,8 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
         assert options == {"progress": "5 episodes"}
         assert (world, look_at, steps) == ("world", ["hand"], 500)
         assert played is not policy  # which may be part of what a graph has recorded
-    assert told["save_wbc"][0][1] == {"name": "throw", "trained_as": str(cfg), "history": 10}
+    trained_as = str(replace(cfg, ppo=config, iterations=last))
+    assert told["save_wbc"][0][1] == {"name": "throw", "trained_as": trained_as, "history": 10}
     assert told["draw_episode"] == [(("world", policy, 400), {"annotate": "ball", "follow": "base", "view": "far"})]
     assert told["write_video"][0][0][1:] == (tmp_path / "throw.mp4", 50.0)
     assert told["frame_strip"][0][0][1:] == (6, tmp_path / "throw.png")

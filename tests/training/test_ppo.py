@@ -105,8 +105,8 @@ def test_a_divergence_that_falls_needs_its_end_and_its_time():
 def test_annealing_keeps_what_was_told_and_lets_the_rate_fall_too():
     ppo = PRE_TRAIN.annealed(100)
     assert ppo == replace(PRE_TRAIN, kl_target=0.02, kl_target_last=0.002, anneal=100, least_actor_lr=1e-6)
-    told = replace(PRE_TRAIN, kl_target_last=0.005, anneal=7)
-    assert told.annealed(100) == told
+    falls, stays = replace(PRE_TRAIN, kl_target_last=0.005, anneal=7), replace(PRE_TRAIN, kl_target=0.005)
+    assert (falls.annealed(100), stays.annealed(100)) == (falls, stays)
 
 
 def test_each_entry_has_a_scale_of_its_own_and_every_one_learns():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -105,14 +106,16 @@ class CommandRanges:
         return {name: getattr(self, name) for name in names}
 
 
+CommandName = Literal["around", "ahead", "box"]
+
+
 def command_ranges(name: str) -> CommandRanges:
     """Ranges of a pre-training, by name.
 
     Args:
         name: ``"around"``, the defaults, which reach from the ground ahead to behind the head; ``"ahead"``, from the
             ground to a little over the shoulder, which is where pre-trainings of others have the hand; or ``"box"``,
-            ahead of the robot, but no nearer than 0.5 m: the places on which the shipped ``wbc`` was trained. Attitudes
-            differ from those by 0.09 rad in the mean, and ways lead around the shoulder instead of straight.
+            ahead of the robot, but no nearer than 0.5 m, on which the shipped ``wbc`` was trained.
 
     Raises:
         ValueError: If there are no such ranges.

@@ -47,7 +47,8 @@ class RunningNormalizer(nn.Module):
         self.eps = eps
         self.register_buffer("mean", torch.zeros(size, device=device))
         self.register_buffer("variance", torch.ones(size, device=device))
-        self.register_buffer("count", torch.zeros((), device=device))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64, device=device))
+        """Samples so far; of 400 million, 32 bits would not see that 20 more have come."""
 
     def forward(self, value: Tensor) -> Tensor:
         """Shape (*B, D), as given."""
@@ -73,7 +74,7 @@ class RunningNormalizer(nn.Module):
         mean, variance, count = moments(value.reshape(-1, value.shape[-1]))
         total = self.count + count
         delta = mean - self.mean
-        share = count / total
+        share = (count / total).to(self.mean.dtype)
         self.variance.lerp_(variance, share).add_(delta.square() * share * (1 - share))
         self.mean.add_(delta * share)
         self.count.copy_(total)

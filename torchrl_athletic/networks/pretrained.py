@@ -149,7 +149,7 @@ def digest_of(network: nn.Module) -> str:
     total = hashlib.sha256()
     for name, value in sorted(network.state_dict().items()):
         total.update(name.encode())
-        total.update(value.cpu().numpy().tobytes() if isinstance(value, Tensor) else repr(value).encode())
+        total.update(value.cpu().float().numpy().tobytes() if isinstance(value, Tensor) else repr(value).encode())
     return total.hexdigest()[:16]
 
 

@@ -319,6 +319,7 @@ class WarpPhysics(Physics):
         """
         if self.device.type == "cpu":
             return function
+        drawn = torch.cuda.get_rng_state(self.device)
         stream, graph = torch.cuda.Stream(self.device), torch.cuda.CUDAGraph()
         stream.wait_stream(torch.cuda.current_stream(self.device))
         with torch.cuda.stream(stream), self._set_inline():
@@ -334,6 +335,7 @@ class WarpPhysics(Physics):
             with self.capturing():
                 result = function()
         torch.cuda.current_stream(self.device).wait_stream(stream)
+        torch.cuda.set_rng_state(drawn, self.device)  # or a run that goes on would explore otherwise than one that ran
 
         def replay() -> Result:
             graph.replay()

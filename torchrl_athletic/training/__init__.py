@@ -29,7 +29,7 @@ from torchrl_athletic.training.uan import (
 )
 from torchrl_athletic.training.uan_gradient import DifferentiableTorqueEnv, GradientLearner, descend
 from torchrl_athletic.training.video import View, draw_episode, frame_strip, record_video, write_video
-from torchrl_athletic.training.wbc import CURVES, read_wbc, save_wbc, wbc_learner
+from torchrl_athletic.training.wbc import CURVES, commands_of, read_wbc, save_wbc, wbc_learner
 from torchrl_athletic.training.wbc_evaluation import Condition, draw_conditions, examine, table_of, wbc_conditions
 
 __all__ = [
@@ -60,6 +60,7 @@ __all__ = [
     "View",
     "chain_with",
     "check_finite",
+    "commands_of",
     "control_step",
     "controller_for",
     "descend",

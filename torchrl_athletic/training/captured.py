@@ -91,9 +91,7 @@ class CapturedRollout(Rollout):
             fuse_transforms(self.env)
         self.current = self.current.clone()  # memory of its own, which the graph reads and writes
         before, state = self.current.clone(), env_state(self.env)
-        drawn = torch.cuda.get_rng_state(self.physics.device)
         replay: Callable[[], None] = self.physics.capture(self._advance)
-        torch.cuda.set_rng_state(drawn, self.physics.device)
         self.current.update_(restore_env(self.env, before, state))  # as if the warm-up had not been
         return replay
 

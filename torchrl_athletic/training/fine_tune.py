@@ -36,8 +36,8 @@ class FineTune:
     minutes: float | None = None
     """When to stop [min]; None takes 10 on CPUs and 15 on a GPU."""
     iterations: int | None = None
-    """When to stop in any case; None takes 1,950 on a GPU, unless ``minutes`` are given. On a GPU the divergence falls
-    until then, and the critic begins 40 iterations before the actor, unless ``ppo`` says otherwise."""
+    """When to stop in any case; None takes 1,950 on a GPU, where the divergence falls until then, unless ``ppo`` tells
+    one."""
     seed: int = 0
     """Seed of robots, disturbances and exploration."""
     start: str | None = "wbc"
@@ -192,9 +192,8 @@ def fine_tune(
     torch.manual_seed(cfg.seed)
     torch.set_float32_matmul_precision("high")
     ppo = replace(cfg.ppo, num_envs=cfg.num_envs or (cfg.ppo.num_envs if on_gpu else 256))
-    iterations = 1950 if cfg.iterations is None and cfg.minutes is None and on_gpu else cfg.iterations
-    if on_gpu and iterations:
-        ppo = replace(ppo.annealed(iterations), critic_first=ppo.critic_first or 40)
+    iterations = 1950 if cfg.iterations is None and on_gpu else cfg.iterations
+    ppo = ppo.annealed(iterations) if on_gpu and iterations else ppo
     if iterations is not None and 0 < iterations <= ppo.critic_first:
         why = f"the critic learns alone in the first {ppo.critic_first}; --ppo.critic-first 0 lets both learn"
         print(f"--iterations {iterations}: the policy will stay as it is, since {why}.")
@@ -222,7 +221,8 @@ def fine_tune(
         checkpoint_every=100 if on_gpu else 20,
         show=["reward", "kl"],
     )
-    print("policy:", save_wbc(learner, cfg.output, name=name, trained_as=str(cfg), history=10))
+    trained_as = str(replace(cfg, ppo=ppo, iterations=iterations))
+    print("policy:", save_wbc(learner, cfg.output, name=name, trained_as=trained_as, history=10))
     policy = learner.actor.to("cpu")
     if (progress := cfg.output / "progress.csv").exists():
         alone = (ppo.warm_up + ppo.critic_first) * ppo.horizon * ppo.num_envs if ppo.critic_first else 0

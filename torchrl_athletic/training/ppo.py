@@ -114,7 +114,7 @@ class PPO:
         return (1 - share) * self.kl_target + share * self.kl_target_last
 
     def annealed(self, iterations: int, first: float = 0.02, last: float = 0.002) -> PPO:
-        """The same with a divergence that falls from ``first`` to ``last``, unless one was told to fall already.
+        """The same with a divergence that falls from ``first`` to ``last``, unless another one was told.
 
         With one that stays, what is learnt late is lost and learnt again. The rate may fall with it, to 1e-6.
 
@@ -122,7 +122,7 @@ class PPO:
             >>> PPO().annealed(1000).kl_target_at(500), PPO(kl_target_last=0.001, anneal=9).annealed(1000).anneal
             (0.011, 9)
         """
-        if self.anneal:
+        if self.anneal or self.kl_target != PPO().kl_target:
             return self
         least = min(self.least_actor_lr, 1e-6)
         return replace(self, kl_target=first, kl_target_last=last, anneal=iterations, least_actor_lr=least)

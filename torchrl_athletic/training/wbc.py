@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from tensordict import NestedKey
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 from torchrl.envs import EnvBase
 
+from torchrl_athletic.functional.commands import CommandName
 from torchrl_athletic.networks import (
     RunningNormalizer,
     actor,
     critic,
+    read_metadata,
     read_network,
     shipped_path,
     trunk_of,
@@ -126,6 +128,22 @@ def save_wbc(learner: Learner, folder: str | Path, name: str = "wbc", **told: An
     write_network(folder / f"{name}_critic.npz", learner.critic, **told)
     write_network(folder / f"{name}.npz", learner.actor, **told)
     return folder / f"{name}.npz"
+
+
+def commands_of(start: str | Path | None) -> CommandName:
+    """Name of the :func:`~torchrl_athletic.functional.commands.command_ranges` on which a controller was trained.
+
+    Args:
+        start: As of :func:`wbc_learner`; a new controller, or a file that does not say, has the ``"box"``.
+
+    Example:
+        >>> commands_of("wbc_wide"), commands_of(None)
+        ('around', 'box')
+    """
+    if start is None:
+        return "box"
+    told = read_metadata(start if Path(start).suffix else shipped_path(str(start)))
+    return cast("CommandName", told.get("commands", "box"))
 
 
 def read_wbc(name: str | Path, *, trainable: bool = False) -> tuple[Any, Any]:
