@@ -144,7 +144,7 @@ def played(task: str, policy: Any, cfg: Config, path: Path) -> dict[str, dict[st
             part = path.with_name(f".{path.name}")
             part.write_text(json.dumps(same | {"rows": rows}, indent=1) + "\n", "utf-8")
             part.replace(path)
-    return {name: rows[name] for name, _ in wanted if name in rows}
+    return {name: rows[name] for name, _ in wanted if set(SHOWN[task]) <= rows.get(name, {}).keys()}
 
 
 def conditions(task: str) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -56,7 +56,7 @@ def main(cfg: Config) -> None:
     policy: Any = (read_network(cfg.policy) if own else pretrained(cfg.policy)).to(cfg.device)
     trained = read_metadata(cfg.policy if own else shipped_path(cfg.policy))
     told: dict[str, Any] = {"seed": cfg.seed, "actuation": cfg.actuation, "history": trained.get("history", 10)}
-    told["commands"] = command_ranges(cfg.commands or trained.get("commands", "around"))
+    told["commands"] = command_ranges(cfg.commands or training.commands_of(cfg.policy))
     known = training.wbc_conditions()
     if unknown := [name for name in cfg.conditions if name not in known]:
         raise SystemExit(f"there is no condition {unknown[0]!r}; there are {sorted(known)}.")

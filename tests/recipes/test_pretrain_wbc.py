@@ -102,17 +102,18 @@ def test_a_controller_goes_on_by_small_steps_unless_told_otherwise(tmp_path, mon
 
 
 @pytest.mark.parametrize(
-    ("device", "iterations", "ppo", "schedule"),
+    ("device", "minutes", "iterations", "ppo", "schedule"),
     [
-        ("cpu", 2, FEW, (0.01, None, 0)),
-        ("cuda", None, FEW, (0.02, 0.002, 4000)),
-        ("cuda", 7, FEW, (0.02, 0.002, 7)),
-        ("cuda", 0, FEW, (0.01, None, 0)),
-        ("cuda", 7, replace(FEW, kl_target=0.005), (0.005, None, 0)),
+        ("cpu", None, 2, FEW, (0.01, None, 0)),
+        ("cuda", None, None, FEW, (0.02, 0.002, 4000)),
+        ("cuda", 5.0, None, FEW, (0.01, None, 0)),
+        ("cuda", 5.0, 7, FEW, (0.02, 0.002, 7)),
+        ("cuda", None, 0, FEW, (0.01, None, 0)),
+        ("cuda", None, 7, replace(FEW, kl_target=0.005), (0.005, None, 0)),
     ],
 )
-def test_on_a_gpu_the_divergence_falls_as_for_the_shipped_controller(
-    tmp_path, monkeypatch, device, iterations, ppo, schedule
+def test_on_a_gpu_the_divergence_falls_until_the_last_iteration(
+    tmp_path, monkeypatch, device, minutes, iterations, ppo, schedule
 ):
     seen = []
 
@@ -125,7 +126,7 @@ def test_on_a_gpu_the_divergence_falls_as_for_the_shipped_controller(
     monkeypatch.setattr(recipe.training, "wbc_learner", stop)
     monkeypatch.setattr(recipe, "make_env", lambda *args, **told: None)
     with pytest.raises(KeyboardInterrupt):
-        recipe.main(replace(short(tmp_path), device=device, iterations=iterations, ppo=ppo))
+        recipe.main(replace(short(tmp_path), device=device, minutes=minutes, iterations=iterations, ppo=ppo))
     assert seen == [schedule]
 
 

@@ -48,7 +48,7 @@ class RunningNormalizer(nn.Module):
         self.register_buffer("mean", torch.zeros(size, device=device))
         self.register_buffer("variance", torch.ones(size, device=device))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64, device=device))
-        """Samples so far; of 400 million, 32 bits would not see that 20 more have come."""
+        """Samples so far; of 400 million, 32 bits would not see that 16 more have come, as a small training's do."""
 
     def forward(self, value: Tensor) -> Tensor:
         """Shape (*B, D), as given."""

@@ -36,8 +36,8 @@ class FineTune:
     minutes: float | None = None
     """When to stop [min]; None takes 10 on CPUs and 15 on a GPU."""
     iterations: int | None = None
-    """When to stop in any case; None takes 1,950 on a GPU, where the divergence falls until then, unless ``ppo`` tells
-    one."""
+    """When to stop in any case; None takes 1,950 on a GPU, unless ``minutes`` are told. On a GPU the divergence falls
+    until then (:meth:`.PPO.annealed`); where only minutes are told it stays."""
     seed: int = 0
     """Seed of robots, disturbances and exploration."""
     start: str | None = "wbc"
@@ -192,7 +192,7 @@ def fine_tune(
     torch.manual_seed(cfg.seed)
     torch.set_float32_matmul_precision("high")
     ppo = replace(cfg.ppo, num_envs=cfg.num_envs or (cfg.ppo.num_envs if on_gpu else 256))
-    iterations = 1950 if cfg.iterations is None and on_gpu else cfg.iterations
+    iterations = 1950 if on_gpu and cfg.iterations is None and cfg.minutes is None else cfg.iterations
     ppo = ppo.annealed(iterations) if on_gpu and iterations else ppo
     if iterations is not None and 0 < iterations <= ppo.critic_first:
         why = f"the critic learns alone in the first {ppo.critic_first}; --ppo.critic-first 0 lets both learn"

@@ -114,7 +114,7 @@ class PPO:
         return (1 - share) * self.kl_target + share * self.kl_target_last
 
     def annealed(self, iterations: int, first: float = 0.02, last: float = 0.002) -> PPO:
-        """The same with a divergence that falls from ``first`` to ``last``, unless another one was told.
+        """The same with a divergence that falls from ``first`` to ``last``, unless another than the default was told.
 
         With one that stays, what is learnt late is lost and learnt again. The rate may fall with it, to 1e-6.
 

@@ -134,7 +134,7 @@ def commands_of(start: str | Path | None) -> CommandName:
     """Name of the :func:`~torchrl_athletic.functional.commands.command_ranges` on which a controller was trained.
 
     Args:
-        start: As of :func:`wbc_learner`; a new controller, or a file that does not say, has the ``"box"``.
+        start: As of :func:`wbc_learner`; a new controller has the ``"box"``, a file that does not say ``"around"``.
 
     Example:
         >>> commands_of("wbc_wide"), commands_of(None)
@@ -143,7 +143,7 @@ def commands_of(start: str | Path | None) -> CommandName:
     if start is None:
         return "box"
     told = read_metadata(start if Path(start).suffix else shipped_path(str(start)))
-    return cast("CommandName", told.get("commands", "box"))
+    return cast("CommandName", told.get("commands", "around"))
 
 
 def read_wbc(name: str | Path, *, trainable: bool = False) -> tuple[Any, Any]:
