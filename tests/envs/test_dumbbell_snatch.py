@@ -110,10 +110,10 @@ def test_the_environment_below_is_told_all_that_the_task_was(monkeypatch):
     assert (terms["wrist"].phases, terms["hand_height"].phases, terms["ee_pose_tracking"].phases) == ((2,), (2,), (1,))
 
 
-def test_reaching_for_the_weight_earns_five_a_second():
+def test_reaching_for_the_weight_earns_five_thirds_a_second_for_each_key_point():
     terms, scales = dumbbell_snatch_rewards(ROBOT, snatch_phases())
     before, after = TensorDict(task_phase_index=[[0]], batch_size=[1]), TensorDict(pose_error=torch.zeros(1, 4, 3))
-    assert scales["ee_pose_tracking"] * terms["ee_pose_tracking"](before, after).item() == 5.0
+    assert scales["ee_pose_tracking"] * terms["ee_pose_tracking"](before, after).item() == pytest.approx(20 / 3)
 
 
 def test_without_arguments_it_is_the_paper_s_task_for_the_robot_of_the_pre_training(monkeypatch):

@@ -1,5 +1,6 @@
 """What the tasks share."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -55,9 +56,9 @@ def test_a_force_that_stays_costs_nothing():
     assert value(change_of([1], "hand_force"), before=before, hand_force=[0.0, 4.0]) == pytest.approx(5.0)
 
 
-def test_the_pose_that_is_asked_for_earns_one():
-    assert value(pose_tracking([1]), pose_error=[[0.0] * 3] * 4) == 1.0
-    assert value(pose_tracking([1]), pose_error=[[0.5, 0.0, 0.0]] * 4) == pytest.approx(0.36788, rel=1e-4)
+def test_the_pose_that_is_asked_for_earns_a_third_for_each_of_four_key_points():
+    assert value(pose_tracking([1]), pose_error=[[0.0] * 3] * 4) == pytest.approx(4 / 3)
+    assert value(pose_tracking([1]), pose_error=[[0.5, 0.0, 0.0]] * 4) == pytest.approx(4 / 3 * math.exp(-1), rel=1e-4)
 
 
 def test_what_stands_below_the_dashed_line_of_the_paper_s_table_serves_every_task():
