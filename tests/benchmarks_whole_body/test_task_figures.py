@@ -1,10 +1,16 @@
 """What a task's policy is examined in, and what is read off its episodes."""
 
+import json
+from pathlib import Path
+
 import pytest
 import torch
 from tensordict import TensorDict
 
-from benchmarks.task_figures import ELSEWHERE, conditions, slid
+from benchmarks.task_figures import ELSEWHERE, TASKS, conditions, slid, untuned
+from torchrl_athletic.networks import digest_of, pretrained
+
+RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
 
 
 @pytest.mark.parametrize(("task", "figure"), [("snatch", "8 kg"), ("sled", "150 kg, 60 s")])
@@ -20,3 +26,11 @@ def test_a_foot_slides_only_while_it_is_pressed_to_the_ground_and_the_episode_la
     counts = torch.tensor([[[True], [True], [False]]])
     episodes = TensorDict(foot_force=force, foot_velocity=velocity, counts=counts, batch_size=[1, 3])
     assert slid(episodes) == pytest.approx(0.5 * 0.02 * 2 / 4)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_committed_tables_are_of_the_policies_that_are_shipped(task):
+    tuned, before = (json.loads((RESULTS / f"task_{task}{kind}.json").read_text()) for kind in ("", "_untuned"))
+    assert tuned["policy"] == digest_of(pretrained(task))
+    assert before["policy"] == digest_of(untuned(task))
+    assert tuned["rows"].keys() == {name for name, _ in conditions(task)}
