@@ -1,6 +1,6 @@
 """What the tuned policies can do, where they were tuned and elsewhere: 100 episodes in each condition.
 
-    python -m benchmarks.task_figures                                     # the shipped ones: half an hour of two cores
+    python -m benchmarks.task_figures                                     # the shipped ones: two hours of two cores
     python -m benchmarks.task_figures --only throw --policy outputs/finetune_throw/throw.npz
     python -m benchmarks.task_figures --untuned      # the controllers that they were tuned from: three minutes
 
