@@ -105,9 +105,9 @@ def test_a_controller_goes_on_by_small_steps_unless_told_otherwise(tmp_path, mon
     ("device", "minutes", "iterations", "ppo", "schedule"),
     [
         ("cpu", None, 2, FEW, (0.01, None, 0)),
-        ("cuda", None, None, FEW, (0.02, 0.002, 4000)),
+        ("cuda", None, None, FEW, (0.02, 0.006, 3800)),
         ("cuda", 5.0, None, FEW, (0.01, None, 0)),
-        ("cuda", 5.0, 7, FEW, (0.02, 0.002, 7)),
+        ("cuda", 5.0, 7, FEW, (0.02, 0.006, 7)),
         ("cuda", None, 0, FEW, (0.01, None, 0)),
         ("cuda", None, 7, replace(FEW, kl_target=0.005), (0.005, None, 0)),
     ],
