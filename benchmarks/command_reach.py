@@ -78,6 +78,7 @@ def kinds() -> dict[str, CommandRanges]:
         "ahead of the shoulder": replace(whole, elevation=(low, level)),
         "behind it": replace(whole, elevation=(level, high)),
         "`--commands ahead`": command_ranges("ahead"),
+        "`--commands box`": command_ranges("box"),
         "all, attitudes twice as wide": replace(
             whole, roll=_twice(whole.roll), pitch=_twice(whole.pitch), yaw=_twice(whole.yaw)
         ),
