@@ -1,4 +1,4 @@
-"""Which goals of the hand's attitude a whole-body controller misses: by how far the hand is to point up.
+"""Which goals of the hand's attitude a whole-body controller misses, and how far its base leans towards them.
 
     python benchmarks/wbc_attitude.py                      # the shipped one: a minute of two cores
     python benchmarks/wbc_attitude.py --policy wbc.npz
@@ -23,6 +23,7 @@ from torch import Tensor
 sys.path.append(str(Path(__file__).parents[1]))
 
 from benchmarks.by_case import commit
+from torchrl_athletic.functional import rotations
 from torchrl_athletic.functional.commands import command_ranges
 from torchrl_athletic.recordings.whole_file import whole_file
 from torchrl_athletic.training import wbc_conditions, whole_rollout
@@ -50,11 +51,12 @@ def main(cfg: Config) -> None:
     torch.set_grad_enabled(False)
     told: dict[str, Any] = {"max_steps": cfg.steps, "seed": cfg.seed, "commands": command_ranges("box")}
     env = wbc_conditions()["nominal"].env(cfg.robots, **told)
-    keys = ["end_effector_command", "tracking"]
+    keys = ["end_effector_command", "tracking", "base_quaternion"]
     shown = whole_rollout(env, read_wbc(cfg.policy)[0], keys, cfg.steps, progress=f"{cfg.robots} robots")
-    lines = ["| the hand is to point up by | share of the time | attitude, mean error [rad] |", "|---|---|---|"]
-    for words, share, error in binned(shown):
-        lines.append(f"| {words} | {100 * share:.0f} % | {error:.3f} |")
+    head = ("the hand is to point up by", "share of the time", "attitude, mean error [rad]", "base, mean tilt [rad]")
+    lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+    for words, share, error, leans in binned(shown):
+        lines.append(f"| {words} | {100 * share:.0f} % | {error:.3f} | {leans:.3f} |")
     flag = "" if cfg.policy == "wbc" else f" --policy {cfg.policy}"
     made = f"`python benchmarks/wbc_attitude.py{flag}`, {cfg.robots} nominal robots, 20 s, commit {commit()}, "
     with whole_file(cfg.output) as part:
@@ -62,18 +64,24 @@ def main(cfg: Config) -> None:
     print("\n".join(lines))
 
 
-def binned(shown: TensorDict) -> list[tuple[str, float, float]]:
-    """Words, share of the time and mean error [rad] of each bin that has any, then of all."""
+def binned(shown: TensorDict) -> list[tuple[str, float, float, float]]:
+    """Words, share of the time, mean error and mean tilt of the base [rad] of each bin that has any, then of all."""
     counts = shown["counts"].squeeze(-1)
     error = shown["tracking", "attitude"].squeeze(-1)[counts]
+    leans = tilt(shown["base_quaternion"][counts])
     up = elevation(shown["end_effector_command"][counts])
     rows = []
     for low, high in pairwise(EDGES):
         inside = (up > low) & (up <= high)
         if inside.any():
             share = float(inside.float().mean())
-            rows.append((f"{low} to {high}°", share, float(error[inside].mean())))
-    return [*rows, ("all", 1.0, float(error.mean()))]
+            rows.append((f"{low} to {high}°", share, float(error[inside].mean()), float(leans[inside].mean())))
+    return [*rows, ("all", 1.0, float(error.mean()), float(leans.mean()))]
+
+
+def tilt(quaternion: Tensor) -> Tensor:
+    """Angle of a base from upright [rad]. Shape (*B, 4), wxyz, to (*B,)."""
+    return (-rotations.projected_gravity(quaternion)[..., 2]).clamp(-1, 1).acos()
 
 
 def elevation(command: Tensor) -> Tensor:

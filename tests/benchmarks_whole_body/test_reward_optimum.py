@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reward_optimum import READINGS, Body, Config, best
+from benchmarks.reward_optimum import BASES, READINGS, Body, Config, best
 from torchrl_athletic.functional import rotations
 from torchrl_athletic.robots.b2z1 import LEGS
 
@@ -44,3 +44,9 @@ def test_more_starts_pay_no_less_and_a_cheaper_deviation_pays_more():
     cheap = best(READINGS[2], "box", Config(goals=6, starts=6, steps=60))
     assert cheap.reward.mean() > many.reward.mean()
     assert cheap.attitude.mean() < many.attitude.mean()
+
+
+def test_a_base_that_may_not_tilt_pays_less_and_brings_the_hand_less_near():
+    tilts, level = (best(READINGS[1], "box", Config(goals=6, starts=6, steps=60), base_is) for base_is in BASES)
+    assert level.reward.mean() < tilts.reward.mean()
+    assert level.attitude.mean() > tilts.attitude.mean()
