@@ -91,9 +91,12 @@ def _twice(between: tuple[float, float]) -> tuple[float, float]:
 
 def goals(ranges: CommandRanges, cfg: Config) -> list[Array]:
     """Keypoints in the world of a base that heads along x. Shape (4, 3) each [m]."""
-    drawn, _ = draw_goal(streams.stream(cfg.seed, torch.arange(cfg.goals)), ranges.bounds())
+    shoulder = torch.tensor(ranges.shoulder)
+    drawn, _ = draw_goal(
+        streams.stream(cfg.seed, torch.arange(cfg.goals)), ranges.bounds(), box_from=shoulder if ranges.box else None
+    )
     poses = []
-    for pose in goal_to_pose(drawn, torch.tensor(ranges.shoulder)).double().numpy():
+    for pose in goal_to_pose(drawn, shoulder).double().numpy():
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, pose[3:])
         poses.append(keypoints(pose[:3] + np.array([0, 0, ranges.frame_height]), turn.reshape(3, 3)))

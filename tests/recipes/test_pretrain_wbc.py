@@ -117,17 +117,19 @@ def test_on_a_gpu_the_divergence_falls_until_the_last_iteration(
 ):
     seen = []
 
-    def stop(env, ppo, **told):
-        seen.append((ppo.kl_target, ppo.kl_target_last, ppo.anneal))
+    def stop(learner, **told):
+        seen.append(told["iterations"])
         raise KeyboardInterrupt
 
     alone = recipe.training.join_processes("cpu")
     monkeypatch.setattr(recipe.training, "join_processes", lambda device: alone)
-    monkeypatch.setattr(recipe.training, "wbc_learner", stop)
+    told = lambda env, ppo, **told: seen.append((ppo.kl_target, ppo.kl_target_last, ppo.anneal))  # noqa: E731
+    monkeypatch.setattr(recipe.training, "wbc_learner", told)
+    monkeypatch.setattr(recipe.training, "train", stop)
     monkeypatch.setattr(recipe, "make_env", lambda *args, **told: None)
     with pytest.raises(KeyboardInterrupt):
         recipe.main(replace(short(tmp_path), device=device, minutes=minutes, iterations=iterations, ppo=ppo))
-    assert seen == [schedule]
+    assert seen == [schedule, 3800 if device == "cuda" and minutes is None and iterations is None else iterations]
 
 
 def test_goals_are_those_of_the_controller_that_it_goes_on_from(tmp_path):
