@@ -66,9 +66,7 @@ def main(cfg: Config) -> None:
     if cfg.start is not None and ppo.actor_lr == training.PRE_TRAIN.actor_lr:
         ppo = replace(ppo, actor_lr=training.FINE_TUNE.actor_lr)  # that of the beginning would undo what was learnt
     iterations = 3800 if on_gpu and cfg.iterations is None and cfg.minutes is None else cfg.iterations
-    ppo = (
-        ppo.annealed(iterations, last=0.006) if on_gpu and iterations else ppo
-    )  # below, the rate fell to 1e-6
+    ppo = ppo.annealed(iterations, last=0.006) if on_gpu and iterations else ppo  # below, the rate fell to 1e-6
     cfg = replace(cfg, ppo=ppo, iterations=iterations, commands=cfg.commands or training.commands_of(cfg.start))
     cfg = replace(cfg, hidden=cfg.hidden or ((512, 512, 512) if on_gpu else (128, 128)))
     same = {name: str(getattr(cfg, name)) for name in ONE_RUN}

@@ -131,6 +131,7 @@ def test_it_leaves_policy_curves_and_figures_and_goes_on(tmp_path):
     figures = fine_tune(cfg, make_env, judge=judge, **told)
     assert not seeds[True] & seeds[False]  # what judges a policy was not trained on
     assert seen[0].shape == (3, 2)
+    assert figures["reward_per_step"] == pytest.approx(figures["mean"])
     assert json.loads((tmp_path / "figures.json").read_text()) == figures
     before = json.loads((tmp_path / "figures_before.json").read_text())
     assert before.keys() == figures.keys()
@@ -143,6 +144,12 @@ def test_it_leaves_policy_curves_and_figures_and_goes_on(tmp_path):
     assert len(seen) == 3  # what came before is known
     with pytest.raises(ValueError, match="seed"):
         fine_tune(replace(cfg, iterations=4, seed=1), ball_throw_maker, judge=judge, **told)
+
+
+EPISODES = TensorDict(
+    reward=torch.tensor([[[0.5], [1.5], [9.0]]]), counts=torch.tensor([[[True], [True], [False]]]), batch_size=[1, 3]
+)
+"""One, of two steps."""
 
 
 class Told(dict):
@@ -174,7 +181,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     monkeypatch.setattr(module, "task_learner", told.of("learner", learner))
     monkeypatch.setattr(module, "_task_of", lambda env: {"reward": f"of {env}"})
     monkeypatch.setattr(module, "make_logger", told.of("logger", "log"))
-    monkeypatch.setattr(module, "whole_rollout", told.of("rollout", TensorDict()))
+    monkeypatch.setattr(module, "whole_rollout", told.of("rollout", EPISODES))
     monkeypatch.setattr(module, "Checkpoints", told.of("checkpoints", "states"))
     monkeypatch.setattr(torch, "manual_seed", told.of("seed"))
     ppo = PPO(num_envs=48, horizon=7, entropy_coeff=0.25, warm_up=1, critic_first=3)
@@ -212,7 +219,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     assert options["made_of"] == same | {"reward": "of world"}
     for (world, played, look_at, steps), options in told["rollout"]:
         assert options == {"progress": "5 episodes"}
-        assert (world, look_at, steps) == ("world", ["hand"], 500)
+        assert (world, look_at, steps) == ("world", ["reward", "hand"], 500)
         assert played is not policy  # which may be part of what a graph has recorded
     trained_as = str(replace(cfg, ppo=config, iterations=last))
     assert told["save_wbc"][0][1] == {"name": "throw", "trained_as": trained_as, "history": 10}
@@ -221,7 +228,9 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     assert told["frame_strip"][0][0][1:] == (6, tmp_path / "throw.png")
     curves = {"throw": tmp_path / "progress.csv"}, {"kl": "how far"}, tmp_path / "curves.png"
     assert told["draw_curves"] == [(curves, {"shaded": (1 + 3) * 7 * rows})]
-    assert "far         1 -> 2\n" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "far         1 -> 2\n" in said
+    assert "reward_per_step         1 -> 1\n" in said  # the mean of what counts
 
 
 def test_a_run_goes_on_with_its_reward_or_not_at_all(env):
@@ -238,7 +247,7 @@ def ball_throw_maker(num_envs, exam=False, **told):
 
 def test_figures_that_are_no_numbers_are_not_written_down(tmp_path, monkeypatch):
     told = Told()
-    monkeypatch.setattr(module, "whole_rollout", told.of("rollout", TensorDict()))
+    monkeypatch.setattr(module, "whole_rollout", told.of("rollout", EPISODES))
     path = tmp_path / "deep" / "down" / "figures.json"
     judge = lambda episodes: {"far": float("nan")}  # noqa: E731
     with pytest.raises(ValueError, match="not JSON compliant"):
