@@ -128,8 +128,8 @@ def test_every_episode_of_an_exam_has_its_deed_in_it():
 
 
 def test_numbers_that_make_no_sense_are_refused_before_the_training(tmp_path):
-    for flags in ({"episodes": 0}, {"num_envs": -1}):
-        with pytest.raises(ValueError, match=r"--(episodes|num-envs) is (0|-1).*Give 1 or more"):
+    for flags in ({"episodes": 0}, {"num_envs": -1}, {"epochs": 0}):
+        with pytest.raises(ValueError, match=r"--(episodes|num-envs|epochs) is (0|-1).*Give 1 or more"):
             throw.main(throw.Config(output=tmp_path, **flags))
     assert not list(tmp_path.iterdir())
 

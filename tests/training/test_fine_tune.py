@@ -187,7 +187,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     ppo = PPO(num_envs=48, horizon=7, entropy_coeff=0.25, warm_up=1, critic_first=3)
     cfg = FineTune(
         device=device, minutes=minutes, iterations=iterations, seed=6, start="other", actuation="ideal",
-        num_envs=num_envs, ppo=ppo, episodes=5, logger="none", output=tmp_path,
+        num_envs=num_envs, epochs=7 if iterations else None, ppo=ppo, episodes=5, logger="none", output=tmp_path,
     )  # fmt: skip
     task = {"name": "throw", "known": {"goal": 2.0}, "curves": {"kl": "how far"}, "look_at": ["hand"], "steps": 500}
     task |= {"watch": ["rope"], "annotate": "ball", "view": "far"}
@@ -203,7 +203,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     assert film[1]["exam"]
     assert len({training[1]["seed"], exams[0][1]["seed"], film[1]["seed"]}) == 3
     ((world, config), options), = told["learner"]  # fmt: skip
-    ppo = replace(ppo, num_envs=rows)
+    ppo = replace(ppo, num_envs=rows, epochs=7 if iterations else 2 if device == "cpu" else ppo.epochs)
     assert (world, config) == ("world", ppo.annealed(last) if device == "cuda" and last else ppo)
     known = {"start": "other", "known": {"goal": 2.0}, "watch": ["rope"]}
     assert options == known | {"seed": 6, "cuda_graph": device == "cuda"}

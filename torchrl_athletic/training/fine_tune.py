@@ -46,6 +46,9 @@ class FineTune:
     """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
     num_envs: int | None = None
     """Robots; None takes 256 on CPUs and those of ``ppo`` on a GPU."""
+    epochs: int | None = None
+    """Passes over a batch; None takes 2 on CPUs, where five take longer than to collect the next batch, and those of
+    ``ppo`` on a GPU."""
     ppo: PPO = field(default_factory=lambda: FINE_TUNE)
     """What else is chosen by hand."""
     episodes: int = 100
@@ -186,13 +189,14 @@ def fine_tune(
         The figures, and the reward of the same episodes. They are measured before the training too, on the same robots,
         and so tell what was learnt where a curve of a few hundred robots is too rough.
     """
-    for flag, count in {"episodes": cfg.episodes, "num-envs": cfg.num_envs}.items():
+    for flag, count in {"episodes": cfg.episodes, "num-envs": cfg.num_envs, "epochs": cfg.epochs}.items():
         if count is not None and count < 1:
             raise ValueError(f"--{flag} is {count}: there would be nothing to look at. Give 1 or more.")
     on_gpu = cfg.device == "cuda"
     torch.manual_seed(cfg.seed)
     torch.set_float32_matmul_precision("high")
     ppo = replace(cfg.ppo, num_envs=cfg.num_envs or (cfg.ppo.num_envs if on_gpu else 256))
+    ppo = replace(ppo, epochs=cfg.epochs or (cfg.ppo.epochs if on_gpu else 2))
     iterations = 1950 if on_gpu and cfg.iterations is None and cfg.minutes is None else cfg.iterations
     ppo = ppo.annealed(iterations) if on_gpu and iterations else ppo
     if iterations is not None and 0 < iterations <= ppo.critic_first:
