@@ -41,7 +41,7 @@ class Config:
     device: Literal["cpu", "cuda"] = "cpu"
     """Device of the trainings."""
     minutes: float | None = None
-    """Duration of each training [min]; None takes 10 on CPUs and 15 on a GPU."""
+    """Duration of each training [min]; None takes 9 on CPUs and 15 on a GPU."""
     iterations: int | None = None
     """When to stop in any case, the divergence falling from 0.02 to 0.003 until then; None takes 1,950 on a GPU."""
     num_envs: int | None = None

@@ -1,6 +1,6 @@
 """Teach a B2 with a Z1 to pull a heavy sled backwards on a straight line.
 
-python recipes/finetune_sled.py                  # ten minutes of two cores: first steps, curves and a video
+python recipes/finetune_sled.py                  # 13 minutes of two cores: first steps, curves and a video
 python recipes/finetune_sled.py --device cuda    # the paper's scale: 4,096 robots, 15 minutes
 python recipes/finetune_sled.py --actuation outputs/identification/diagnosed_seed0   # in an identified simulator
 

@@ -163,7 +163,7 @@ class Told(dict):
     ("device", "minutes", "iterations", "num_envs", "expected"),
     [
         ("cpu", 3.0, 9, 12, (3.0, 9, 12, 20)),
-        ("cpu", None, None, None, (10.0, None, 256, 20)),
+        ("cpu", None, None, None, (9.0, None, 256, 20)),
         ("cuda", 3.0, 9, 12, (3.0, 9, 12, 100)),
         ("cuda", 3.0, None, 12, (3.0, None, 12, 100)),
         ("cuda", None, None, None, (15.0, 1950, 48, 100)),

@@ -34,7 +34,7 @@ class FineTune:
     device: Literal["cpu", "cuda"] = "cpu"
     """Device of simulation and nets."""
     minutes: float | None = None
-    """When to stop [min]; None takes 10 on CPUs and 15 on a GPU."""
+    """When to stop [min]; None takes 9 on CPUs and 15 on a GPU."""
     iterations: int | None = None
     """When to stop in any case; None takes 1,950 on a GPU, unless ``minutes`` are told. On a GPU the divergence falls
     until then (:meth:`.PPO.annealed`); where only minutes are told it stays."""
@@ -219,7 +219,7 @@ def fine_tune(
         _examine(cfg, make_env, learner.actor, first, look_at, judge, steps)
     train(
         learner,
-        minutes=(15.0 if on_gpu else 10.0) if cfg.minutes is None else cfg.minutes,
+        minutes=(15.0 if on_gpu else 9.0) if cfg.minutes is None else cfg.minutes,
         iterations=iterations,
         logger=make_logger(cfg.logger, cfg.output, f"finetune_{name}"),
         checkpoints=Checkpoints(cfg.output / "checkpoints", made_of=same),
