@@ -48,6 +48,8 @@ class Config(training.FineTune):
 
 
 def main(cfg: Config) -> None:
+    if cfg.device == "cpu":  # five passes take longer than to collect the next batch, which teaches more
+        cfg = replace(cfg, epochs=cfg.epochs or 1)
     training.fine_tune(
         cfg,
         partial(make_env, cfg.actuation),

@@ -46,6 +46,14 @@ def test_it_learns_and_says_how_good_it_is(tmp_path, monkeypatch, capsys):
     assert set(sled.CURVES) <= CSVTable(tmp_path / "progress.csv").rows[0].keys()
 
 
+def test_a_sled_learns_from_each_batch_once_on_cpus_unless_told(monkeypatch):
+    seen = []
+    monkeypatch.setattr(sled.training, "fine_tune", lambda cfg, *args, **told: seen.append(cfg.epochs))
+    for told in ({}, {"epochs": 3}, {"device": "cuda"}, {"device": "cuda", "epochs": 3}):
+        sled.main(sled.Config(**told))
+    assert seen == [1, 3, None, 3]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["throw", "snatch", "sled"])
 def test_from_the_command_line_it_does_so_too(name, tmp_path):

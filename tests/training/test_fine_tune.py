@@ -203,7 +203,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
     assert film[1]["exam"]
     assert len({training[1]["seed"], exams[0][1]["seed"], film[1]["seed"]}) == 3
     ((world, config), options), = told["learner"]  # fmt: skip
-    ppo = replace(ppo, num_envs=rows, epochs=7 if iterations else 1 if device == "cpu" else ppo.epochs)
+    ppo = replace(ppo, num_envs=rows, epochs=7 if iterations else ppo.epochs)
     assert (world, config) == ("world", ppo.annealed(last) if device == "cuda" and last else ppo)
     known = {"start": "other", "known": {"goal": 2.0}, "watch": ["rope"]}
     assert options == known | {"seed": 6, "cuda_graph": device == "cuda"}

@@ -47,8 +47,7 @@ class FineTune:
     num_envs: int | None = None
     """Robots; None takes 256 on CPUs and those of ``ppo`` on a GPU."""
     epochs: int | None = None
-    """Passes over a batch; None takes 1 on CPUs, where five take longer than to collect the next batch, and those of
-    ``ppo`` on a GPU."""
+    """Passes over a batch; None takes those of ``ppo``, but 1 for the sled on CPUs."""
     ppo: PPO = field(default_factory=lambda: FINE_TUNE)
     """What else is chosen by hand."""
     episodes: int = 100
@@ -195,8 +194,8 @@ def fine_tune(
     on_gpu = cfg.device == "cuda"
     torch.manual_seed(cfg.seed)
     torch.set_float32_matmul_precision("high")
-    ppo = replace(cfg.ppo, num_envs=cfg.num_envs or (cfg.ppo.num_envs if on_gpu else 256))
-    ppo = replace(ppo, epochs=cfg.epochs or (cfg.ppo.epochs if on_gpu else 1))
+    rows = cfg.num_envs or (cfg.ppo.num_envs if on_gpu else 256)
+    ppo = replace(cfg.ppo, num_envs=rows, epochs=cfg.epochs or cfg.ppo.epochs)
     iterations = 1950 if on_gpu and cfg.iterations is None and cfg.minutes is None else cfg.iterations
     ppo = ppo.annealed(iterations) if on_gpu and iterations else ppo
     if iterations is not None and 0 < iterations <= ppo.critic_first:
