@@ -48,8 +48,8 @@ class Config(training.FineTune):
 
 
 def main(cfg: Config) -> None:
-    if cfg.device == "cpu":  # five passes take longer than to collect the next batch, which teaches more
-        cfg = replace(cfg, epochs=cfg.epochs or 1)
+    if cfg.device == "cpu" and cfg.ppo.epochs == training.FINE_TUNE.epochs:
+        cfg = replace(cfg, epochs=cfg.epochs or 1)  # five take longer than the next batch, which teaches more
     training.fine_tune(
         cfg,
         partial(make_env, cfg.actuation),

@@ -49,9 +49,10 @@ def test_it_learns_and_says_how_good_it_is(tmp_path, monkeypatch, capsys):
 def test_a_sled_learns_from_each_batch_once_on_cpus_unless_told(monkeypatch):
     seen = []
     monkeypatch.setattr(sled.training, "fine_tune", lambda cfg, *args, **told: seen.append(cfg.epochs))
-    for told in ({}, {"epochs": 3}, {"device": "cuda"}, {"device": "cuda", "epochs": 3}):
+    thrice = {"ppo": dataclasses.replace(sled.Config().ppo, epochs=3)}
+    for told in ({}, {"epochs": 4}, thrice, {"device": "cuda"}, {"device": "cuda", "epochs": 4}):
         sled.main(sled.Config(**told))
-    assert seen == [1, 3, None, 3]
+    assert seen == [1, 4, None, None, 4]  # None takes those of ``ppo``
 
 
 @pytest.mark.slow
