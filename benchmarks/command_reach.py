@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from torchrl_athletic.functional import streams
-from torchrl_athletic.functional.commands import CommandRanges, command_ranges, draw_goal, goal_to_pose
+from torchrl_athletic.functional.commands import CommandRanges, command_ranges, goal_to_pose
 from torchrl_athletic.robots import Robot, b2z1
 
 LENGTH = 0.3
@@ -91,12 +91,9 @@ def _twice(between: tuple[float, float]) -> tuple[float, float]:
 
 def goals(ranges: CommandRanges, cfg: Config) -> list[Array]:
     """Keypoints in the world of a base that heads along x. Shape (4, 3) each [m]."""
-    shoulder = torch.tensor(ranges.shoulder)
-    drawn, _ = draw_goal(
-        streams.stream(cfg.seed, torch.arange(cfg.goals)), ranges.bounds(), box_from=shoulder if ranges.box else None
-    )
+    drawn, _ = ranges.draw(streams.stream(cfg.seed, torch.arange(cfg.goals)))
     poses = []
-    for pose in goal_to_pose(drawn, shoulder).double().numpy():
+    for pose in goal_to_pose(drawn, torch.tensor(ranges.shoulder)).double().numpy():
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, pose[3:])
         poses.append(keypoints(pose[:3] + np.array([0, 0, ranges.frame_height]), turn.reshape(3, 3)))

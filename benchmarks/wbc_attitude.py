@@ -31,8 +31,6 @@ from torchrl_athletic.training.wbc import read_wbc
 
 EDGES = (-90, -20, 0, 20, 90)
 """Of the bins [deg]."""
-CYCLE = round(50 / 2.2)
-"""Policy steps of a gait cycle, over which a base rocks to and fro."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ def main(cfg: Config) -> None:
     env = wbc_conditions()["nominal"].env(cfg.robots, **told)
     keys = ["end_effector_command", "tracking", "base_quaternion"]
     shown = whole_rollout(env, read_wbc(cfg.policy)[0], keys, cfg.steps, progress=f"{cfg.robots} robots")
-    head = ("the hand is to point up by", "share of the time", "attitude, mean error [rad]", "base, mean lean [rad]")
+    head = ("the hand is to point up by", "share of the time", "attitude, mean error [rad]", "base, mean tilt [rad]")
     lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
     for words, share, error, leans in binned(shown):
         lines.append(f"| {words} | {100 * share:.0f} % | {error:.3f} | {leans:.3f} |")
@@ -67,10 +65,10 @@ def main(cfg: Config) -> None:
 
 
 def binned(shown: TensorDict) -> list[tuple[str, float, float, float]]:
-    """Words, share of the time, mean error and mean lean of the base [rad] of each bin that has any, then of all."""
+    """Words, share of the time, mean error and mean tilt of the base [rad] of each bin that has any, then of all."""
     counts = shown["counts"].squeeze(-1)
     error = shown["tracking", "attitude"].squeeze(-1)[counts]
-    leans = lean(shown["base_quaternion"])[counts]
+    leans = tilt(shown["base_quaternion"][counts])
     up = elevation(shown["end_effector_command"][counts])
     rows = []
     for low, high in pairwise(EDGES):
@@ -81,12 +79,9 @@ def binned(shown: TensorDict) -> list[tuple[str, float, float, float]]:
     return [*rows, ("all", 1.0, float(error.mean()), float(leans.mean()))]
 
 
-def lean(quaternion: Tensor) -> Tensor:
-    """Angle of a base from upright, less its rocking in a gait cycle [rad]. Shape (N, T, 4), wxyz, to (N, T)."""
-    gravity = rotations.projected_gravity(quaternion).mT
-    reach = CYCLE // 2
-    mean = torch.nn.functional.avg_pool1d(gravity, 2 * reach + 1, 1, reach, count_include_pad=False).mT
-    return torch.atan2(torch.linalg.vector_norm(mean[..., :2], dim=-1), -mean[..., 2])
+def tilt(quaternion: Tensor) -> Tensor:
+    """Angle of a base from upright [rad]; its rocking in a gait cycle hardly counts. Shape (*B, 4), wxyz, to (*B,)."""
+    return (-rotations.projected_gravity(quaternion)[..., 2]).clamp(-1, 1).acos()
 
 
 def elevation(command: Tensor) -> Tensor:

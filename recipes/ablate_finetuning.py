@@ -1,6 +1,6 @@
 """What pre-training and tuning are each worth: the paper's four ways to a throw, side by side.
 
-python recipes/ablate_finetuning.py                  # CPU: ten minutes for each way and seed, a small version
+python recipes/ablate_finetuning.py                  # CPU: nine minutes for each way and seed, a small version
 python recipes/ablate_finetuning.py --device cuda    # the paper's scale: 15 minutes each
 
 ``No-Fine-Tuning`` is the controller that follows the reference; ``No-Pre-Training`` begins anew; ``No-E2E`` is a policy

@@ -50,9 +50,9 @@ def test_a_sled_learns_from_each_batch_once_on_cpus_unless_told(monkeypatch):
     seen = []
     monkeypatch.setattr(sled.training, "fine_tune", lambda cfg, *args, **told: seen.append(cfg.epochs))
     thrice = {"ppo": dataclasses.replace(sled.Config().ppo, epochs=3)}
-    for told in ({}, {"epochs": 4}, thrice, {"device": "cuda"}, {"device": "cuda", "epochs": 4}):
+    for told in ({}, {"epochs": 5}, {"epochs": 0}, thrice, {"device": "cuda"}, {"device": "cuda", "epochs": 4}):
         sled.main(sled.Config(**told))
-    assert seen == [1, 4, None, None, 4]  # None takes those of ``ppo``
+    assert seen == [1, 5, 0, None, None, 4]  # None takes those of ``ppo``, 0 is refused
 
 
 @pytest.mark.slow

@@ -84,6 +84,11 @@ class CommandRanges:
         """Lower and upper bounds of what :func:`draw_goal` draws, which needs ``box_from`` for a box. Shape (2, 11)."""
         return torch.tensor(list(self._ranges().values())).T.contiguous()
 
+    def draw(self, key: Tensor) -> tuple[Tensor, Tensor]:
+        """Goals and durations as :func:`draw_goal` gives them, from a box where there is one. ``key``: shape (*B,)."""
+        shoulder = torch.tensor(self.shoulder) if self.box else None
+        return draw_goal(key, self.bounds(), self.standstill_probability, shoulder)
+
     def centre(self) -> Tensor:
         """A goal in the middle of the ranges, at rest, pointing away from the shoulder. Shape (10,)."""
         middle = self.bounds().mean(0)[PLACE]

@@ -47,7 +47,7 @@ class FineTune:
     num_envs: int | None = None
     """Robots; None takes 256 on CPUs and those of ``ppo`` on a GPU."""
     epochs: int | None = None
-    """Passes over a batch; None takes those of ``ppo``, but one for the sled on CPUs, unless ``ppo`` tells others."""
+    """Passes over a batch; None takes those of ``ppo``."""
     ppo: PPO = field(default_factory=lambda: FINE_TUNE)
     """What else is chosen by hand."""
     episodes: int = 100
