@@ -1,6 +1,6 @@
 """Teach a B2 with a Z1 to lift a dumbbell from the ground and hold it overhead.
 
-python recipes/finetune_snatch.py                  # nine minutes of training on two cores: first steps, curves and a video
+python recipes/finetune_snatch.py                  # two cores, nine minutes of training: first steps and a video
 python recipes/finetune_snatch.py --device cuda    # the paper's scale: 4,096 robots, 15 minutes
 python recipes/finetune_snatch.py --actuation outputs/identification/diagnosed_seed0   # in an identified simulator
 
