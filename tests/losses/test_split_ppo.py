@@ -460,3 +460,22 @@ def test_a_divergence_is_exact_only_if_both_policies_are_gaussian(kinds: tuple) 
     old, new = (None if kind is None else kind(zero, one) for kind in kinds)
     assert torch.equal(divergence(old, new, log_ratio), sampled_kl(log_ratio))
     assert torch.equal(divergence(Normal(zero, one), Normal(zero, one), log_ratio), torch.zeros(2, 1))
+
+
+def test_a_mask_of_samples_counts_for_every_agent_of_a_sample():
+    """Two of four samples count, each with three agents: as those two alone."""
+    policy, value = networks()
+    loss = SplitClipPPOLoss(policy, value, log_explained_variance=False)
+    batch = collected(policy, 12).reshape(4, 3)
+    batch.batch_size = [4]
+    batch["advantage"], batch["value_target"] = torch.randn(4, 3, 1), torch.randn(4, 3, 1)
+    alone = batch[:2].clone()
+    batch["shifted_valid"] = torch.tensor([True, True, False, False])
+    for part, key in ((loss.loss_actor, "loss_objective"), (loss.loss_critic, "loss_critic")):
+        torch.testing.assert_close(part(batch)[key], part(alone)[key])
+
+
+def test_a_batch_without_advantage_says_so_where_nobody_can_estimate_one():
+    policy, _ = networks()
+    with pytest.raises(KeyError, match="advantage"):
+        SplitClipPPOLoss(policy)(collected(policy, 4).exclude("advantage", "value_target"))

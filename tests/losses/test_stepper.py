@@ -259,7 +259,7 @@ def test_another_state_needs_another_graph():
     assert stepper._graph is None
 
 
-def test_a_report_is_the_mean_over_all_steps_and_tells_what_the_values_explained_before():
+def test_a_report_is_the_mean_over_all_samples_and_tells_what_the_values_explained_before():
     stepper = make({"clip_value": 0.2}, epochs=3, minibatches=2, critic_minibatches=3)
     batch = collected(stepper.loss.actor_network, 30)
     batch["shifted_valid"] = torch.arange(30) % 3 > 0
@@ -267,15 +267,69 @@ def test_a_report_is_the_mean_over_all_steps_and_tells_what_the_values_explained
     told = {}
     for name in ("loss_actor", "loss_critic"):
         told[name], loss = [], getattr(stepper.loss, name)
-        setattr(stepper.loss, name, lambda part, name=name, loss=loss: told[name].append(loss(part)) or told[name][-1])
+        setattr(stepper.loss, name, recorded(told[name], loss, stepper.loss))
     report = stepper.update(batch)
     assert (len(told["loss_actor"]), len(told["loss_critic"])) == (6, 9)
     for name, keys in (("loss_actor", ("loss_objective", "kl", "max_ratio", "ESS")), ("loss_critic", ("loss_critic",))):
         for key in keys:
-            torch.testing.assert_close(report[key], torch.stack([each[key].detach() for each in told[name]]).mean())
+            steps, counts = zip(*told[name], strict=True)
+            weight = torch.tensor(counts) / sum(counts)
+            expected = (weight * torch.stack([each[key].detach() for each in steps])).sum()
+            torch.testing.assert_close(report[key], expected)
     target, value = (batch[key][batch["shifted_valid"]] for key in ("value_target", "state_value"))
     expected = 1 - (target - value).var(correction=0) / target.var(correction=0)
     torch.testing.assert_close(report["explained_variance"], expected, rtol=1e-4, atol=1e-5)
+
+
+def recorded(told, loss, of):
+    """A loss that notes what it says of how many samples."""
+
+    def say(part):
+        told.append((loss(part), int(of.valid(part).sum())))
+        return told[-1][0]
+
+    return say
+
+
+def test_minibatches_of_which_no_sample_counts_do_not_spoil_the_report():
+    stepper = make({"log_explained_variance": False}, epochs=1, minibatches=8)
+    batch = collected(stepper.loss.actor_network, 16)
+    batch["shifted_valid"] = torch.arange(16) < 2
+    report = stepper.update(batch)
+    assert torch.isfinite(torch.stack(list(report.values()))).all()
+    assert report["mean_ratio"] == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_batch_with_fewer_samples_than_minibatches_is_refused():
+    stepper = make(minibatches=4)
+    with pytest.raises(ValueError, match="3 samples for 4 minibatches"):
+        stepper.update(collected(stepper.loss.actor_network, 3))
+
+
+def test_one_sample_alone_is_not_standardised_and_spoils_no_weight():
+    stepper = make({"normalize_advantage": True}, epochs=1, minibatches=4)
+    report = stepper.update(collected(stepper.loss.actor_network, 5))  # minibatches of 2, 1, 1 and 1
+    assert torch.isfinite(report["kl"])
+    assert all(torch.isfinite(p).all() for p in stepper.actor_parameters)
+
+
+def test_a_copied_loss_trains_the_parameters_that_it_runs_with_and_a_stepper_is_not_copied():
+    stepper = make()
+    batch = collected(stepper.loss.actor_network, 32)
+    other = copy.deepcopy(stepper.loss)
+    moved = SplitOptimizationStepper(other)
+    moved.update(batch)
+    assert other.loss_actor(batch)["kl"] > 0
+    assert stepper.loss.loss_actor(batch)["kl"] == 0
+    with pytest.raises(TypeError, match="state_dict"):
+        copy.deepcopy(stepper)
+
+
+def test_networks_that_may_not_learn_are_refused():
+    loss = make().loss
+    loss.actor_network_params.requires_grad_(False)
+    with pytest.raises(ValueError, match="actor has no parameter that may learn"):
+        SplitOptimizationStepper(loss)
 
 
 def test_both_networks_are_given_what_their_losses_read_and_nothing_else():

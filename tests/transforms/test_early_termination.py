@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
@@ -70,3 +71,9 @@ def test_flags_within_a_group_are_raised_where_they_tell_of_an_end_or_a_failure(
     Within(lambda before, after: torch.tensor([[True], [False]]))._step(after, after)
     raised = [after["done", name].flatten().tolist() for name in ("done", "terminated", "truncated")]
     assert raised == [[True, False], [True, False], [False, False]]
+
+
+def test_a_condition_without_a_last_dimension_would_end_others_and_is_refused():
+    ended = TransformedEnv(ToyEnv(3), EarlyTermination(lambda before, after: torch.tensor([False, True, False])))
+    with pytest.raises(ValueError, match=r"shape \(3,\) and 'done' has \(3, 1\)"):
+        ended.rollout(2)

@@ -172,3 +172,27 @@ def test_an_entry_like_another_has_its_type() -> None:
 def test_entries_on_the_way_in_are_told_to_torchrl() -> None:
     part = StatefulTransform(["a"], ["b"], ["c"], ["d"])
     assert (part.in_keys, part.out_keys, part.in_keys_inv, part.out_keys_inv) == (["a"], ["b"], ["c"], ["d"])
+
+
+def test_a_copy_counts_episodes_of_its_own() -> None:
+    part = EncoderOffset()
+    part._count_episodes_of(TensorDict(batch_size=[3]))
+    other = part.clone()
+    other.episode += 1
+    assert part.episode.tolist() == [0, 0, 0]
+    assert other.row_stream.equal(part.row_stream)
+
+
+def test_memory_that_a_partial_reset_would_leave_alone_is_refused() -> None:
+    """TorchRL merges what stands beside the reset's flag and nothing else."""
+    part = ActionHistory(2, reset_key=("data", "_reset"), history_key="action_history")
+    with pytest.raises(ValueError, match=r"\('data', 'action_history'\)"):
+        part._check_place("action_history")
+    part._check_place(("data", "action_history"))
+    ActionHistory(2)._check_place("action_history")
+
+
+def test_a_joint_counted_from_the_end_is_that_joint() -> None:
+    numbers = torch.arange(4)
+    for joints, expected in (([-1], [3]), ([-2, -1], [2, 3]), ([1, 2], [1, 2])):
+        assert numbers[joint_index(ActionHistory(2), joints)].tolist() == expected

@@ -197,7 +197,13 @@ class TorqueEnv(EnvBase):
         observed = self._show_joints(torque) | self._read(self.every_step) if only_joints else self._observe(torque)
         shown = self._tensordict(observed, reward=reward, **flags)
         if self.terminate is not None and not only_joints:
-            failed = failed | self.terminate(shown)
+            ended = self.terminate(shown)
+            if ended.shape != failed.shape:
+                raise ValueError(
+                    f"terminate gives shape {tuple(ended.shape)}, needed is {tuple(failed.shape)}: one robot's failure "
+                    "would end others. Give one flag a robot and a last dimension of 1."
+                )
+            failed = failed | ended
             shown.set("done", failed).set("terminated", failed.clone())
         return shown
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
-from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase, dispatch
+from tensordict.nn import CompositeDistribution, ProbabilisticTensorDictSequential, TensorDictModuleBase, dispatch
 from torch import Tensor
 from torch.distributions import Distribution, Normal
 from torchrl.modules.distributions.utils import has_analytic_entropy, sample_and_log_prob
@@ -221,6 +221,8 @@ class SplitClipPPOLoss(ClipPPOLoss):
         """Both losses of the same samples, with advantages estimated first where the batch has none."""
         tensordict = tensordict.clone(recurse=False)
         if self.tensor_keys.advantage not in tensordict.keys(True):
+            if self.critic_network is None:
+                self._read(tensordict, self.tensor_keys.advantage)  # which says what is missing
             params = self.critic_network_params.detach() if self.functional else None
             self.value_estimator(tensordict, params=params, target_params=self.target_critic_network_params)
         out = self.loss_actor(tensordict)
@@ -241,8 +243,10 @@ class SplitClipPPOLoss(ClipPPOLoss):
             KeyError: If the batch lacks one of them.
             ValueError: If the advantage lacks its last dimension, since (B,) and (B, 1) would broadcast to (B, B).
         """
-        mask = self.valid(batch)
-        advantage = blank(self._read(batch, self.tensor_keys.advantage), mask)
+        self._refuse_lists()
+        advantage = self._read(batch, self.tensor_keys.advantage)
+        mask = self.valid(batch, advantage)
+        advantage = blank(advantage, mask)
         old_log_prob = self._read(batch, self.tensor_keys.sample_log_prob).unsqueeze(-1)
         if advantage.shape != old_log_prob.shape:
             raise ValueError(
@@ -255,6 +259,8 @@ class SplitClipPPOLoss(ClipPPOLoss):
         old = self._collecting_distribution(batch)
         with held(self.actor_network_params, self.actor_network):
             dist = self.actor_network.get_dist(batch.clone(recurse=False))
+        if isinstance(dist, CompositeDistribution):
+            raise _is_composite("the policy's distribution is a CompositeDistribution")
         log_prob = dist.log_prob(self._read(batch, self.tensor_keys.action)).unsqueeze(-1)
         log_ratio = blank(log_prob - old_log_prob, mask)
 
@@ -285,8 +291,9 @@ class SplitClipPPOLoss(ClipPPOLoss):
         """
         if self.critic_network is None:
             raise RuntimeError("this loss was built without a critic. Give SplitClipPPOLoss a critic_network.")
-        mask = self.valid(batch)
-        target = blank(self._read(batch, self.tensor_keys.value_target), mask)
+        target = self._read(batch, self.tensor_keys.value_target)
+        mask = self.valid(batch, target)
+        target = blank(target, mask)
         given = batch.detach() if self.separate_losses else batch.clone(recurse=False)
         with held(self.critic_network_params, self.critic_network):
             value = self.critic_network(given).get(self.tensor_keys.value)
@@ -302,11 +309,15 @@ class SplitClipPPOLoss(ClipPPOLoss):
             out["explained_variance"] = explained_variance(value.detach(), target.detach(), mask)
         return out
 
-    def valid(self, batch: TensorDictBase) -> Tensor | None:
+    def valid(self, batch: TensorDictBase, like: Tensor | None = None) -> Tensor | None:
         """Which samples count: every mask of ``loss_mask_key`` that the batch holds, or None if it holds none.
 
+        Args:
+            batch: Shape (*B).
+            like: What is to be masked: with several agents a sample has a value for each. Shape (*B, ..., 1).
+
         Returns:
-            Bool. Shape (*B, 1).
+            Bool. Shape (*B, 1), or that of ``like``.
         """
         mask = None
         for name in self.mask_keys:
@@ -314,7 +325,9 @@ class SplitClipPPOLoss(ClipPPOLoss):
             if found is not None:
                 found = found.reshape(*batch.batch_size, 1)
                 mask = found if mask is None else mask & found
-        return mask
+        if mask is None or like is None:
+            return mask
+        return mask.reshape(*batch.batch_size, *[1] * (like.ndim - batch.ndim)).expand(like.shape)
 
     @property
     def mask_keys(self) -> tuple[NestedKey, ...]:
@@ -328,6 +341,11 @@ class SplitClipPPOLoss(ClipPPOLoss):
         if any(batch.get(key, None) is None for key in keys):
             return None
         return self.actor_network.build_dist_from_params(batch.select(*keys))
+
+    def _refuse_lists(self) -> None:
+        for name in ("action", "sample_log_prob"):
+            if not isinstance(key := getattr(self.tensor_keys, name), (str, tuple)):
+                raise _is_composite(f"{name} is {key!r}, several keys")
 
     def _entropy_of(self, dist: Distribution) -> Tensor:
         """Shape (*B, 1)."""
@@ -352,10 +370,14 @@ class SplitClipPPOLoss(ClipPPOLoss):
                 "return_log_prob=True), or name it with set_keys."
             )
         if not isinstance(value, Tensor):
-            raise TypeError(f"{key!r} holds a {type(value).__name__}, but one tensor is needed: take ClipPPOLoss.")
+            raise _is_composite(f"{key!r} holds a {type(value).__name__}")
         if value.requires_grad:
             raise RuntimeError(f"{key!r} of the batch requires a gradient, but it is data. Detach the batch.")
         return value
+
+
+def _is_composite(what: str) -> TypeError:
+    return TypeError(f"{what}, but SplitClipPPOLoss takes one tensor of actions: take ClipPPOLoss.")
 
 
 @contextmanager
@@ -374,11 +396,11 @@ def blank(value: Tensor, mask: Tensor | None) -> Tensor:
 
 
 def standardized(value: Tensor, mask: Tensor | None) -> Tensor:
-    """Mean 0 and standard deviation 1 over the samples that count. Shape (*B, 1)."""
-    count = value.numel() if mask is None else mask.sum()
+    """Mean 0 and standard deviation 1 over the samples that count; one alone has no spread and stays. Shape (*B, 1)."""
+    count = torch.ones_like(value, dtype=torch.bool).sum() if mask is None else mask.sum()
     centred = blank(value - masked_mean(value, mask), mask)
-    scale = (centred.square().sum() / (count - 1)).sqrt()
-    return centred / scale.clamp_min(1e-6)
+    scale = (centred.square().sum() / (count - 1).clamp_min(1)).sqrt()
+    return torch.where(count > 1, centred / scale.clamp_min(1e-6), blank(value, mask))
 
 
 def explained_variance(value: Tensor, target: Tensor, mask: Tensor | None = None) -> Tensor:
@@ -394,12 +416,13 @@ def movement(log_ratio: Tensor, mask: Tensor | None, low: Tensor, high: Tensor) 
     counted = log_ratio if mask is None else log_ratio.masked_fill(~mask, -torch.inf)
     counted = counted.flatten()
     count = counted.numel() if mask is None else mask.sum()
+    ess = (2 * counted.logsumexp(0) - (2 * counted).logsumexp(0)).exp() / count
     outside = (log_ratio < low) | (log_ratio > high)
     return TensorDict(
         {
             "clip_fraction": masked_mean(outside.to(log_ratio.dtype), mask),
             "kl_approx": masked_mean(-log_ratio, mask),
-            "ESS": (2 * counted.logsumexp(0) - (2 * counted).logsumexp(0)).exp() / count,
+            "ESS": ess if mask is None else torch.where(count > 0, ess, 0),
             "max_ratio": counted.max().exp(),
             "mean_ratio": masked_mean(log_ratio.exp(), mask),
         }

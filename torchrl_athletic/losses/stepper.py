@@ -108,8 +108,15 @@ class SplitOptimizationStepper(OptimizationStepper):
         self.critic_minibatches = critic_minibatches
         self.micro_batch = micro_batch
         self.max_grad_norm = float("inf") if max_grad_norm is None else max_grad_norm
-        self.actor_parameters = trainable(loss.actor_network)
-        self.critic_parameters = trainable(loss.critic_network)
+        # a copied loss runs with the parameters that it holds, not with those in its networks
+        self.actor_parameters = trainable(loss.actor_network_params if loss.functional else loss.actor_network)
+        self.critic_parameters = trainable(loss.critic_network_params if loss.functional else loss.critic_network)
+        for name, found in (("actor", self.actor_parameters), ("critic", self.critic_parameters)):
+            if not found:
+                raise ValueError(
+                    f"the {name} has no parameter that may learn. Load it with trainable=True (networks.pretrained, "
+                    "networks.read_network), or let its parameters require gradients."
+                )
         if {id(p) for p in self.actor_parameters} & {id(p) for p in self.critic_parameters}:
             raise ValueError(
                 "actor and critic share parameters, which two optimisers would pull in turn. Give each its own "
@@ -127,7 +134,7 @@ class SplitOptimizationStepper(OptimizationStepper):
         self._graph: torch.cuda.CUDAGraph | None = None
 
     def update(self, batch: TensorDictBase) -> TensorDict:
-        """Train on a batch, whatever its leading dims.
+        """Train on a batch, whatever its leading dims: samples are shuffled one by one, so no network may be recurrent.
 
         Args:
             batch: What ``loss`` reads: the networks' inputs, ``action``, its log-probability, ``advantage``,
@@ -139,6 +146,11 @@ class SplitOptimizationStepper(OptimizationStepper):
             update if the batch holds ``state_value``. Shape ().
         """
         data = self._inputs(batch)
+        if data.numel() < max(self.minibatches, self.critic_minibatches):
+            raise ValueError(
+                f"the batch has {data.numel()} samples for {self.minibatches} minibatches of the actor and "
+                f"{self.critic_minibatches} of the critic: some would be empty. Collect more, or take fewer."
+            )
         order = self._order(data.numel())
         if not self.cuda_graph:
             return self._optimize(data, order)
@@ -149,6 +161,13 @@ class SplitOptimizationStepper(OptimizationStepper):
         assert self._graph is not None
         self._graph.replay()
         return self._static_report.clone()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> SplitOptimizationStepper:
+        """Refused: optimisers of a copy would move the original's parameters, or none."""
+        raise TypeError(
+            "a SplitOptimizationStepper cannot be copied. Copy its loss, build another stepper of the copy, and hand "
+            "it this one's state_dict()."
+        )
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDict:
         """What TorchRL's ``Trainer`` calls; the same as :meth:`update`."""
@@ -223,21 +242,25 @@ class SplitOptimizationStepper(OptimizationStepper):
 
     def _optimize(self, data: TensorDict, order: Tensor) -> TensorDict:
         """All epochs, in the order given: (epochs, B) indices."""
-        actor_reports, critic_reports = [], []
+        actor_reports, critic_reports, seen, seen_by_critic = [], [], [], []
         actor_data, critic_data = data.select(*self._actor_keys(data)), data.select(*self._critic_keys(data))
         for epoch in order.unbind():
             for index in epoch.tensor_split(self.minibatches):
-                actor_reports.append(self._step_actor(actor_data[index]))
+                minibatch = actor_data[index]
+                actor_reports.append(self._step_actor(minibatch))
+                seen.append(self._seen(minibatch))
             if self.critic_minibatches == 1:  # all samples, in any order: spare the copy
                 critic_reports.append(self._step_critic(critic_data))
                 continue
             for index in epoch.tensor_split(self.critic_minibatches):
-                critic_reports.append(self._step_critic(critic_data[index]))
-        report = mean_of(actor_reports).update(mean_of(critic_reports))
+                minibatch = critic_data[index]
+                critic_reports.append(self._step_critic(minibatch))
+                seen_by_critic.append(self._seen(minibatch))
+        report = mean_of(actor_reports, seen).update(mean_of(critic_reports, seen_by_critic))
         report["actor_lr"], report["critic_lr"] = self.actor_lr.clone(), self.critic_lr.clone()
         keys = self.loss.tensor_keys
         if keys.value in data.keys(True):
-            mask = self.loss.valid(data)
+            mask = self.loss.valid(data, data[keys.value])
             report["explained_variance"] = explained_variance(data[keys.value], data[keys.value_target], mask)
         return report
 
@@ -281,6 +304,11 @@ class SplitOptimizationStepper(OptimizationStepper):
         """Samples that count; on a GPU the host need not know."""
         mask = self.loss.valid(batch)
         return batch.numel() if mask is None else mask.sum(dtype=self.critic_parameters[0].dtype).clamp_min(1)
+
+    def _seen(self, batch: TensorDict) -> Tensor | None:
+        """Samples that count, where a mask tells."""
+        mask = self.loss.valid(batch)
+        return None if mask is None else mask.sum(dtype=self.actor_parameters[0].dtype)
 
     def _order(self, count: int) -> Tensor:
         """A permutation of the samples for each epoch, drawn outside the graph. Shape (epochs, B)."""
@@ -354,5 +382,11 @@ def present(batch: TensorDictBase, keys: list[NestedKey]) -> list[NestedKey]:
     return [key for key in dict.fromkeys(keys) if key in held]
 
 
-def mean_of(reports: list[TensorDict]) -> TensorDict:
-    return torch.stack(reports).mean(0)
+def mean_of(reports: list[TensorDict], counts: Sequence[Tensor | None] = ()) -> TensorDict:
+    """Mean of the reports; where masks tell how many samples stand behind each, weighted by them."""
+    stacked = torch.stack(reports)
+    weights = [count for count in counts if count is not None]
+    if not weights:
+        return stacked.mean(0)
+    weight = torch.stack(weights) / torch.stack(weights).sum().clamp_min(1)
+    return stacked.apply(lambda value: (weight.to(value.dtype) * value).sum(0), batch_size=[])

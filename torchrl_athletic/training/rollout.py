@@ -142,6 +142,12 @@ class Rollout:
             self._batches = iter(self._collector)
             return
         reset_key_of(env)
+        if env.ndim != 1:
+            raise ValueError(
+                f"the environment has batch size {tuple(env.batch_size)}, but the lean loop takes one dimension of "
+                "rows. Put a single environment into SerialEnv(1, ...), or collect with TorchRL's own collector: "
+                "Rollout(..., collector=True)."
+            )
         self.current = env.reset()
         """What the policy sees next. Shape (N,)."""
 

@@ -106,7 +106,7 @@ class PDControl(_Law):
                 "policy's side, not torques; on an environment, name the policy's action with action_key=..."
             )
         kp, kd = (scaled(gain, tensordict, key) for gain, key in zip((self.kp, self.kd), self.scale_keys, strict=True))
-        position, velocity = tensordict.get(self.position_key), tensordict.get(self.velocity_key)
+        position, velocity = (entry(self, tensordict, key) for key in (self.position_key, self.velocity_key))
         tensordict.set(self.torque_key, actuation.pd_torque(target, position, velocity, kp, kd))
         tensordict.set(self.target_key, target)
         return tensordict
@@ -172,7 +172,7 @@ class EquivalentTarget(_Law):
                 f"EquivalentTarget found no {self.action_key!r}: there is no torque to find a target for. Give it data "
                 "of the policy's side; on an environment, name the policy's action with action_key=..."
             )
-        position, velocity = tensordict.get(self.position_key), tensordict.get(self.velocity_key)
+        position, velocity = (entry(self, tensordict, key) for key in (self.position_key, self.velocity_key))
         tensordict.set(self.target_key, position + (torque + self.kd * velocity) / self.kp)
         return tensordict.set(self.torque_key, torque)
 
@@ -232,7 +232,7 @@ class TorqueSpeedClip(_Motors):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         limit = scaled(self.torque_limit, tensordict, self.scale_key)
-        torque, velocity = tensordict.get(self.torque_key), tensordict.get(self.velocity_key)
+        torque, velocity = (entry(self, tensordict, key) for key in (self.torque_key, self.velocity_key))
         tensordict.set(self.torque_key, actuation.clip_torque_speed(torque, velocity, limit, self.velocity_limit))
         return tensordict
 
@@ -314,7 +314,7 @@ class PowerClip(_Torque):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         columns = joint_index(self, self.joints)
-        torque, velocity = tensordict.get(self.torque_key), tensordict.get(self.velocity_key)
+        torque, velocity = (entry(self, tensordict, key) for key in (self.torque_key, self.velocity_key))
         scale = actuation.power_scale(torque[..., columns], velocity[..., columns], self.max_power)
         if self.joints is None:
             return tensordict.set(self.torque_key, torque * scale)
@@ -524,6 +524,8 @@ class ActionDelay(RandomTransform):
         queue = tensordict.get(self.queue_key, None)
         if queue is None:
             raise _nothing_remembered(self, self.queue_key)
+        if self.parent is None:  # on its way into a buffer: delayed already
+            return tensordict
         queue = history.push(queue, tensordict.get(self.action_key))
         steps = tensordict.get(self.delay_key)
         if self.age_key is not None:
@@ -565,6 +567,21 @@ def _nothing_remembered(transform: Transform, key: NestedKey) -> KeyError:
         f"{type(transform).__name__} found no {key!r}, its memory: what a step does depends on those before. Put it on "
         "an environment and reset that first; a buffer of data that were collected so does not need it."
     )
+
+
+def entry(transform: Transform, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
+    """What a law reads.
+
+    Raises:
+        KeyError: If it is not there.
+    """
+    value = tensordict.get(key, None)
+    if value is None:
+        raise KeyError(
+            f"{type(transform).__name__} found no {key!r} among {sorted(map(str, tensordict.keys(True, True)))}. Give "
+            "it data that hold it, or name the entry with the transform's ..._key argument."
+        )
+    return value
 
 
 def _per_joint(value: PerJoint) -> Tensor:

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import torch
 from tensordict import NestedKey, TensorDictBase
+from torchrl.data import Composite
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, Transform, TransformedEnv
 from torchrl.envs.batched_envs import BatchedEnvBase
 
-from torchrl_athletic.transforms.stateful import spread
+from torchrl_athletic.transforms.stateful import spread, unbounded_like
 
 _HELD = "_held_action"
 
@@ -83,6 +84,12 @@ class Decimation(Transform):
             total = next_tensordict.get(key)
             next_tensordict.set(key, total / spread(count, total))
         return next_tensordict
+
+    def transform_reward_spec(self, reward_spec: Composite) -> Composite:
+        """Rewards are sums over the steps, beyond the bounds of one."""
+        for key in reward_spec.keys(True, True):
+            reward_spec[key] = unbounded_like(reward_spec[key], reward_spec[key].shape)
+        return reward_spec
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict

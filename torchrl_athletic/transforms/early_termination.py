@@ -18,6 +18,9 @@ class EarlyTermination(Transform):
         condition: Of what a step started from and what it led to, whether the task has failed. bool, shape (*B, 1).
         done_keys: Flags to raise; None takes those of the environment that tell of an end or of a failure.
 
+    Raises:
+        ValueError: In a step, if the condition has another shape than the flags.
+
     Example:
         >>> import torch
         >>> from torchrl.envs import GymEnv, TransformedEnv
@@ -40,7 +43,13 @@ class EarlyTermination(Transform):
         if keys is None:
             keys = [key for key in self.parent.done_keys if _name(key) in ("done", "terminated")]
         for key in keys:
-            next_tensordict.set(key, next_tensordict.get(key) | failed)
+            flag = next_tensordict.get(key)
+            if failed.shape != flag.shape:
+                raise ValueError(
+                    f"the condition gives shape {tuple(failed.shape)} and {key!r} has {tuple(flag.shape)}: one row's "
+                    "failure would end others. Give one flag a row and a last dimension of 1."
+                )
+            next_tensordict.set(key, flag | failed)
         return next_tensordict
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:

@@ -125,7 +125,8 @@ class EncoderOffset(RandomTransform):
                 "or give it an out_key."
             )
         observation_spec = super().transform_observation_spec(observation_spec)
-        for key in (self.out_key, self.true_key):
-            if key not in (None, self.position_key):
-                observation_spec[key] = observation_spec[self.position_key].clone()
+        true = observation_spec[self.position_key].clone()
+        if self.true_key is not None:
+            observation_spec[self.true_key] = true
+        observation_spec[self.out_key] = unbounded_like(true, true.shape)  # an offset leaves the joint's range
         return observation_spec

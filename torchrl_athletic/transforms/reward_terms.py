@@ -184,6 +184,12 @@ class RewardTerms(StatefulTransform):
         reward = self._reward_spec()
         return {key: unbounded_like(reward, reward.shape) for key in (*self.shown, *self.sums)}
 
+    def transform_reward_spec(self, reward_spec: Composite) -> Composite:
+        """What is added leaves the environment's bounds."""
+        reward = reward_spec[self.reward_key]
+        reward_spec[self.reward_key] = unbounded_like(reward, reward.shape)
+        return reward_spec
+
     def _reward_spec(self) -> TensorSpec:
         return full_reward_spec(self)[self.reward_key]
 

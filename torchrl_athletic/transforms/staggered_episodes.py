@@ -17,8 +17,9 @@ class StaggeredEpisodes(RandomTransform):
     """Let the first episode of each row begin at an age of its own, all later ones at 0.
 
     A batch of environments that begin together would end together for hours: every iteration would see one part of an
-    episode. Stands after ``StepCounter``. TorchRL's ``RandomTruncationTransform`` does the like with a memory that no
-    checkpoint holds and no seed rules.
+    episode. Stands after ``StepCounter``. Only the first reset of each row begins so: after one of your own, or of
+    ``check_env_specs``, make the environment anew. TorchRL's ``RandomTruncationTransform`` does the like with a memory
+    that no checkpoint holds and no seed rules.
 
     Args:
         max_steps: Of the ``StepCounter``.

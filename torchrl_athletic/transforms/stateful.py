@@ -106,12 +106,23 @@ class StatefulTransform(Transform):
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         starts = reset_mask(tensordict, self.reset_key)
         for key, first in self.initial(tensordict_reset).items():
+            self._check_place(key)
             old = tensordict.get(key, None)
             if starts is None or old is None:
                 tensordict_reset.set(key, first)
             else:
                 tensordict_reset.set(key, torch.where(spread(starts, first), first, old))
         return tensordict_reset
+
+    def _check_place(self, key: NestedKey) -> None:
+        """A partial reset merges what stands beside its flag; elsewhere rows that start would keep their memory."""
+        reset_key = self.reset_key
+        place = reset_key[:-1] if isinstance(reset_key, tuple) else ()
+        if place and (key if isinstance(key, tuple) else (key,))[: len(place)] != place:
+            raise ValueError(
+                f"{type(self).__name__} remembers {key!r}, but episodes start by {reset_key!r}: TorchRL would carry "
+                f"what is not under {place[-1]!r} from one episode into the next. Name the entry {(*place, key)!r}."
+            )
 
     def _reset_on_native_autoreset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -200,6 +211,13 @@ class RandomTransform(StatefulTransform):
         self._salt = zlib.crc32(type(self).__name__.encode())  # or a short delay would always come with a light arm
         for name in ("episode", "row_stream"):
             self.register_buffer(name, torch.empty(0, dtype=torch.int64), persistent=False)
+
+    def clone(self) -> RandomTransform:
+        """A copy, for another place, whose episodes are its own."""
+        copied = super().clone()
+        assert isinstance(copied, RandomTransform)
+        copied.episode, copied.row_stream = self.episode.clone(), self.row_stream.clone()
+        return copied
 
     def draw(self, key: Tensor, tensordict_reset: TensorDictBase) -> Mapping[NestedKey, Tensor]:
         """What :meth:`initial` is, given a stream for each row. Shape of ``key``: (*B,)."""
@@ -326,7 +344,7 @@ def joint_index(transform: Transform, joints: Joints) -> slice | Tensor:
             raise ValueError(f"{type(transform).__name__}: the environment has no group of joints {joints!r}; {known}.")
         chosen = groups[joints]
     columns = tuple(int(joint) for joint in chosen)
-    if columns and columns == tuple(range(columns[0], columns[-1] + 1)):
+    if columns and columns[0] >= 0 and columns == tuple(range(columns[0], columns[-1] + 1)):
         return slice(columns[0], columns[-1] + 1)
     return _index(columns, None if parent is None else parent.device)
 
