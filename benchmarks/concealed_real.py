@@ -554,8 +554,7 @@ def graded(case: Case, answered: Mapping[str, Any], control: Mapping[str, Any] |
         "verdict": answer["verdict"],
         "findings": [
             {"effect": f["effect"], "joint": f["joint"], "probability": f["probability"],
-             "open": f["grounds"]["open"], "energy": f["grounds"]["energy"],
-             "senseless": bool(f["grounds"]["senseless"]),
+             "grounds": f["grounds"],
              "parameters": {p: [e["value"], e["unit"]] for p, e in f["parameters"].items()},
              "rivals": [[r["effect"], r["joint"], r["probability"]] for r in f["rivals"]]}
             for f in answer["findings"]

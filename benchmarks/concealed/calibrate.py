@@ -5,8 +5,9 @@
 
 A logistic regression on the grounds of every finding that was stated, capped as the statement is; right is what the
 score calls right. Writes ``torchrl_athletic/diagnosis/calibration.json``, and prints what cross-validation over cases
-makes of several ridges, by which features and ridge are chosen. Sealed cases are not read, since what scores does not
-tune; answers of another generator or another diagnosis are left out.
+makes of several ridges, by which features and ridge are chosen. What scores does not tune: sealed cases are read only
+of seeds that are said to be spent, whose score stands already. Answers of another generator or another diagnosis are
+left out.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -36,9 +37,10 @@ Array = NDArray[np.float64]
 
 SIGNS = {
     "share": 1, "left": -1, "excess": -1, "scatter": -1, "open": -1, "energy": 1, "terms": -1, "strain": -1, "sure": 1,
+    "plain": -1, "leans": -1, "far": -1, "rivals": -1,
 }  # fmt: skip
 """Which way each feature may speak: more doubt never makes a finding more probable."""
-FEATURES = tuple(f for f in SIGNS if f in {field.name for field in fields(Grounds)})
+FEATURES = tuple(SIGNS)
 EFFECTS = tuple(sorted(CLASS_OF))
 """Each has a weight beside the features: how often what bears its name is right, other things equal."""
 WIDTH = len(FEATURES) + len(EFFECTS)
@@ -56,13 +58,12 @@ class Config:
     output: Path = Path("torchrl_athletic/diagnosis/calibration.json")
     seeds: tuple[int, ...] = (0, 1)
     """Seeds of the tuning cases."""
-    former: tuple[int, ...] = ()
-    """More seeds, whose answers are of a former state of the diagnosis: they help to find the weights; how high and how
-    steep the probabilities are comes from the others."""
-    ridge: float = 0.5
-    """Strength of the pull of the weights to zero."""
-    keep: bool = False
-    """Keep the ratios of the weights in force, learnt from more findings than these, and learn level and steepness."""
+    spent: tuple[int, ...] = ()
+    """Seeds of sealed cases that were scored before, and score no more."""
+    ridge: float = 2.0
+    """Strength of the pull of the weights to those in force, which were learnt from other findings."""
+    anew: bool = False
+    """Pull to zero instead: forget what was learnt before."""
     relative: float = 0.05
     """Share of a parameter's value: the least that its interval reaches to either side."""
     any_program: bool = False
@@ -96,33 +97,31 @@ class Stated:
 
 def main(cfg: Config) -> None:
     drawn = [row for seed in cfg.seeds for row in load(cfg.answers, "tuning", seed)]
+    drawn += [row for seed in cfg.spent for row in load(cfg.answers, "sealed", seed)]
     rows = current(drawn, None if cfg.any_program else program_digest("diagnosis"))
     stated = findings(rows)
     if not 0 < stated.right.sum() < len(stated.right):
         raise SystemExit(f"{cfg.answers} holds no current answers to learn from. Run run.py --split tuning first.")
-    before = findings(
-        [row for seed in cfg.former for row in load(cfg.answers, "tuning", seed) if "answer" in row.result]
-    )
-    kept_weights = in_force() if cfg.keep else None
-    weights = learn(stated, before, cfg.ridge, start=kept_weights)
+    start = np.zeros(1 + WIDTH) if cfg.anew else in_force()
+    weights = fit(stated, cfg.ridge, start)
     factor = widening(intervals(rows), cfg.relative)
-    made_by = f"benchmarks/concealed/calibrate.py from {len(stated.right)} findings of {len(rows)} tuning cases, "
+    kinds = "tuning cases" + (f" and of the spent sealed seeds {cfg.spent}" if cfg.spent else "")
+    made_by = f"benchmarks/concealed/calibrate.py from {len(stated.right)} findings of {len(rows)} {kinds}, "
     made_by += f"{int(stated.right.sum())} of them right"
-    if cfg.keep:
-        made_by += f"; the weights' ratios are those of: {learnt_by()}"
-    elif before.cases:
-        made_by += f"; the weights' ratios from {len(before.right)} findings of {before.cases} former answers as well"
+    if not cfg.anew:
+        made_by += f"; before them: {learnt_by()}"
     content = {
         "made_by": made_by,
         "weights": {"intercept": round(float(weights[0]), 3)}
         | {name: round(float(w), 3) for name, w in zip(FEATURES, weights[1:], strict=False)},
         "effects": {name: round(float(w), 3) for name, w in zip(EFFECTS, weights[1 + len(FEATURES) :], strict=True)},
         "interval": {"widen": factor, "relative": cfg.relative},
+        "class": dict(learnt("class")),  # of classes.py
     }
     if not cfg.dry:
         cfg.output.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(content, indent=1))
-    print("\n".join(words(stated, before, chance(weights, stated.features, stated.most), cfg.ridge, kept_weights)))
+    print("\n".join(words(stated, chance(weights, stated.features, stated.most), cfg.ridge, start)))
 
 
 def current(rows: Sequence[Row], program: str | None) -> list[Row]:
@@ -171,20 +170,29 @@ def chance(weights: Array, features: Array, most: Array) -> Array:
     return np.minimum(1.0 / (1.0 + np.exp(-odds)), most)
 
 
-def fit(features: Array, most: Array, right: Array, weight: Array, ridge: float) -> Array:
-    """Likeliest weights of what is stated, the intercept first; cases count by ``weight``. Shape (1 + K,).
+def fit(stated: Stated, ridge: float, start: Array, kept: NDArray[np.bool_] | None = None) -> Array:
+    """Likeliest weights of what is stated, the intercept first; cases count by their weight. Shape (1 + K,).
 
     The cap makes the likelihood flat where it binds, so that the fit starts from the one without it.
+
+    Args:
+        stated: Findings to learn from.
+        ridge: Strength of the pull to ``start``; nothing pulls the intercept.
+        start: Weights that are taken where the findings say nothing. Shape (1 + K,).
+        kept: Which findings to learn from; all if None. Shape (F,).
     """
+    kept = np.ones(len(stated.right), dtype=bool) if kept is None else kept
+    features, most, right, weight = (x[kept] for x in (stated.features, stated.most, stated.right, stated.weight))
 
     def loss(w: Array, cap: Array) -> float:
         p = np.clip(chance(w, features, cap), 1e-6, 1 - 1e-6)
-        return float(-weight @ np.log(np.where(right > 0, p, 1 - p)) + ridge * (w[1:] ** 2).sum())
+        pull = ridge * ((w[1:] - start[1:]) ** 2).sum()
+        return float(-weight @ np.log(np.where(right > 0, p, 1 - p)) + pull)
 
     bounds: list[tuple[float | None, float | None]] = [(None, None)] * (1 + WIDTH)
     for k, name in enumerate(FEATURES):
         bounds[1 + k] = (0, None) if SIGNS[name] > 0 else (None, 0)
-    weights = np.zeros(len(bounds))
+    weights = start
     for cap in (np.ones_like(most), most):
         weights = minimize(loss, weights, args=(cap,), bounds=bounds, method="L-BFGS-B").x
     return np.asarray(weights)
@@ -202,53 +210,13 @@ def learnt_by() -> str:
     return str(json.loads(text)["made_by"])
 
 
-def learn(
-    stated: Stated,
-    before: Stated,
-    ridge: float,
-    kept: NDArray[np.bool_] | None = None,
-    start: Array | None = None,
-) -> Array:
-    """Weights from all findings, then one level and one steepness from those of this program (Platt 1999).
-
-    Args:
-        stated: Findings of this program.
-        before: Of a former one; none will do.
-        ridge: See :func:`fit`.
-        kept: Which of this program's to learn from; all if None. Shape (F,).
-        start: Weights whose ratios are kept, instead of learning them. Shape (1 + K,).
-    """
-    kept = np.ones(len(stated.right), dtype=bool) if kept is None else kept
-    own, most, right, weight = (x[kept] for x in (stated.features, stated.most, stated.right, stated.weight))
-    weights = start
-    if weights is None:
-        weights = fit(
-            np.concatenate([own, before.features]),
-            np.append(most, before.most),
-            np.append(right, before.right),
-            np.append(weight, before.weight),
-            ridge,
-        )
-        if not before.cases:
-            return weights
-    odds = weights[0] + own @ weights[1:]
-
-    def loss(x: Array) -> float:
-        level, steep = x[0], np.exp(x[1])
-        p = np.clip(chance(np.array([level, steep]), odds[:, None], most), 1e-6, 1 - 1e-6)
-        return float(-weight @ np.log(np.where(right > 0, p, 1 - p)) + 0.5 * x[1] ** 2)
-
-    level, steep = minimize(loss, np.zeros(2), method="Nelder-Mead").x
-    return np.append(level, 0.0 * weights[1:]) + np.exp(steep) * weights
-
-
-def crossed(stated: Stated, before: Stated, ridge: float, seed: int, start: Array | None = None) -> Array:
+def crossed(stated: Stated, ridge: float, seed: int, start: Array) -> Array:
     """What would be stated of each finding by weights that were learnt on other cases. Shape (F,)."""
     fold = np.random.default_rng(seed).permutation(stated.cases)[stated.case] % FOLDS
     out = np.empty(len(stated.right))
     for k in range(FOLDS):
         kept = fold != k
-        weights = learn(stated, before, ridge, kept, start)
+        weights = fit(stated, ridge, start, kept)
         out[~kept] = chance(weights, stated.features[~kept], stated.most[~kept])
     return out
 
@@ -265,20 +233,19 @@ def figures(stated: Stated, stating: Array) -> dict[str, float]:
     }
 
 
-def words(stated: Stated, before: Stated, stating: Array, ridge: float, start: Array | None) -> list[str]:
-    """The reliability of the fit, and what cross-validation says of the ridges, or of what is kept."""
+def words(stated: Stated, stating: Array, ridge: float, start: Array) -> list[str]:
+    """The reliability of the fit, and what cross-validation says of the ridges, beside what was in force."""
     bins = reliability(stating, stated.right > 0)["bins"]
     out = [f"stated {b['stated']:.2f}: {b['true']:.2f} of {b['n']} are right" for b in bins]
     out += ["", _line("fitted", [figures(stated, stating)])]
-    if start is not None:
-        out.append(_line("before, without learning", [figures(stated, chance(start, stated.features, stated.most))]))
-    for r in RIDGES if start is None else (ridge,):
-        ways = [figures(stated, crossed(stated, before, r, seed, start)) for seed in range(REPEATS)]
-        out.append(_line(f"cross-validated, ridge {r:g}" if start is None else "cross-validated", ways))
+    out.append(_line("before, without learning", [figures(stated, chance(start, stated.features, stated.most))]))
+    for r in RIDGES:
+        ways = [figures(stated, crossed(stated, r, seed, start)) for seed in range(REPEATS)]
+        out.append(_line(f"cross-validated, ridge {r:g}", ways))
     rng = np.random.default_rng(0)
     least = np.mean([reliability(stating, rng.random(len(stating)) < stating)["ece"] for _ in range(200)])
     out.append(f"Faultless probabilities of {len(stating)} findings would show a calibration error of {least:.3f}.")
-    return [*out, f"Ridge {ridge:g} is taken."] if start is None else out
+    return [*out, f"Ridge {ridge:g} is taken."]
 
 
 def _line(name: str, ways: Sequence[Mapping[str, float]]) -> str:

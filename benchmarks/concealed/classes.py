@@ -106,9 +106,9 @@ def statements(cases: Sequence[Mapping[str, Any]], of_control: Mapping[str, set[
             place=_place(f),
             law=f["probability"],
             alike=f["probability"] + sum(p for e, j, p in f["rivals"] if (CLASS[e], j) == _place(f)),
-            closed=1.0 - f["open"],
-            energy=f["energy"],
-            senseless=f["senseless"],
+            closed=1.0 - f["grounds"]["open"],
+            energy=f["grounds"]["energy"],
+            senseless=f["grounds"]["senseless"],
             right=_place(f) in _hidden(case),
             known=_place(f) in of_control[case["bench"]],
         )

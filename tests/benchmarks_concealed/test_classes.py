@@ -7,10 +7,9 @@ from torchrl_athletic.diagnosis.thresholds import STATEMENT
 
 
 def finding(effect, joint, p=0.4, rivals=(), left=0.1, energy=0.9, senseless=False):
-    return {
-        "effect": effect, "joint": joint, "probability": p, "open": left,
-        "energy": energy, "senseless": senseless, "rivals": [list(r) for r in rivals],
-    }  # fmt: skip
+    grounds = {"open": left, "energy": energy, "senseless": senseless}
+    rivals = [list(r) for r in rivals]
+    return {"effect": effect, "joint": joint, "probability": p, "grounds": grounds, "rivals": rivals}
 
 
 def case(*findings, bench="arm", kind="removed", truth=("coulomb_friction", "elbow")):

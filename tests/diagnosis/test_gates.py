@@ -185,11 +185,7 @@ def test_a_spring_without_stiffness_says_that_nothing_of_a_spring_is_seen():
     grounds = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30, plain=True)
     assert "nothing is seen" in gates._sentence(spring, named, grounds)
     assert "nothing is seen" not in gates._sentence(spring, named, dataclasses.replace(grounds, plain=False))
-    assert (
-        probability(grounds, "joint_spring")
-        == STATEMENT.equals
-        < probability(dataclasses.replace(grounds, plain=False))
-    )
+    assert probability(grounds, "joint_spring") < probability(dataclasses.replace(grounds, plain=False))
 
 
 @pytest.mark.parametrize(("spread", "expected"), [(0.001, False), (0.003, False), (0.009, True)])
@@ -253,10 +249,10 @@ def test_a_term_of_another_strength_on_each_recording_stands_in_for_something(mo
     assert ("on each" in gates._sentence(dry, {"torque": 0.5, "turnover": 0.0}, grounds)) is said
 
 
-def test_what_makes_no_sense_is_hardly_believed_and_nobody_beside_it_by_more_than_half():
+def test_what_makes_no_sense_is_hardly_believed_and_what_stands_beside_it_more():
     sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
     odd, beside = (dataclasses.replace(sure, **{how: True}) for how in ("senseless", "leans"))
-    assert probability(odd) == STATEMENT.senseless < probability(beside) == STATEMENT.equals < probability(sure)
+    assert probability(odd) == STATEMENT.senseless < probability(beside) <= probability(sure)
     of = tuple(Parameter(n, "N·m", 0.0, 0.0, 9.0, 0.1) for n in ("coulomb", "stribeck", "stribeck_speed"))
     law = Candidate(StribeckFriction(), 0, "elbow", of)
     assert law.effect.is_physical(of, np.array([0.5, 0.5, 0.1]))
@@ -284,20 +280,19 @@ def test_a_joint_is_far_beyond_eight_floors_and_a_tenth_of_what_it_was(after, be
     assert far_joints([]) == frozenset()
 
 
-def test_beside_a_simulation_that_is_far_off_no_name_has_more_than_one_half():
+def test_beside_a_simulation_that_is_far_off_a_name_is_believed_less_and_says_so():
     sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
     off = dataclasses.replace(sure, far=True)
-    assert probability(off) == STATEMENT.equals < probability(sure)
+    assert probability(off) < probability(sure)
     dry = Candidate(CoulombFriction(), 1, "elbow", CoulombFriction().parameters(arm(), address(), 1))
     named = {"torque": 0.5, "turnover": 0.0}
     assert "some law is another" in gates._sentence(dry, named, off)
     assert "some law is another" not in gates._sentence(dry, named, sure)
 
 
-def test_no_name_with_rivals_left_is_stated_above_one_half():
+def test_no_name_is_stated_above_its_share_of_the_evidence():
     sure = Grounds(1, 0, 0, 0, 0, 1, 1, 0, 30)
-    assert probability(dataclasses.replace(sure, share=0.7)) == STATEMENT.equals
-    assert probability(dataclasses.replace(sure, share=STATEMENT.refutes)) > STATEMENT.equals
+    assert probability(dataclasses.replace(sure, share=0.55)) <= 0.55 < probability(sure)
 
 
 @given(likely=st.floats(0, 1), shares=st.lists(st.floats(1e-6, 1), min_size=2, max_size=6))

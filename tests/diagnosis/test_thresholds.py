@@ -23,7 +23,7 @@ def test_evidence_is_twice_the_log_of_the_odds_that_are_said(evidence, odds):
 def test_separations_and_shares_are_the_odds_that_are_said():
     assert PLAN.enough**2 / 2 == 72  # e to the 72
     assert STATEMENT.refutes / (1 - STATEMENT.refutes) == pytest.approx(3.0)  # Kass and Raftery: three to one
-    assert STATEMENT.equals == STATEMENT.likely == 0.5  # beside an equal nobody is likely
+    assert STATEMENT.likely == 0.5  # beside an equal nobody is likely
 
 
 def test_windows_last_as_long_as_tables_and_docstrings_say():
@@ -39,7 +39,7 @@ def test_what_is_surer_has_the_stricter_bound():
     assert SEARCH.seen < SEARCH.material < SEARCH.richer < SEARCH.all < 1
     assert SEARCH.steady < SEARCH.invariant < 1
     assert SEARCH.accuracy < SEARCH.material
-    assert STATEMENT.senseless < STATEMENT.equals < STATEMENT.refutes
+    assert STATEMENT.senseless < STATEMENT.likely < STATEMENT.refutes
     assert STATEMENT.least_share < 1 - STATEMENT.refutes
     assert STATEMENT.explained < STATEMENT.kept < STATEMENT.partly < 1
     assert 1 < STATEMENT.shown < STATEMENT.near_floor

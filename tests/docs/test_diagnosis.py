@@ -137,7 +137,7 @@ SAID = {
         f"Others above {100 * T.least_share:.0f} % are **rivals**",
         f"a gear on a joint that the given model follows: {T.senseless:g} at most",
         f"is more than {COUNTED[T.near_floor]} floors off on its joint and keeps more than {SHARES[T.kept]} of the",
-        f"have more than {SHARES[1 - T.refutes]} of the evidence is stated with one {SHARES[T.equals]} at most",
+        f"`rivals` have more than {SHARES[1 - T.refutes]} of the evidence",
         f"errs by at most {COUNTED[T.near_floor]} floors on every joint",
         f"at most {100 * T.explained:.0f} % of the error energy above the floor and {200 * T.explained:.0f} % of any",
         f"at most {100 * T.partly:.0f} % is left",

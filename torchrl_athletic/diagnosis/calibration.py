@@ -48,10 +48,7 @@ class Grounds:
     @property
     def most(self) -> float:
         """The probability that it may have at most."""
-        if self.senseless:
-            return STATEMENT.senseless
-        doubtful = self.plain or self.leans or self.far or self.share < STATEMENT.refutes
-        return STATEMENT.equals if doubtful else self.share
+        return STATEMENT.senseless if self.senseless else self.share
 
     def features(self) -> dict[str, float]:
         """Numbers of order one, in which the log odds are linear."""
@@ -66,6 +63,10 @@ class Grounds:
             "terms": float(np.log2(self.terms)),
             "strain": float(np.log10(self.strain + 1.0)),
             "sure": float(np.log10(np.clip(self.sure, 0.1, 100.0))) - 1,
+            "plain": float(self.plain),
+            "leans": float(self.leans),
+            "far": float(self.far),
+            "rivals": float(self.share < STATEMENT.refutes),
         }
 
     def to_json(self) -> dict[str, float]:
@@ -83,7 +84,7 @@ def learnt(part: str) -> Mapping[str, float]:
 def probability(grounds: Grounds, effect: str = "") -> float:
     """That a finding with these grounds is true: a logistic regression's answer.
 
-    It is at most what :attr:`Grounds.most` allows: no name whose rivals are not refuted is stated above one half.
+    It is at most what :attr:`Grounds.most` allows: no name is more probable than its share of the evidence.
 
     Args:
         grounds: Of the finding.

@@ -179,7 +179,8 @@ class Statement:
     tuned]."""
     kept: float = 0.1
     """Share of the given model's window error that a right law may leave, however many times the floor that is, since
-    bearings are no formulas. Beyond it and beyond :attr:`near_floor`, no name has more than one half [1; tuned]."""
+    bearings are no formulas. Beyond it and beyond :attr:`near_floor` the simulation is far off, and names are doubted
+    [1; tuned]."""
     shown: float = 1.5
     """Window error of the given model over the floor below which the simulation shows nothing of a gear [1; tuned]."""
     same_number: float = 0.05
@@ -189,10 +190,6 @@ class Statement:
     refutes: float = 0.75
     """Share of the evidence from which rivals count as refuted: odds below three to one are "not worth more than a
     bare mention" (Kass, Raftery 1995, doi:10.1080/01621459.1995.10476572) [1; statistical]."""
-    equals: float = 0.5
-    """The most that a finding may have beside rivals that are not refuted, whoever is ahead. The same holds for a law
-    of which what sets it apart from simpler ones is not seen, for one beside another that makes no sense, and where
-    the simulation with it is still far from the recordings [1; statistical]."""
     faint: float = 0.02
     """Share of its joint's missing torque for which a finding accounts where its class has one half at most, as what
     stands in for a little of another one's torque; set by hand on the benches of ``concealed_real`` [1; tuned]."""
