@@ -9,9 +9,8 @@ import pytest
 from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
-from torchrl_athletic.diagnosis.corrected_xml import corrected_xml, written
+from torchrl_athletic.diagnosis.corrected_xml import corrected_xml, logged_gains, written
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.outcome import logged_gains
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, JointAddress, Plant
 from torchrl_athletic.recordings import Recording, RecordingError
@@ -280,6 +279,39 @@ def test_the_logged_gains_take_the_place_of_those_that_somebody_put_into_the_mod
     assert model.actuator_biasprm[0, 1:3] == pytest.approx([-20.0, -0.3])
     ratio = pendulum().replace('<motor joint="pendulum"/>', '<position joint="pendulum" kp="6" dampratio="1"/>')
     assert written(ratio, corrected({"gain_mismatch": [2.0, 3.0]}, xml=ratio), "targets").left_out
+
+
+@pytest.mark.parametrize("terms", [{}, {"coulomb_friction": [0.1, 0.0]}, {"gain_mismatch": [1.4, 0.6]}])
+@pytest.mark.parametrize("gear", [1.0, 2.0, -0.5])
+@pytest.mark.parametrize("own", ['kp="6" kv="0.4"', 'kp="90" dampratio="1"'])
+def test_the_written_servo_follows_with_the_logged_gains_as_the_corrected_simulation_does(terms, gear, own):
+    """Whatever the model's gains and gear are, and also where nothing is missing; the actuator turns gear times."""
+    given = pendulum().replace('<motor joint="pendulum"/>', f'<position joint="pendulum" {own} gear="{gear}"/>')
+    simulation = corrected(terms, xml=given)
+    target = 0.5 * smooth_torque(3.0)
+    target[:10] = 0.0
+    r = record(given, target, noise=0.0, kp=np.array([12.0]), kd=np.array([1.2]))
+    xml = corrected_xml(given, simulation, "targets", gains=logged_gains([r]))
+    moved = by_actuator(xml, gear * target, 0.0)
+    np.testing.assert_allclose(moved, simulation.rollout(r, None), rtol=0, atol=3e-3)
+    assert np.abs(moved - by_actuator(given, gear * target, 0.0)).max() > 3e-2
+
+
+def test_gains_of_joints_in_another_order_are_the_same_joint_by_joint():
+    still, time = np.zeros((50, 2)), np.arange(50) / 100
+    hip_first = Recording(
+        time, ("hip", "knee"), still, position_target=still, kp=np.array([9.0, 4.0]), kd=np.array([1.0, 0.5])
+    )
+    knee_first = hip_first.ordered(("knee", "hip"))
+    assert logged_gains([hip_first, knee_first]) == {"hip": (9.0, 1.0), "knee": (4.0, 0.5)}
+    assert logged_gains([hip_first, replace(knee_first, kp=hip_first.kp, kd=hip_first.kd)]) is None
+
+
+@pytest.mark.parametrize("commands", [None, "torques"])
+def test_gains_that_no_target_was_followed_with_are_not_written(commands):
+    given = pendulum().replace('<motor joint="pendulum"/>', SERVO)
+    xml = corrected_xml(given, corrected({}, xml=given), commands, gains={"pendulum": (10.0, 0.1)})
+    assert mujoco.MjModel.from_xml_string(xml).actuator_gainprm[0, 0] == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize(

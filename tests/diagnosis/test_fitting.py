@@ -12,10 +12,12 @@ import pytest
 from diagnosis.plants import pendulum, smooth_torque
 
 from torchrl_athletic.diagnosis import Fit, fit, fit_command
+from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.fit_command import FitConfig, fit_table, main
 from torchrl_athletic.diagnosis.fitting import JointParameter, _binds, _taken_back
+from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import Parameter
 from torchrl_athletic.recordings import Recording, write_recording
@@ -190,6 +192,19 @@ def test_the_command_prints_a_table_and_leaves_files(tmp_path, monkeypatch, caps
     assert "coulomb friction [N·m]" in shown
     assert "95 %" in shown
     assert (tmp_path / "out" / "fit.json").exists()
+
+
+def test_the_written_servo_has_the_gains_that_were_logged(tmp_path):
+    servo = pendulum(STEP).replace('<motor joint="pendulum"/>', '<position joint="pendulum" kp="6" kv="0.4" gear="2"/>')
+    model, still = mujoco.MjModel.from_xml_string(servo), np.zeros((50, 1))
+    take = replace(recording(still, still), torque_command=None, position_target=still, kp=np.array([12.0]),
+                   kd=np.array([0.2]))  # fmt: skip
+    given = Simulation(model, ("pendulum",), Hypothesis(()), np.zeros(0))
+    score = Score(0.1, 0.1, 0.1, 0.0, {"pendulum": {"before": 0.1, "after": 0.1, "floor": 0.1}})
+    Fit((), given, given, {"train": score}, (), "pendulum", servo, 1.0, (take,)).save(tmp_path)
+    written = mujoco.MjModel.from_xml_path(str(tmp_path / "corrected.xml"))
+    assert written.actuator_gainprm[0, 0] == pytest.approx(3.0)
+    assert written.actuator_biasprm[0, 1:3] == pytest.approx([-3.0, -0.05])
 
 
 def test_every_flag_reaches_the_fit(tmp_path, monkeypatch, capsys):
@@ -529,12 +544,13 @@ def test_the_corrected_model_takes_what_the_robot_was_sent(tmp_path, monkeypatch
     picture = SimpleNamespace(savefig=lambda path, dpi: drawn.append(path))
     monkeypatch.setattr("torchrl_athletic.diagnosis.report.fit_picture.fit_picture", lambda fitted: picture)
     monkeypatch.setattr(
-        fitting, "corrected_xml", lambda xml, corrected, sent: told.append((xml, corrected, sent)) or ""
+        fitting, "corrected_xml", lambda xml, corrected, sent, gains: told.append((xml, corrected, sent, gains)) or ""
     )
+    monkeypatch.setattr(fitting, "logged_gains", lambda takes: ("gains of", takes))
     recordings = tuple(SimpleNamespace(position_target=t) for t in targets)
     corrected = SimpleNamespace(to_json=dict)
     Fit((), None, corrected, {}, (), "m", "<xml/>", 1.23456, recordings).save(tmp_path)
-    assert told == [("<xml/>", corrected, commands)]
+    assert told == [("<xml/>", corrected, commands, ("gains of", recordings))]
     assert drawn == [tmp_path / "fit.png"]
     assert json.loads((tmp_path / "corrected.json").read_text()) == {"model_xml": "<xml/>"}
     assert json.loads((tmp_path / "fit.json").read_text())["seconds"] == 1.2

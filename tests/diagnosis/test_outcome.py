@@ -10,9 +10,10 @@ from diagnosis.plants import pendulum
 
 from torchrl_athletic.diagnosis import outcome
 from torchrl_athletic.diagnosis.corrected import Simulation, write_json
+from torchrl_athletic.diagnosis.corrected_xml import logged_gains
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.motions import Limits
-from torchrl_athletic.diagnosis.outcome import OVERLAYS, Diagnosis, logged_gains
+from torchrl_athletic.diagnosis.outcome import OVERLAYS, Diagnosis
 from torchrl_athletic.diagnosis.result import Answer
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import CoulombFriction, JointAddress

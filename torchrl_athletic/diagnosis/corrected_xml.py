@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
@@ -16,6 +16,7 @@ from torchrl_athletic.effects import JointAddress, Plant
 from torchrl_athletic.effects.presliding import Bristle
 from torchrl_athletic.effects.signals import torque_range
 from torchrl_athletic.effects.torque import wave_number
+from torchrl_athletic.recordings import Recording
 
 Commands: TypeAlias = Literal["torques", "targets"]
 Gains: TypeAlias = Mapping[str, tuple[float, float]]
@@ -39,6 +40,20 @@ class Written:
             f"corrected.xml alone is not the whole correction: it needs corrected.json for {', '.join(self.left_out)}. "
             "Half a correction can be worse than none."
         )
+
+
+def logged_gains(recordings: Sequence[Recording]) -> Gains | None:
+    """Joint -> kp and kd, where all recordings followed their targets with the same."""
+    if not recordings:
+        return None
+    names, found = recordings[0].joint_names, []
+    for r in (r.ordered(names) for r in recordings):
+        if r.kp is None or r.kd is None:
+            return None
+        found.append(np.stack([r.kp, r.kd], axis=1))
+    if not all(np.array_equal(gains, found[0]) for gains in found):
+        return None
+    return {n: (float(p), float(d)) for n, (p, d) in zip(names, found[0], strict=True)}
 
 
 def corrected_xml(
@@ -66,8 +81,9 @@ def written(
     Friction loss with its softness, damping, armature, stiffness and spring reference of joints; mass, centre of mass
     and inertia of links, payloads included; gravity. Where one actuator without a state of its own drives a joint:
     offset and limit of its torque, and its scale, which a position servo has in its gains; of a motor lag, too; of a
-    servo both gains; and the delay, where the actuator takes what was recorded as the command. Ripple and hysteresis
-    are the cogging and the LuGre friction of a ``dcmotor`` without an input, soft gears and play a
+    servo both gains; and the delay, where the actuator takes what was recorded as the command. A servo gets the gains
+    that were logged, whatever the model's are; its target stays the actuator's own, gear times the joint's. Ripple and
+    hysteresis are the cogging and the LuGre friction of a ``dcmotor`` without an input, soft gears and play a
     :mod:`second hinge <torchrl_athletic.diagnosis.corrected_gears>`. This package drives joints past actuators, by
     ``corrected.json``, so that none acts twice.
 
@@ -80,7 +96,7 @@ def written(
         simulation: The corrected one.
         commands: Whether torques or position targets were recorded as commands; None leaves delays out.
         drive: Whether actuators and gears are corrected as well; a chain of transforms takes the place of that.
-        gains: Joint -> kp and kd with which all recordings were driven; an actuator's own if None.
+        gains: Joint -> kp and kd with which all recordings followed their targets; an actuator's own if None.
     """
     spec = mujoco.MjSpec.from_string(xml)
     spec.compile()  # fuses what fusestatic fuses, so that bodies are those of the model
@@ -187,10 +203,11 @@ def _write_drive(
         actuator.gainprm[0] *= of["torque_scale"]
         said.add("torque_scale")
     servo = {"torque_scale", "gain_mismatch"} & of.keys()
-    if servo and takes == "targets":
+    logged = gains[name] if gains is not None and commands == "targets" else None
+    if takes == "targets" and (servo or logged is not None):
         scale = of.get("torque_scale", 1.0)
         kp, kd = (scale * float(x) for x in effects.get("gain_mismatch", np.ones(2)))
-        if _write_gains(actuator, kp, kd, None if gains is None else gains[name]):
+        if _write_gains(actuator, kp, kd, logged):
             said |= servo
     plain = "torque_offset" not in of and ("torque_scale" not in of or "torque_scale" in said)  # else no range says it
     if "torque_saturation" in of and plain:
@@ -207,10 +224,14 @@ def _write_drive(
 
 
 def _write_gains(actuator: Any, kp_scale: float, kd_scale: float, logged: tuple[float, float] | None) -> bool:
-    """Scale a position servo's gains, or the logged ones in their place. Whether it has gains that can be scaled."""
+    """Scale a position servo's gains, or the logged ones in their place. Whether it has gains that can be scaled.
+
+    A gear turns the joint's angle into the actuator's, and the actuator's torque into the joint's: its square stands
+    between the joint's gains, which were logged, and the actuator's.
+    """
     kp, kd = float(actuator.gainprm[0]), -float(actuator.biasprm[2])
-    if logged is not None and actuator.gear[0] == 1:
-        kp, kd = logged
+    if logged is not None:
+        kp, kd = (gain / float(actuator.gear[0]) ** 2 for gain in logged)
     if kd < 0 or actuator.biasprm[1] != -actuator.gainprm[0]:  # a damping ratio, or no servo on its target
         return False
     actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = kp_scale * kp, -kp_scale * kp, -kd_scale * kd

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.compare import harms, score
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
-from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml
+from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml, logged_gains
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.extension import extend, with_gear
 from torchrl_athletic.diagnosis.fit import Hypothesis
@@ -136,7 +136,8 @@ class Fit:
         write_json(output / "corrected.json", {**self.corrected.to_json(), "model_xml": self.xml})
         kinds = {r.position_target is None for r in self.recordings}
         commands: Commands | None = None if len(kinds) != 1 else "torques" if kinds.pop() else "targets"
-        write_atomically(output / "corrected.xml", corrected_xml(self.xml, self.corrected, commands))
+        gains = logged_gains(self.recordings)
+        write_atomically(output / "corrected.xml", corrected_xml(self.xml, self.corrected, commands, gains=gains))
         fit_picture(self).savefig(output / "fit.png", dpi=150)
         write_json(output / "fit.json", self.to_json())
 

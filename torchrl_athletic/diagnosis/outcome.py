@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
-from torchrl_athletic.diagnosis.corrected_xml import Commands, Gains, Written, written
+from torchrl_athletic.diagnosis.corrected_xml import Commands, Written, logged_gains, written
 from torchrl_athletic.diagnosis.experiment import Experiment, next_experiment, write
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.folder import locked
@@ -118,21 +118,6 @@ class Diagnosis:
         corrected = Simulation.from_json(content, model, catalogue)
         nominal = Simulation(model, corrected.joint_names, Hypothesis(()), np.zeros(0), corrected.base)
         return cls(answer, nominal, corrected, xml)
-
-
-def logged_gains(recordings: Sequence[Recording]) -> Gains | None:
-    """Joint -> kp and kd, where all recordings followed their targets with the same."""
-    if not recordings:
-        return None
-    first = recordings[0]
-    for r in recordings:
-        if r.kp is None or r.kd is None or first.kp is None or first.kd is None:
-            return None
-        if not (np.array_equal(r.kp, first.kp) and np.array_equal(r.kd, first.kd)):
-            return None
-    assert first.kp is not None
-    assert first.kd is not None
-    return {n: (float(p), float(d)) for n, p, d in zip(first.joint_names, first.kp, first.kd, strict=True)}
 
 
 def deliver(stated: Stated, output: Path | None) -> Diagnosis:
