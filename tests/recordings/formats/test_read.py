@@ -284,6 +284,29 @@ def test_lerobot_state_with_velocities_is_split_by_name(lerobot, tmp_path):
     np.testing.assert_array_equal(read[1].velocity[:, 0], episodes[1]["observation.state"][:, 1].astype(np.float32))
 
 
+@pytest.mark.parametrize("key", ["kp", "kd"])
+def test_different_gains_in_a_map_without_joints_are_not_given_out_in_the_order_of_the_columns(tmp_path, key):
+    table = "time,q knee,q hip,sp knee,sp hip\n" + "".join(f"{k / 100},0,0,0.1,0.1\n" for k in range(3))
+    (tmp_path / "log.csv").write_text(table)
+    names = {"position": "q {joint}", "position_target": "sp {joint}"}
+    gains = {"kp": 3.0, "kd": (1.0, 1.0)}
+    [read] = read_recordings(tmp_path / "log.csv", ColumnMap(**names, **gains))
+    assert (read.joint_names, read.kp.tolist(), read.kd.tolist()) == (("knee", "hip"), [3.0, 3.0], [1.0, 1.0])
+    gains[key] = (40.0, 20.0)
+    with pytest.raises(RecordingError, match=rf"log\.csv: .* {key} as 40, 20, .* Add joint_names .* knee, hip in the"):
+        read_recordings(tmp_path / "log.csv", ColumnMap(**names, **gains))
+    [read] = read_recordings(tmp_path / "log.csv", ColumnMap(joint_names=("hip", "knee"), **names, **gains))
+    assert dict(zip(read.joint_names, getattr(read, key), strict=True)) == {"hip": 40.0, "knee": 20.0}
+
+
+def test_different_gains_in_a_map_are_those_of_the_joints_that_a_file_names(tmp_path):
+    still = np.zeros((3, 2))
+    file = {"time": np.arange(3) / 100, "joint_names": ["knee", "hip"], "position": still, "position_target": still}
+    np.savez(tmp_path / "log.npz", **file)
+    [read] = read_recordings(tmp_path / "log.npz", ColumnMap(kp=(40.0, 20.0), kd=(2.0, 1.0)))
+    assert dict(zip(read.joint_names, read.kp, strict=True)) == {"knee": 40.0, "hip": 20.0}
+
+
 def test_what_a_foreign_file_calls_kp_is_no_gain_of_a_torque_command(tmp_path):
     import scipy.io
 

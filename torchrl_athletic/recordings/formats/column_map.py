@@ -187,9 +187,9 @@ class ColumnMap:
     base_orientation: Column | str | None = None
     """Its attitude, a unit quaternion: ``Column(("qw", "qx", "qy", "qz"))``."""
     kp: float | tuple[float, ...] | None = None
-    """Proportional gain [N·m/rad], one for all joints or one a joint."""
+    """Proportional gain [N·m/rad], one for all joints or one a joint, as ``joint_names`` orders them."""
     kd: float | tuple[float, ...] | None = None
-    """Derivative gain [N·m·s/rad], one for all joints or one a joint."""
+    """Derivative gain [N·m·s/rad], one for all joints or one a joint, as ``joint_names`` orders them."""
     model_gains: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """kp and kd of each joint of the model, for files with targets that say no gains."""
     command_file: str | None = None

@@ -327,6 +327,7 @@ def _gain(
     given = getattr(columns, key)
     if given is not None:
         used.add(key)
+        _check_whose(take, columns, key, labels)
         one_a_joint = given if isinstance(given, tuple) else (given,) * len(labels)
         return np.array(one_a_joint, dtype=np.float64)
     if key not in take.fields or columns.torque_command is not None:
@@ -335,6 +336,17 @@ def _gain(
     if values.ndim == 0 and len(labels) == 1:
         values = values[None]
     return _select(take, key, values, labels) if values.ndim == 1 else values
+
+
+def _check_whose(take: RawTake, columns: ColumnMap, key: str, labels: tuple[str, ...]) -> None:
+    """A list of different gains needs an order of the joints: that of a file's columns is nobody's intention."""
+    given = getattr(columns, key)
+    if isinstance(given, tuple) and len(set(given)) > 1 and columns.joint_names is None and _file_joints(take) is None:
+        raise RecordingError(
+            f"{take.source}: the column map gives {key} as {', '.join(f'{gain:g}' for gain in given)}, but neither it "
+            f"nor the file says whose these are. Add joint_names to the map, {', '.join(labels)} in the order of the "
+            "numbers."
+        )
 
 
 def _numbers(take: RawTake, name: str, signal: str, used: set[str]) -> NDArray[np.float64]:
