@@ -1,5 +1,6 @@
 """Scores: a perfect model scores its floor, and the floor is what noise alone does."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +16,7 @@ from torchrl_athletic.diagnosis.compare import (
     open_share,
     score,
     started,
+    uncorrected,
     well_started,
 )
 from torchrl_athletic.diagnosis.fit import Hypothesis
@@ -114,6 +116,12 @@ def test_a_correction_that_makes_the_fitted_takes_worse_is_none():
     assert harms(worse)
     assert not harms(better)
     assert not harms(None)
+
+
+def test_a_model_that_nothing_corrects_closes_nothing_at_any_joint():
+    found = uncorrected(replace(of(a=(5.0, 4.0, 1.0), b=(3.0, 9.0, 2.0)), after=0.5, share_closed=0.7))
+    assert (found.before, found.after, found.floor, found.share_closed) == (1.0, 1.0, 1.0, 0.0)
+    assert {name: tuple(e.values()) for name, e in found.per_joint.items()} == {"a": (5, 5, 1), "b": (3, 3, 2)}
 
 
 def test_windows_of_several_pieces_start_one_after_the_other_and_far_apart():

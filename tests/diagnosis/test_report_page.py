@@ -92,6 +92,8 @@ def test_parts_of_the_error_are_named_by_whether_anything_was_found():
     ]  # fmt: skip
     nothing = page._shares(Answer("unexplained", (), fit=fit), "train")
     assert [name for _, name, _ in nothing] == ["adjusted within tolerances", "UAN", "noise"]
+    still = page._shares(Answer("nothing_missing", (), fit={"train": Score(5.0, 5.0, 2.0, 0.0, {})}), "train")
+    assert [name for _, name, _ in still] == ["beyond the noise", "noise"]
 
 
 # --- why it is said ---

@@ -216,9 +216,10 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
     assert said.nominal.base == "fixed"
     scores = own.scores if trials else {}
     assert told["judged"] == (decided.evidence, ("finding",), scores.get("train"), scores.get("heldout"), True)
-    last = "kept" if corrected else scores.get(last_of)
+    left = {split: Score(9.0, 9.0, 1.0, 0.0, {}) for split in scores}  # the given model's
+    last = None if worse else "kept" if corrected else left.get(last_of)
     assert told["summed"] == (verdict, ("finding",), ("where",), last, trials and last_of == "heldout", 0.25)
-    assert said.answer.fit == (kept.scores if corrected else scores)
+    assert said.answer.fit == (kept.scores if corrected else left)
     sentences = said.answer.summary
     unnamed = bool(stopped) and not trials
     assert ("Summary." in sentences) is not unnamed

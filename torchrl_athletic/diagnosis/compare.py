@@ -128,6 +128,12 @@ def harms(score: Score | None) -> bool:
     return score is not None and score.after > score.before
 
 
+def uncorrected(score: Score) -> Score:
+    """The score of the given model, which nothing corrects."""
+    per_joint = {name: {**errors, "after": errors["before"]} for name, errors in score.per_joint.items()}
+    return replace(score, after=score.before, share_closed=0.0, per_joint=per_joint)
+
+
 def follows(score: Score, times: float) -> bool:
     """Whether the corrected model's error is within so many times the floor, on every joint."""
     return all(joint["after"] <= times * max(joint["floor"], 1e-12) for joint in score.per_joint.values())

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.compare import harms
+from torchrl_athletic.diagnosis.compare import harms, uncorrected
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, without
 from torchrl_athletic.diagnosis.gates import judge_findings, summarise, verdict_of
@@ -63,7 +63,7 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
     findings = _findings(decided)
     verdict, share = verdict_of(decided.evidence, findings, scores.get("train"), scores.get("heldout"), decided.is_open)
     harmful = harms(scores.get("train"))
-    correction = Correction(None, scores)
+    correction = Correction(None, {split: uncorrected(score) for split, score in scores.items()})
     if trial is not None and verdict != "nothing_missing" and not harmful:
         correction = _kept(_best_followed(decided), ready)
     nominal = as_given(given)
@@ -71,7 +71,7 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
     if correction.fitted is not None:
         corrected = replace(nominal, hypothesis=correction.fitted.hypothesis, values=correction.fitted.values)
     scores = correction.scores
-    last = scores.get("heldout", scores.get("train"))
+    last = None if harmful else scores.get("heldout", scores.get("train"))
     summary = summarise(verdict, findings, decided.located.locations, last, "heldout" in scores, share)
     if harmful:
         summary += ("What fits best makes the simulation worse, so that the corrected model is the given one.",)

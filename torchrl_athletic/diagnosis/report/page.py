@@ -210,6 +210,8 @@ def _hero(answer: Answer, units: Mapping[str, str]) -> dict[str, Any] | None:
 def _shares(answer: Answer, split: str) -> list[tuple[str, str, float]]:
     """Part, its name and its share of the error energy."""
     names = NAMES if answer.findings else {**NAMES, "physics": "adjusted within tolerances"}
+    if answer.verdict == "nothing_missing":
+        names = {**names, "unexplained": "beyond the noise"}
     shares = energy_shares(answer, split)
     return [(part, names[part], share) for part, share in shares.items() if answer.findings or share > 0]
 
