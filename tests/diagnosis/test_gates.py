@@ -377,6 +377,19 @@ def test_the_summary_of_no_finding_tells_nothing_missing_from_unexplained():
     assert "no effect of the catalogue explains how" in summarise("unexplained", [], WHERE, score(1.0), True, 1.0)[0]
 
 
+def test_a_model_that_nothing_is_missing_from_is_told_with_its_distance_from_the_floor_where_that_is_far():
+    def scored(wrist):
+        rows = {"elbow": (2.0, 1.9), "wrist": (wrist, 0.5)}
+        return Score(9.0, 9.0, 1.0, 0.0, {n: {"before": e, "after": e, "floor": f} for n, (e, f) in rows.items()})
+
+    near, far = (summarise("nothing_missing", [], WHERE, scored(wrist), True, 0.0) for wrist in (0.74, 1.2))
+    assert near == summarise("nothing_missing", [], WHERE, None, False, 0.0)
+    assert far == (
+        "Nothing is missing that the torques show, within the tolerances of the model's numbers: its error at wrist is "
+        "2.4 times what the sensors' noise allows.",
+    )
+
+
 def test_a_joint_is_as_far_above_its_floor_as_in_the_worst_of_the_scores():
     def scored(**before):
         return Score(1, 1, 1, 0, {name: {"before": b, "after": 1.0, "floor": 0.5} for name, b in before.items()})

@@ -43,6 +43,7 @@ def test_what_is_surer_has_the_stricter_bound():
     assert STATEMENT.least_share < 1 - STATEMENT.refutes
     assert STATEMENT.explained < STATEMENT.kept < STATEMENT.partly < 1
     assert 1 < STATEMENT.shown < STATEMENT.near_floor
+    assert 1 < STATEMENT.at_floor < STATEMENT.near_floor
     assert DECISION.clear < DECISION.lost < 1 < DECISION.follows
     assert DECISION.occasions > SIMULATION.window  # or one blow would be two occasions
     assert PLAN.apart < PLAN.spare < PLAN.enough

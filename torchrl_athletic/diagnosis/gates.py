@@ -96,7 +96,7 @@ def summarise(
     """The answer in a few sentences, most important first."""
     out = []
     if verdict == "nothing_missing":
-        out.append("Nothing is missing: the model follows the recordings as closely as the sensors' noise allows.")
+        out.append(_nothing_missing(score))
     elif not findings:
         out.append("The model and the robot differ, and no effect of the catalogue explains how.")
     out += [f.sentence for f in findings if f.probability > STATEMENT.likely]
@@ -120,6 +120,18 @@ def summarise(
             f"what is named leaves {100 * share:.0f} % of its energy above the sensors' floor."
         )
     return tuple(out)
+
+
+def _nothing_missing(score: Score | None) -> str:
+    """That nothing is missing, and how far the model is from its floor where that is far."""
+    joints = {} if score is None else score.per_joint
+    times, worst = max(((e["after"] / max(e["floor"], 1e-12), name) for name, e in joints.items()), default=(0.0, ""))
+    if times <= STATEMENT.at_floor:
+        return "Nothing is missing: the model follows the recordings as closely as the sensors' noise allows."
+    return (
+        f"Nothing is missing that the torques show, within the tolerances of the model's numbers: its error at {worst} "
+        f"is {times:.1f} times what the sensors' noise allows."
+    )
 
 
 def not_identified(findings: Sequence[Finding]) -> list[str]:

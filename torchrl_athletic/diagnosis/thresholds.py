@@ -177,6 +177,9 @@ class Statement:
     """Window error over the floor up to which a model without predictable missing torque is called complete, and one
     with findings explained: whatever was gross before, what is left beyond it shows that a law is another [1;
     tuned]."""
+    at_floor: float = 1.5
+    """Window error over the floor from which on a model that nothing is missing from is not said to follow as closely
+    as noise allows [1; contract]."""
     kept: float = 0.1
     """Share of the given model's window error that a right law may leave, however many times the floor that is, since
     bearings are no formulas. Beyond it and beyond :attr:`near_floor` the simulation is far off, and names are doubted

@@ -58,8 +58,8 @@ def would_change(answer: Answer) -> str:
         return "The rest of the run: the same command, run to its end, goes on from here."
     if answer.verdict == "nothing_missing":
         return (
-            "A recording that the model follows worse than the sensors' noise allows. Nothing is known of motions that "
-            "are faster, slower, heavier or colder than the recorded ones."
+            "A recording that the model follows clearly worse than these. Nothing is known of motions that are faster, "
+            "slower, heavier or colder than the recorded ones."
         )
     if answer.verdict == "explained":
         text = "A recording of another kind on which the corrected model errs clearly more than here"
