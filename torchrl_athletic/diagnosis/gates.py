@@ -101,7 +101,7 @@ def summarise(
         out.append("The model and the robot differ, and no effect of the catalogue explains how.")
     out += [f.sentence for f in findings if f.probability > STATEMENT.likely]
     out += not_identified([f for f in findings if f.probability <= STATEMENT.likely])
-    where = [x for x in locations if x.regime != "everywhere"][:1]
+    where = [x for x in locations if x.regime != "everywhere" and x.joint == locations[0].joint]
     if verdict != "nothing_missing" and locations:
         text = f"{100 * locations[0].share_of_error:.0f} % of the error arises at {locations[0].joint}"
         if where:
@@ -110,7 +110,7 @@ def summarise(
                 words = f"when {words}"
             elif words.startswith(("position", "load", "command")):
                 words = f"with {words}"
-            text += f"; it is densest {words} ({where[0].joint})"
+            text += f"; it is densest {words}"
         out.append(text + ".")
     if score is not None and findings:
         kind = "recordings kept aside" if heldout else "the fitted recordings (none were kept aside)"
