@@ -188,6 +188,14 @@ def test_the_torque_that_a_position_target_asks_for_saturates():
     assert (check_quality(take, torque_limit=5.0).masks["saturated"] == (np.abs(asked) >= 5.0 * 0.999)).all()
 
 
+def test_flat_tops_ask_for_a_limit_in_the_model_unless_one_is_known():
+    time = swing().time
+    take = swing(torque_command=np.clip(3 * np.sin(5 * time), -2, 2)[:, None])
+    [said] = [w for w in check_quality(take).warnings if "flat tops" in w]
+    assert said.endswith("state its limit in the model, as the joint's actuatorfrcrange.")
+    assert not any("flat tops" in w for w in check_quality(take, torque_limit=2.0).warnings)
+
+
 def test_flat_tops_of_a_command_are_told_apart_from_square_waves_and_holds():
     time = np.arange(2000) / RATE
     clipped = np.clip(3 * np.sin(5 * time), -2, 2)[:, None]

@@ -234,7 +234,7 @@ def check_quality(recording: Recording, torque_limit: ArrayLike | None = None) -
         masks=masks,
         warnings=(),
     )
-    return _with_warnings(quality, recording)
+    return _with_warnings(quality, recording, limit)
 
 
 def _torque_limit(recording: Recording, torque_limit: ArrayLike | None) -> Floats | None:
@@ -563,8 +563,8 @@ def _time_shift(a: Floats, b: Floats, step: float, longest: float = 0.3) -> tupl
 # --- warnings ---------------------------------------------------------------------------------------------------------
 
 
-def _with_warnings(quality: Quality, recording: Recording) -> Quality:
-    found = [*_stamp_warnings(quality), *_mask_warnings(quality), *_unit_warnings(quality, recording)]
+def _with_warnings(quality: Quality, recording: Recording, limit: Floats | None) -> Quality:
+    found = [*_stamp_warnings(quality), *_mask_warnings(quality, limit), *_unit_warnings(quality, recording)]
     found += _base_warnings(quality, recording)
     return replace(quality, warnings=tuple(f"{quality.source}: {text}" for text in found))
 
@@ -595,14 +595,17 @@ def _stamp_warnings(quality: Quality) -> list[str]:
     return found
 
 
-def _mask_warnings(quality: Quality) -> list[str]:
+def _mask_warnings(quality: Quality, limit: Floats | None) -> list[str]:
     mends = {
         "frozen": "repeat an old reading while the joint moves. Log a sample only when the drive has sent a new one",
         "dropout": "jump away and back. Look for lost encoder readings that are logged as a default value",
         "saturated": "are at the torque limit. There the command is not what acted: excite more gently",
-        "clipped": "have a torque command with flat tops. If that was logged before the drive, give torque_limit",
+        "clipped": "have a torque command with flat tops. If the drive limited it after that was logged, state "
+        "its limit in the model, as the joint's actuatorfrcrange",
         "stalled": "are pushed hard against something immovable. Keep the motion off the stops",
     }
+    if limit is not None:  # which says already where a drive is limited
+        del mends["clipped"]
     found = []
     for reason, mend in mends.items():
         by_joint = quality.masks[reason].mean(axis=0)
