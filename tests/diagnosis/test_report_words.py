@@ -1,9 +1,12 @@
 """What the terminal and the page say in the same words: what leads, what follows, and what is not said."""
 
+import shlex
 from dataclasses import replace
+from importlib.metadata import entry_points
 
 import pytest
 
+from torchrl_athletic.diagnosis import command
 from torchrl_athletic.diagnosis.report.terminal import MOST_REGIMES, terminal_summary
 from torchrl_athletic.diagnosis.report.words import (
     IF_KNOWN,
@@ -205,6 +208,15 @@ def test_that_a_name_holds_if_the_physics_is_known_is_said_beside_names(findings
 def test_going_on_takes_the_folder_whatever_it_is_called_and_the_weight():
     assert go_on("my run", 0.5).endswith("--output 'my run' --continue new_recording.npz --payload 0.5")
     assert go_on("run", 0.0).endswith("--output run --continue new_recording.npz")
+
+
+def test_going_on_is_a_command_that_is_there_without_a_checkout(monkeypatch, capsys):
+    program, *arguments = shlex.split(go_on("run", 0.5))
+    [entry] = [e for e in entry_points(group="console_scripts") if e.name == program]
+    monkeypatch.setattr(command, "main", lambda config, *_: print(config.output, *config.continue_with, config.payload))
+    monkeypatch.setattr("sys.argv", [program, *arguments])
+    entry.load()()
+    assert capsys.readouterr().out == "run new_recording.npz 0.5\n"
 
 
 def test_the_terminal_tells_splits_classes_rivals_and_remarks_each_in_its_place():

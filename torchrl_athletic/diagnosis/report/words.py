@@ -32,7 +32,7 @@ IF_KNOWN = "These percentages hold if the physics is in the catalogue; if it is 
 def go_on(folder: str, payload: float) -> str:
     """The command that takes the recording of a planned experiment in, with the mass that it asks to fasten [kg]."""
     weight = f" --payload {payload:g}" if payload else ""
-    return f"python recipes/diagnose.py --output {shlex.quote(folder)} --continue new_recording.npz{weight}"
+    return f"torchrl-athletic diagnose --output {shlex.quote(folder)} --continue new_recording.npz{weight}"
 
 
 def lead(answer: Answer) -> list[str]:
