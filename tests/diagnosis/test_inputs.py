@@ -285,6 +285,8 @@ def test_what_is_no_recording_may_lie_in_a_folder_but_is_not_named_and_joints_fi
     take(tmp_path / "b.npz", "hip")
     said, usable = checked(replace(asked, heldout=(tmp_path / "b.npz",)))
     assert "knee of the model is not recorded. Record it, or say --lock knee." in said
+    (tmp_path / "spaced.xml").write_text(SERVO.replace('"knee"', '"left knee"'))
+    assert "or say --lock 'left knee'." in checked(Flags(tmp_path / "spaced.xml", (tmp_path / "b.npz",)))[0]
     (tmp_path / "slide.xml").write_text(SERVO.replace('name="knee"', 'name="knee" type="slide"'))
     slides = checked(replace(asked, model=tmp_path / "slide.xml", heldout=(tmp_path / "b.npz",)))[0]
     assert "knee of the model is not recorded." in slides

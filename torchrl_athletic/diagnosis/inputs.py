@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -201,7 +202,8 @@ def _beside(r: Recording, model: mujoco.MjModel, locked: Sequence[str]) -> Itera
     free = [model.joint(j).name for j in range(model.njnt) if model.jnt_type[j] >= 2]
     fixed = {n.partition("=")[0] for n in locked}
     if silent := [n for n in free if n not in r.joint_names and n not in fixed]:
-        yield f"{r.source}: {', '.join(silent)} of the model is not recorded. Record it, or say --lock {silent[0]}."
+        mend = f"Record it, or say --lock {shlex.quote(silent[0])}."
+        yield f"{r.source}: {', '.join(silent)} of the model is not recorded. {mend}"
     floating = any(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     if not unknown and not silent and not fixed and not floating:
         try:
