@@ -214,6 +214,8 @@ def _binned(
             [np.bincount(rng.integers(0, count, count), minlength=count) for _ in range(TORQUES.replicates)]
         )
         resampled = (draws @ total) / (draws @ number)
-        mean[number.sum(0) < 3] = np.nan
-        band = np.nanquantile(np.where(np.isfinite(resampled), resampled, mean), [0.025, 0.975], axis=0).T
+    mean[number.sum(0) < 3] = np.nan
+    full, band = np.isfinite(mean), np.full((TORQUES.bins, 2), np.nan)
+    known = np.where(np.isfinite(resampled), resampled, mean)[:, full]
+    band[full] = np.quantile(known, [0.025, 0.975], axis=0).T
     return mean, band
