@@ -239,7 +239,14 @@ def test_a_table_names_what_a_law_has_several_of_and_says_why_a_number_is_none()
     error = {"before": 0.5, "after": 0.25, "floor": 0.125}
     scores = {split: SimpleNamespace(per_joint={"elbow": {k: v * x for k, v in error.items()}})
               for split, x in (("train", 1.0), ("heldout", 2.0))}  # fmt: skip
-    text = fit_table(SimpleNamespace(parameters=rows, scores=scores, remarks=()))
+    arm = '<mujoco><worldbody><body><joint name="elbow" type="{}"/><geom size="0.1"/></body></worldbody></mujoco>'
+    models = {
+        unit: mujoco.MjModel.from_xml_string(arm.format(kind)) for unit, kind in (("rad", "hinge"), ("m", "slide"))
+    }
+    told = {"parameters": rows, "scores": scores, "remarks": ()}
+    rail = fit_table(SimpleNamespace(nominal=SimpleNamespace(model=models["m"]), **told))
+    assert [line.split("  ")[1] for line in rail.splitlines() if line.startswith("  ")] == ["elbow [m]"] * 2
+    text = fit_table(SimpleNamespace(nominal=SimpleNamespace(model=models["rad"]), **told))
     found = [line.split("  ") for line in text.splitlines()]
     cells = [[cell.strip() for cell in line if cell.strip()] for line in found]
     assert cells[1:6] == [
@@ -249,8 +256,14 @@ def test_a_table_names_what_a_law_has_several_of_and_says_why_a_number_is_none()
         ["wrist", "coulomb friction [N·m]", "0", "0.4 to 0.6, not needed"],
         ["elbow", "coulomb friction [N·m]", "0", "not identified: never moves"],
     ]
-    assert cells[7:9] == [["error over 0.5 s, kept aside", "given", "fitted", "floor"], ["elbow", "1", "0.5", "0.25"]]
-    assert cells[10:12] == [["error over 0.5 s, fitted", "given", "fitted", "floor"], ["elbow", "0.5", "0.25", "0.125"]]
+    assert cells[7:9] == [
+        ["error over 0.5 s, kept aside", "given", "fitted", "floor"],
+        ["elbow [rad]", "1", "0.5", "0.25"],
+    ]
+    assert cells[10:12] == [
+        ["error over 0.5 s, fitted", "given", "fitted", "floor"],
+        ["elbow [rad]", "0.5", "0.25", "0.125"],
+    ]
 
 
 def test_a_missing_model_is_said_in_one_line(tmp_path):

@@ -475,4 +475,6 @@ def test_a_fit_is_shown_on_what_was_kept_aside_with_the_worst_joints_first_and_t
                 np.testing.assert_allclose(line.get_xdata(), np.arange(501) / 100, atol=1e-9)  # five seconds
                 np.testing.assert_allclose(line.get_ydata(), take.position[:501, j] + by)
         score = scores["heldout" if heldout else "train"].per_joint[names[0]]
-        assert f"error {score['before']:.3g} → {score['after']:.3g}" in figure.axes[0].get_title(loc="left")
+        unit = {"rail": "m", "hip": "rad"}[names[0]]
+        said = f"{names[0]}: error over 0.5 s {score['before']:.3g} → {score['after']:.3g} {unit}"
+        assert figure.axes[0].get_title(loc="left") == said

@@ -12,7 +12,7 @@ from torchrl_athletic.diagnosis.extension import GEARS, LAWS
 from torchrl_athletic.diagnosis.fitting import STAGES, Fit, JointParameter, fit
 from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.inputs import checked, inputs
-from torchrl_athletic.diagnosis.model import ModelError
+from torchrl_athletic.diagnosis.model import ModelError, position_unit
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.recordings import FetchError, RecordingError
 
@@ -103,7 +103,8 @@ def _lines(fitted: Fit) -> Iterator[str]:
             yield ""
             yield f"{f'error over 0.5 s, {words}':<{wide + long + 2}}{'given':>12}{'fitted':>12}{'floor':>12}"
             for joint, e in fitted.scores[split].per_joint.items():
-                yield f"  {joint:<{wide + long}}{e['before']:>12.4g}{e['after']:>12.4g}{e['floor']:>12.4g}"
+                name = f"{joint} [{position_unit(fitted.nominal.model, joint)}]"
+                yield f"  {name:<{wide + long}}{e['before']:>12.4g}{e['after']:>12.4g}{e['floor']:>12.4g}"
     if fitted.remarks:
         yield ""
         yield from fitted.remarks

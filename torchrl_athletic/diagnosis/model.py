@@ -44,3 +44,8 @@ def load_model(model: Model) -> tuple[mujoco.MjModel, str, str]:
 
 class ModelError(ValueError):
     """A model that MuJoCo cannot compile; the message names it and says why."""
+
+
+def position_unit(model: mujoco.MjModel, joint: str) -> str:
+    """Unit of a joint's position: m of a slide, else rad."""
+    return "m" if model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"

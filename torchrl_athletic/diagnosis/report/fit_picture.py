@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
+from torchrl_athletic.diagnosis.model import position_unit
 from torchrl_athletic.diagnosis.report.figures import AFTER, BEFORE, INK
+from torchrl_athletic.diagnosis.thresholds import SIMULATION
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,9 +38,10 @@ def fit_picture(fit: Fit) -> Figure:
         axes.plot(time, recording.position[shown, j], color=INK, linewidth=2.2, alpha=0.5, label="recorded")
         for path, colour, label in zip(paths, (BEFORE, AFTER), ("given model", "fitted"), strict=True):
             axes.plot(time, path[shown, j], color=colour, linewidth=1.1, label=label)
-        slides = fit.nominal.model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
-        axes.set_ylabel("[m]" if slides else "[rad]")
-        axes.set_title(f"{name}: error {error['before']:.3g} → {error['after']:.3g}", loc="left", fontsize=10)
+        unit = position_unit(fit.nominal.model, name)
+        axes.set_ylabel(f"[{unit}]")
+        told = f"error over {SIMULATION.window:g} s {error['before']:.3g} → {error['after']:.3g} {unit}"
+        axes.set_title(f"{name}: {told}", loc="left", fontsize=10)
     axes.set_xlabel(f"time [s], {'kept aside' if fit.heldout else 'fitted'}: {recording.source}")
     lines, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(lines, labels, frameon=False, ncols=3, loc="outside upper right", fontsize=9)
