@@ -60,6 +60,30 @@ def test_a_locked_joint_leaves_everything_where_the_joint_would_have_it(kind, an
     np.testing.assert_allclose(still.geom_xmat, moved.geom_xmat, atol=1e-6)
 
 
+@pytest.mark.parametrize("lock", [("one",), ("two",), ("three",), ("one", "three"), ("three", "one"), ("three", "two")])
+@pytest.mark.parametrize("kinds", [("hinge",) * 3, ("slide", "hinge", "hinge"), ("hinge", "slide", "hinge"),
+                                   ("hinge", "hinge", "slide")])  # fmt: skip
+def test_joints_of_a_body_that_has_several_move_it_as_before_whichever_of_them_are_locked(kinds, lock):
+    """Anchors and axes are anything, none of which may stay behind when the body is turned under it."""
+    axes, anchors = ("1 2 -1", "0 1 0.5", "-1 0.2 1"), ("0.1 -0.2 0.3", "0.3 0.1 0", "-0.1 0 0.2")
+    zeros = [("one", 0.2), ("two", 0.0), ("three", -0.1)]
+    joints = "".join(
+        f'<joint name="{name}" type="{kind}" axis="{axis}" pos="{anchor}" ref="{zero}"/>'
+        for (name, zero), kind, axis, anchor in zip(zeros, kinds, axes, anchors, strict=True)
+    )
+    xml = ARM.replace('<joint name="knee" axis="0 1 0"/>', joints).replace('<body pos="0.5 0 0">', TURNED)
+    xml = '<mujoco><compiler angle="radian"/>' + xml[len("<mujoco>") : xml.index("<actuator>")] + "</mujoco>"
+    places, geoms = {"hip": 0.3, "one": 0.7, "two": -0.4, "three": 0.9}, []
+    locked = locked_joints(xml, [f"{name}={places[name]}" for name in lock], [])[0]
+    for model in map(mujoco.MjModel.from_xml_string, (xml, locked)):
+        data = mujoco.MjData(model)
+        data.qpos[:] = [places[model.joint(j).name] for j in range(model.njnt)]
+        mujoco.mj_kinematics(model, data)
+        geoms.append((data.geom_xpos.copy(), data.geom_xmat.copy()))
+    np.testing.assert_allclose(geoms[1][0], geoms[0][0], atol=5e-6)
+    np.testing.assert_allclose(geoms[1][1], geoms[0][1], atol=5e-6)
+
+
 def test_what_moves_no_further_than_backlash_and_noise_stood_still():
     locked_joints(ARM, ("knee",), [held(0.5, 0.99 * STILL)])
     for takes in ([held(0.5, 1.01 * STILL)], [held(0.5), held(0.5 + 1.01 * STILL)]):  # within one take or between two

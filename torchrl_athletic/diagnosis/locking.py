@@ -74,19 +74,20 @@ def _position(name: str, said: str, recordings: Sequence[Recording]) -> float:
 
 
 def _hold(joint: mujoco.MjsJoint, position: float) -> None:
-    """Move a joint's body to where the joint has it at a position."""
-    body = joint.parent
+    """Move a joint's body to where the joint has it, and take along the joints of that body that act before it."""
+    body, amount = joint.parent, position - float(joint.ref)
     quat, axis = np.array(body.quat), np.array(joint.axis) / np.linalg.norm(joint.axis)
-    turn, rotated, moved = np.zeros(4), np.zeros(3), np.zeros(3)
-    amount = position - float(joint.ref)
-    if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
-        mujoco.mju_rotVecQuat(moved, amount * axis, quat)
-        body.pos = np.array(body.pos) + moved
-        return
-    mujoco.mju_axisAngle2Quat(turn, axis, amount)
-    anchor = np.array(joint.pos)
-    mujoco.mju_rotVecQuat(rotated, anchor, turn)
-    mujoco.mju_rotVecQuat(moved, anchor - rotated, quat)
-    both = np.zeros(4)
+    turn, both, rotation, moved = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(4), np.zeros(9), np.zeros(3)
+    shift = amount * axis
+    if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+        mujoco.mju_axisAngle2Quat(turn, axis, amount)
+        mujoco.mju_rotVecQuat(moved, np.array(joint.pos), turn)
+        shift = np.array(joint.pos) - moved
+    mujoco.mju_quat2Mat(rotation, turn)
+    back = rotation.reshape(3, 3).T
+    own = list(body.joints)
+    for before in own[: [other.name for other in own].index(joint.name)]:
+        before.axis, before.pos = back @ np.array(before.axis), back @ (np.array(before.pos) - shift)
+    mujoco.mju_rotVecQuat(moved, shift, quat)
     mujoco.mju_mulQuat(both, quat, turn)
     body.pos, body.quat = np.array(body.pos) + moved, both
