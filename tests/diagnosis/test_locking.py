@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from torchrl_athletic.diagnosis import locking
 from torchrl_athletic.diagnosis.locking import STILL, locked_joints
 from torchrl_athletic.recordings import Recording, RecordingError
 
@@ -14,6 +15,20 @@ ARM = """<mujoco><worldbody><body><joint name="hip" axis="0 1 0"/><geom size="0.
   <keyframe><key name="home" qpos="0.1 0.2"/></keyframe></mujoco>"""
 
 TURNED = '<body pos="0.5 0 0" quat="0.8 0.2 -0.4 0.4">'
+
+GRIPPER = """<mujoco><worldbody><body name="hand"><joint name="wrist" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/>
+  <body name="left"><joint name="left" type="slide" axis="0 1 0"/><geom size="0.02"/><site name="left"/></body>
+  <body name="right"><joint name="right" type="slide" axis="0 -1 0"/><geom size="0.02"/></body></body></worldbody>
+  {}</mujoco>"""
+COUPLED = GRIPPER.format(
+    """<tendon><fixed name="cord"><joint joint="left" coef="1"/><joint joint="right" coef="1"/></fixed>
+    <fixed name="own"><joint joint="wrist" coef="1"/></fixed></tendon>
+    <equality><joint joint1="left" joint2="right"/><tendon tendon1="cord"/><joint joint1="wrist"/></equality>
+    <actuator><motor name="grip" tendon="cord"/><motor name="left" joint="left"/><motor name="turn" joint="wrist"/>
+    <motor name="press" site="left"/></actuator>
+    <sensor><tendonpos tendon="cord"/><actuatorfrc actuator="grip"/><jointpos joint="left"/><jointpos joint="wrist"/>
+    <tendonpos tendon="own"/><actuatorfrc actuator="turn"/><accelerometer name="felt" site="left"/></sensor>"""
+)
 
 
 def held(angle, travel=0.0, count=100, names=("hip", "knee")):
@@ -106,3 +121,55 @@ def test_motors_and_sensors_of_a_joint_go_with_it_and_those_of_others_stay():
 def test_a_place_that_is_no_number_is_refused():
     with pytest.raises(RecordingError, match=r"--lock knee=left: give a number of rad or m"):
         locked_joints(ARM, ("knee=left",), [])
+
+
+def test_fingers_that_are_tied_are_locked_with_what_ties_them_and_nothing_else():
+    """Of one name are a site, a motor and a joint, and only what speaks of the joint goes."""
+    xml, left = locked_joints(COUPLED, ("left", "right"), [])
+    model = mujoco.MjModel.from_xml_string(xml)
+    assert left == ("wrist",)
+    assert [model.tendon(k).name for k in range(model.ntendon)] == ["own"]
+    assert [model.actuator(k).name for k in range(model.nu)] == ["turn", "press"]
+    assert (model.neq, model.nsensor) == (1, 4)
+    assert model.joint(model.eq_obj1id[0]).name == "wrist"
+
+
+@pytest.mark.parametrize(
+    ("tie", "said"),
+    [
+        ('<equality><joint name="mimic" joint1="left" joint2="right"/></equality>', "equality mimic ties left"),
+        ('<equality><joint joint1="right" joint2="left"/></equality>', "equality ties left"),
+        ('<tendon><fixed name="cord"><joint joint="left" coef="1"/><joint joint="right" coef="1"/></fixed></tendon>',
+         "tendon cord ties left"),
+    ],
+)  # fmt: skip
+def test_half_of_a_pair_that_is_tied_is_refused(tie, said):
+    with pytest.raises(RecordingError, match=f"{said}, which is held, to right, which is not. Lock that, too, or take"):
+        locked_joints(GRIPPER.format(tie), ("left",), [])
+    assert locked_joints(GRIPPER.format(tie), ("left", "right"), [])[1] == ("wrist",)
+
+
+def test_an_equality_that_does_not_act_ties_nothing():
+    idle = GRIPPER.format('<equality><joint joint1="left" joint2="right" active="false"/></equality>')
+    assert locked_joints(idle, ("left",), [])[1] == ("wrist", "right")
+
+
+def test_a_name_may_be_said_twice_but_not_of_two_places():
+    assert locked_joints(ARM, ("knee=0.2", "knee=0.2"), []) == locked_joints(ARM, ("knee=0.2",), [])
+    with pytest.raises(RecordingError, match="--lock knee: it is named twice, at two places"):
+        locked_joints(ARM, ("knee=0.2", "knee"), [])
+
+
+def test_all_that_is_wrong_with_what_is_locked_is_said_at_once():
+    with pytest.raises(RecordingError, match=r"--lock foot: the model has no such joint.*--lock knee=nan: give a"):
+        locked_joints(ARM, ("foot", "knee=nan"), [])
+    with pytest.raises(RecordingError, match="--lock hip: only hinges and slides"):
+        locked_joints(
+            ARM.replace('name="hip"', 'name="hip" type="ball"').split("<actuator>")[0] + "</mujoco>", ("hip",), []
+        )
+
+
+def test_what_mujoco_does_not_compile_once_a_joint_is_gone_is_told_in_a_sentence(monkeypatch):
+    monkeypatch.setattr(locking, "_untie", lambda spec, held: None)
+    with pytest.raises(RecordingError, match="--lock left: MuJoCo cannot compile what is left of the model"):
+        locked_joints(COUPLED, ("left",), [])
