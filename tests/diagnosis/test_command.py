@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -121,6 +121,22 @@ def test_what_was_fastened_goes_with_the_recordings_that_join_and_stays_with_the
     np.testing.assert_array_equal(
         new[1][0].position, inputs(parsed(*flags.split(), "--heldout", "c.npz"))[2][0].position
     )
+
+
+def test_joints_that_are_locked_stay_so_where_a_recording_joins(folder, asked):
+    inner = '<body pos="0.1 0 0"><joint name="wrist" axis="0 1 0"/><geom size="0.01"/></body></body></worldbody>'
+    Path("two.xml").write_text(pendulum().replace("</body></worldbody>", inner))
+    one = record(pendulum(), smooth_torque(1.0))
+    for name in ("first.npz", "new.npz"):
+        both = {
+            f: np.stack([getattr(one, f)[:, 0], np.full(one.num_samples, 0.2)], 1)
+            for f in ("position", "torque_command")
+        }
+        write_recording(replace(one, joint_names=("pendulum", "wrist"), velocity=None, **both), Path(name))
+    main(parsed(*"--model two.xml --recordings first.npz --lock wrist --output there".split()))
+    main(parsed(*"--output there --continue new.npz".split()))
+    (_, recordings, _), settings = asked[1]
+    assert [r.joint_names for r in (*recordings, *settings["joined"])] == [("pendulum",)] * 2
 
 
 def test_a_highest_frequency_is_remembered_until_another_one_is_said(folder, asked):

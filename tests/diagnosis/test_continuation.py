@@ -1,7 +1,7 @@
 """A second diagnosis takes over what the first one was made of."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +14,9 @@ class Settings:
     model: Path | None = None
     recordings: tuple[Path, ...] = ()
     continue_with: tuple[Path, ...] = ()
+    heldout: tuple[Path, ...] = ()
     columns: Path | None = None
+    lock: tuple[str, ...] = ()
     output: Path = Path("out")
     dataset: str | None = None
     seed: int = 0
@@ -40,6 +42,13 @@ def test_what_joined_once_stays_and_joins_once_only(tmp_path):
     remember(Settings(tmp_path / "robot.xml", (tmp_path / "a",), (tmp_path / "c",)), tmp_path)
     again = recall(Settings(continue_with=(tmp_path / "c", tmp_path / "d")), tmp_path)
     assert again.continue_with == (tmp_path / "c", tmp_path / "d")
+
+
+def test_every_setting_comes_back_as_it_was_paths_as_paths_and_names_as_names(tmp_path):
+    told = Settings(tmp_path / "robot.xml", (tmp_path / "a",), heldout=(tmp_path / "h",), columns=tmp_path / "map.json",
+                    lock=("elbow=0.3", "wrist"), seed=4)  # fmt: skip
+    remember(told, tmp_path)
+    assert recall(Settings(continue_with=(tmp_path / "c",)), tmp_path) == replace(told, continue_with=(tmp_path / "c",))
 
 
 def test_a_public_dataset_can_be_continued_too(tmp_path):

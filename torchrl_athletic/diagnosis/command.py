@@ -15,7 +15,7 @@ from torchrl_athletic.diagnosis.continuation import recall, remember
 from torchrl_athletic.diagnosis.diagnose import diagnose
 from torchrl_athletic.diagnosis.fitting import Fit
 from torchrl_athletic.diagnosis.folder import locked
-from torchrl_athletic.diagnosis.inputs import checked, inputs
+from torchrl_athletic.diagnosis.inputs import checked, freed, inputs
 from torchrl_athletic.diagnosis.model import ModelError
 from torchrl_athletic.diagnosis.outcome import Diagnosis
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
@@ -169,6 +169,7 @@ def fastened(asked: Config, config: Config) -> Config:
 
 
 def joined(config: Config) -> list[Recording]:
-    """The new recordings."""
+    """The new recordings, without the joints that are locked."""
     columns = None if config.columns is None else ColumnMap.load(config.columns)
-    return read_recordings(config.continue_with, columns) if config.continue_with else []
+    read = read_recordings(config.continue_with, columns) if config.continue_with else []
+    return [freed(r, config.lock) for r in read]

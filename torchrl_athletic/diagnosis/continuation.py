@@ -20,6 +20,8 @@ FILE = "inputs.json"
 DIGEST = "digest"
 JOINED = "continue_with"
 """The field of the settings that names new recordings."""
+PATHS = ("model", "recordings", "heldout", "columns", JOINED)
+"""Fields of the settings that are paths."""
 
 
 def remember(settings: DataclassInstance, output: Path) -> None:
@@ -65,8 +67,8 @@ def recall(settings: Settings, output: Path) -> Settings:
             f"{path} is of another diagnosis than the diagnosis.json beside it: a later run was stopped before its "
             "end. Give --model and --recordings, with the new ones among them."
         )
-    known = {f.name: getattr(settings, f.name) for f in fields(settings)}
-    earlier = {name: _like(known[name], value, name) for name, value in content.items() if name in known}
+    known = {f.name for f in fields(settings)}
+    earlier = {name: _read(name, value) for name, value in content.items() if name in known}
     earlier[JOINED] = (*earlier.get(JOINED, ()), *(p for p in new if p.resolve() not in earlier.get(JOINED, ())))
     return replace(settings, **earlier)
 
@@ -77,7 +79,8 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
-def _like(known: Any, value: Any, name: str) -> Any:
-    if isinstance(known, tuple):
-        return tuple(Path(item) for item in value)
-    return Path(value) if value is not None and name in ("model", "columns") else value
+def _read(name: str, value: Any) -> Any:
+    """A value of a field, as it was before it was written."""
+    if isinstance(value, list):
+        return tuple(_read(name, item) for item in value)
+    return Path(value) if name in PATHS and value is not None else value

@@ -93,8 +93,8 @@ def inputs(asked: Asked, demo: int = 0) -> Inputs:
     )
     if not asked.lock:
         return Inputs(asked.model, recordings, heldout)
-    xml, left = locked_joints(asked.model, asked.lock, recordings)
-    return Inputs(xml, [_of(r, left) for r in recordings], [_of(r, left) for r in heldout])
+    xml, _ = locked_joints(asked.model, asked.lock, recordings)
+    return Inputs(xml, [freed(r, asked.lock) for r in recordings], [freed(r, asked.lock) for r in heldout])
 
 
 def columns_for(asked: Asked) -> ColumnMap:
@@ -138,9 +138,10 @@ def _left_out(model: mujoco.MjModel) -> Iterator[str]:
         yield f"The model's actuator {name} has dynamics of its own ({kind}{after}). They are left out."
 
 
-def _of(recording: Recording, names: Sequence[str]) -> Recording:
-    """A recording of those of its joints that are named."""
-    kept = [n for n in recording.joint_names if n in names]
+def freed(recording: Recording, lock: Sequence[str]) -> Recording:
+    """A recording without the joints that are locked."""
+    locked = {entry.partition("=")[0] for entry in lock}
+    kept = [n for n in recording.joint_names if n not in locked]
     if len(kept) == recording.num_joints:
         return recording
     at = [recording.joint_names.index(n) for n in kept]
