@@ -194,27 +194,59 @@ def test_a_data_set_brings_model_and_recordings(monkeypatch):
         parsed("--dataset", "nonsense")
 
 
-def test_foreign_columns_are_read_by_their_map(folder):
+def foreign(*names):
+    """One take in logs whose columns a map.json names; what was recorded."""
     r = record(pendulum(), smooth_torque(1.0))
     table = np.stack([1e3 * r.time, np.rad2deg(r.position[:, 0]), r.torque_command[:, 0]], axis=1)
-    np.savetxt("log.csv", table, delimiter=",", header="t,angle,u", comments="")
-    names = {"time": {"name": "t", "unit": "ms"}, "position": {"name": "angle", "unit": "deg"}, "torque_command": "u"}
-    Path("map.json").write_text(json.dumps({"joint_names": ["pendulum"], **names}))
+    for name in names:
+        np.savetxt(name, table, delimiter=",", header="t,angle,u", comments="")
+    columns = {"time": {"name": "t", "unit": "ms"}, "position": {"name": "angle", "unit": "deg"}, "torque_command": "u"}
+    Path("map.json").write_text(json.dumps({"joint_names": ["pendulum"], **columns}))
+    return r
+
+
+def test_foreign_columns_are_read_by_their_map(folder):
+    r = foreign("log.csv")
     _, [read], _ = inputs(parsed("--model", "robot.xml", "--recordings", "log.csv", "--columns", "map.json"))
     np.testing.assert_allclose(read.position, r.position, atol=1e-9)
 
 
 def test_recordings_that_join_are_read_by_the_columns_of_the_first_ones(folder, asked):
-    r = record(pendulum(), smooth_torque(1.0))
-    table = np.stack([1e3 * r.time, np.rad2deg(r.position[:, 0]), r.torque_command[:, 0]], axis=1)
-    for name in ("log.csv", "more.csv"):
-        np.savetxt(name, table, delimiter=",", header="t,angle,u", comments="")
-    names = {"time": {"name": "t", "unit": "ms"}, "position": {"name": "angle", "unit": "deg"}, "torque_command": "u"}
-    Path("map.json").write_text(json.dumps({"joint_names": ["pendulum"], **names}))
+    r = foreign("log.csv", "more.csv")
     main(parsed(*"--model robot.xml --recordings log.csv --columns map.json --output there".split()))
     main(parsed(*"--output there --continue more.csv".split()))
     [new] = asked[1][1]["joined"]
     np.testing.assert_allclose(new.position, r.position, atol=1e-9)
+
+
+def test_copies_that_say_what_was_fastened_are_read_without_the_map_of_the_logs(folder, asked):
+    r = foreign("log.csv", "more.csv", "last.csv")
+    main(parsed(*"--model robot.xml --recordings log.csv --columns map.json --output there".split()))
+    main(parsed(*"--output there --continue more.csv --payload 0.5".split()))
+    main(parsed(*"--output there --continue last.csv".split()))
+    first, then = asked[2][1]["joined"]
+    assert [t.metadata.get(PAYLOAD) for t in (first, then)] == [0.5, None]
+    for new in (*asked[1][1]["joined"], first, then):
+        np.testing.assert_allclose(new.position, r.position, atol=1e-9)
+
+
+def test_recordings_that_join_have_the_gains_of_the_model_and_the_measured_drive_as_the_first_ones(folder, asked):
+    servo = pendulum().replace('<motor joint="pendulum"/>', '<position joint="pendulum" kp="30" kv="2"/>')
+    Path("servo.xml").write_text(servo)
+    r = record(pendulum(), smooth_torque(1.0))
+    bare = {"time": r.time, "joint_names": ["pendulum"], "position": r.position}
+    for name in ("a.npz", "b.npz"):
+        np.savez(f"targets_{name}", **bare, position_target=r.position)
+        np.savez(f"measured_{name}", **bare, torque_measured=r.torque_command)
+    for kind in ("targets", "measured"):
+        flags = "--drive measured" if kind == "measured" else "--drive command"
+        main(parsed(*f"--model servo.xml --recordings {kind}_a.npz --output {kind} {flags}".split()))
+        for weight in ("", " --payload 0.5"):
+            main(parsed(*f"--output {kind} --continue {kind}_b.npz{weight}".split()))
+    joining = [settings["joined"][0] for _, settings in asked if settings["joined"]]
+    assert [(new.kp, new.kd) for new in joining[:2]] == [(30.0, 2.0)] * 2
+    for new in joining[2:]:
+        np.testing.assert_array_equal(new.torque_command, r.torque_command)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from torchrl_athletic.diagnosis.continuation import recall, remember
 from torchrl_athletic.diagnosis.diagnose import diagnose
 from torchrl_athletic.diagnosis.fitting import Fit
 from torchrl_athletic.diagnosis.folder import locked
-from torchrl_athletic.diagnosis.inputs import checked, freed, inputs
+from torchrl_athletic.diagnosis.inputs import checked, columns_for, freed, inputs
 from torchrl_athletic.diagnosis.model import ModelError
 from torchrl_athletic.diagnosis.outcome import Diagnosis
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
@@ -24,13 +24,15 @@ from torchrl_athletic.diagnosis.report import terminal_summary
 from torchrl_athletic.diagnosis.report.words import go_on
 from torchrl_athletic.effects.base import Base
 from torchrl_athletic.recordings import (
-    ColumnMap,
     FetchError,
     Recording,
     RecordingError,
     read_recordings,
     write_recording,
 )
+
+COPIES = "with_payload"
+"""Folder beside the report of copies of recordings that say what was fastened."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,7 @@ def fastened(asked: Config, config: Config) -> Config:
         return config
     if not asked.continue_with:
         raise RecordingError("--payload speaks of the recordings of --continue. Name them, too.")
-    folder = (config.output / "with_payload").resolve()
+    folder = (config.output / COPIES).resolve()
     copies: list[Path] = []
     folder.mkdir(parents=True, exist_ok=True)
     for r in joined(replace(config, continue_with=asked.continue_with)):
@@ -169,7 +171,10 @@ def fastened(asked: Config, config: Config) -> Config:
 
 
 def joined(config: Config) -> list[Recording]:
-    """The new recordings, without the joints that are locked."""
-    columns = None if config.columns is None else ColumnMap.load(config.columns)
-    read = read_recordings(config.continue_with, columns) if config.continue_with else []
-    return [freed(r, config.lock) for r in read]
+    """The new recordings, without the joints that are locked; copies that say what was fastened are canonical."""
+    columns, copies = columns_for(config), (config.output / COPIES).resolve()
+    return [
+        freed(r, config.lock)
+        for path in config.continue_with
+        for r in read_recordings(path, None if path.parent == copies else columns)
+    ]
