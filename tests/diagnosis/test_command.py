@@ -287,6 +287,32 @@ def test_a_mistake_is_answered_in_one_line(folder, flags, says):
     assert "\n" not in message
 
 
+@pytest.mark.parametrize(
+    ("flag", "says"),
+    [
+        ("--memory nan", "--memory is nan GB. Give more than 0, or leave it out."),
+        ("--memory -1", "--memory is -1.0 GB. Give more than 0"),
+        ("--time-budget -5", "--time-budget is -5.0 s. Give more than 0"),
+        ("--time-budget 0", "--time-budget is 0.0 s. Give more than 0"),
+        ("--time-budget inf", "--time-budget is inf s."),
+        ("--seed -1", "--seed is -1. Give 0 or more, or leave it out."),
+        ("--memory 0 --seed -2", "--memory is 0.0 GB. Give more than 0, or leave it out. --seed is -2."),
+        ("--demo -1", "--demo is -1. Give 0 or more"),
+        ("--continue c.npz --payload nan", "--payload is nan kg. Give 0 or more"),
+        ("--continue c.npz --payload -0.5", "--payload is -0.5 kg. Give 0 or more"),
+    ],
+)
+@pytest.mark.parametrize("module", [command, fit_command])
+def test_a_number_that_is_none_or_too_small_is_refused_before_any_work(folder, module, flag, says):
+    if module is fit_command and ("--demo" in flag or "--continue" in flag):
+        return
+    config = tyro.cli(CONFIGS[module], args=f"--model robot.xml --recordings train --output there {flag}".split())
+    with pytest.raises(SystemExit) as stopped:
+        module.main(config)
+    assert str(stopped.value.code).startswith(f"error: {says}")
+    assert not Path("there").exists()
+
+
 def test_ctrl_c_before_anything_was_found_ends_without_a_traceback(folder, monkeypatch):
     def stop(*_args, **_kwargs):
         raise KeyboardInterrupt

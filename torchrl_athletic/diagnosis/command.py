@@ -15,7 +15,7 @@ from torchrl_athletic.diagnosis.continuation import recall, remember
 from torchrl_athletic.diagnosis.diagnose import diagnose
 from torchrl_athletic.diagnosis.fitting import Fit
 from torchrl_athletic.diagnosis.folder import locked
-from torchrl_athletic.diagnosis.inputs import checked, columns_for, freed, inputs
+from torchrl_athletic.diagnosis.inputs import checked, columns_for, freed, inputs, refuse_wrong_numbers
 from torchrl_athletic.diagnosis.model import ModelError
 from torchrl_athletic.diagnosis.outcome import Diagnosis
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
@@ -109,12 +109,10 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
 
 def _main(asked: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | None) -> Diagnosis:
     try:
+        refuse_wrong_numbers(asked)
         config = fastened(asked, recall(asked, asked.output))
         if asked.highest_frequency is not None:  # said again because the last plan shook too much
             config = replace(config, highest_frequency=asked.highest_frequency)
-        highest = config.highest_frequency
-        if highest is not None and not highest > 0:
-            raise RecordingError(f"--highest-frequency is {highest} Hz. Give more than 0, or leave it out.")
         given = inputs(config, config.demo)
         print("\n".join(given.notes), end="\n" if given.notes else "")
         new = joined(config)

@@ -19,6 +19,10 @@ from torchrl_athletic.recordings import ColumnMap, Recording, RecordingError, ch
 
 CHANGES_MODEL = (PAYLOAD,)
 """Notes of a recording that change the model it is compared with."""
+ABOVE_ZERO = {"time_budget": " s", "memory": " GB", "highest_frequency": " Hz"}
+"""Flags that are more than zero, and their units."""
+NOT_BELOW_ZERO = {"payload": " kg", "seed": "", "demo": ""}
+"""Flags that may be zero, too."""
 
 
 class Asked(Protocol):
@@ -95,6 +99,26 @@ def inputs(asked: Asked, demo: int = 0) -> Inputs:
         return Inputs(asked.model, recordings, heldout)
     xml, _ = locked_joints(asked.model, asked.lock, recordings)
     return Inputs(xml, [freed(r, asked.lock) for r in recordings], [freed(r, asked.lock) for r in heldout])
+
+
+def wrong_numbers(asked: object) -> Iterator[str]:
+    """What is wrong with the numbers of a command's flags."""
+    for name, unit in (ABOVE_ZERO | NOT_BELOW_ZERO).items():
+        value = getattr(asked, name, None)
+        if value is None or (np.isfinite(value) and (value > 0 or (value == 0 and name in NOT_BELOW_ZERO))):
+            continue
+        least = "0 or more" if name in NOT_BELOW_ZERO else "more than 0"
+        yield f"--{name.replace('_', '-')} is {value}{unit}. Give {least}, or leave it out."
+
+
+def refuse_wrong_numbers(asked: object) -> None:
+    """Say what is wrong with the numbers of a command's flags before any work.
+
+    Raises:
+        RecordingError: If one is no number or too small.
+    """
+    if wrong := list(wrong_numbers(asked)):
+        raise RecordingError(" ".join(wrong))
 
 
 def columns_for(asked: Asked) -> ColumnMap:
