@@ -139,6 +139,16 @@ def test_joints_that_are_locked_stay_so_where_a_recording_joins(folder, asked):
     assert [r.joint_names for r in (*recordings, *settings["joined"])] == [("pendulum",)] * 2
 
 
+def test_flags_that_are_given_with_a_recording_that_joins_win_and_those_that_stay_are_told(folder, asked, capsys):
+    main(parsed(*"--model robot.xml --recordings train --seed 4 --time-budget 60 --uan --output there".split()))
+    capsys.readouterr()
+    main(parsed(*"--output there --continue c.npz --seed 7 --memory 2".split()))
+    assert [asked[1][1][name] for name in ("seed", "time_budget", "memory")] == [7, 60.0, 2.0]
+    first, *_ = capsys.readouterr().out.splitlines()
+    assert first.startswith("As in the earlier diagnosis: --model ")
+    assert first.endswith("/train --time-budget 60.0 --uan")
+
+
 def test_a_highest_frequency_is_remembered_until_another_one_is_said(folder, asked):
     main(parsed(*"--model robot.xml --recordings train --output there".split()))
     main(parsed(*"--output there --continue c.npz --highest-frequency 5".split()))

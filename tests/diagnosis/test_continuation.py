@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from torchrl_athletic.diagnosis.continuation import recall, remember
+from torchrl_athletic.diagnosis.continuation import as_before, recall, remember
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,26 @@ def test_every_setting_comes_back_as_it_was_paths_as_paths_and_names_as_names(tm
                     lock=("elbow=0.3", "wrist"), seed=4)  # fmt: skip
     remember(told, tmp_path)
     assert recall(Settings(continue_with=(tmp_path / "c",)), tmp_path) == replace(told, continue_with=(tmp_path / "c",))
+
+
+def test_what_is_said_anew_wins_and_what_stands_as_before_is_told(tmp_path):
+    first = Settings(tmp_path / "robot.xml", (tmp_path / "a b", tmp_path / "c"), columns=tmp_path / "map.json", seed=4)
+    remember(first, tmp_path)
+    anew = Settings(columns=tmp_path / "new.json", lock=("wrist",), continue_with=(tmp_path / "n",), output=tmp_path)
+    recalled = recall(anew, tmp_path)
+    assert recalled == replace(anew, model=first.model, recordings=first.recordings, seed=4)
+    assert as_before(anew, recalled) == (
+        f"As in the earlier diagnosis: --model {tmp_path}/robot.xml --recordings '{tmp_path}/a b' {tmp_path}/c --seed 4"
+    )
+    assert as_before(first, first) == ""
+
+
+def test_a_model_or_a_dataset_that_is_said_anew_stands_for_the_other_one(tmp_path):
+    remember(Settings(dataset="emps"), tmp_path)
+    anew = Settings(tmp_path / "robot.xml", (tmp_path / "a",), continue_with=(tmp_path / "n",))
+    assert recall(anew, tmp_path) == anew
+    remember(anew, tmp_path)
+    assert recall(Settings(dataset="xl330", continue_with=(tmp_path / "n",)), tmp_path).dataset == "xl330"
 
 
 def test_a_public_dataset_can_be_continued_too(tmp_path):

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from torchrl_athletic.diagnosis.continuation import recall, remember
+from torchrl_athletic.diagnosis.continuation import as_before, recall, remember
 from torchrl_athletic.diagnosis.diagnose import diagnose
 from torchrl_athletic.diagnosis.fitting import Fit
 from torchrl_athletic.diagnosis.folder import locked
@@ -110,9 +110,10 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
 def _main(asked: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | None) -> Diagnosis:
     try:
         refuse_wrong_numbers(asked)
-        config = fastened(asked, recall(asked, asked.output))
-        if asked.highest_frequency is not None:  # said again because the last plan shook too much
-            config = replace(config, highest_frequency=asked.highest_frequency)
+        recalled = recall(asked, asked.output)
+        if before := as_before(asked, recalled):
+            print(before)
+        config = fastened(asked, recalled)
         given = inputs(config, config.demo)
         print("\n".join(given.notes), end="\n" if given.notes else "")
         new = joined(config)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -42,7 +43,7 @@ def _digest(output: Path) -> str | None:
 def recall(settings: Settings, output: Path) -> Settings:
     """The settings of the earlier diagnosis in a folder, with the new recordings added to those added before.
 
-    Settings that name no new recordings come back as they are.
+    What is said anew, other than by default, wins. Settings that name no new recordings come back as they are.
 
     Raises:
         FileNotFoundError: If the folder holds no earlier diagnosis.
@@ -69,8 +70,27 @@ def recall(settings: Settings, output: Path) -> Settings:
         )
     known = {f.name for f in fields(settings)}
     earlier = {name: _read(name, value) for name, value in content.items() if name in known}
+    anew = said(settings)
+    if anew & {"model", "recordings"}:
+        earlier.pop("dataset", None)  # which would stand for both
     earlier[JOINED] = (*earlier.get(JOINED, ()), *(p for p in new if p.resolve() not in earlier.get(JOINED, ())))
-    return replace(settings, **earlier)
+    return replace(settings, **{name: value for name, value in earlier.items() if name == JOINED or name not in anew})
+
+
+def said(settings: DataclassInstance) -> set[str]:
+    """Names of the settings that are other than by default."""
+    return {f.name for f in fields(settings) if getattr(settings, f.name) != f.default}
+
+
+def as_before(settings: DataclassInstance, recalled: DataclassInstance) -> str:
+    """The flags that stand as an earlier diagnosis was told, in a line to print; empty if there are none."""
+    names = [f.name for f in fields(recalled) if f.name in said(recalled) - said(settings)]
+    flags = [f"--{name.replace('_', '-')} {_shown(getattr(recalled, name))}".removesuffix(" True") for name in names]
+    return f"As in the earlier diagnosis: {' '.join(flags)}" if flags else ""
+
+
+def _shown(value: Any) -> str:
+    return shlex.join(map(str, value if isinstance(value, tuple) else (value,)))
 
 
 def _plain(value: Any) -> Any:
