@@ -86,8 +86,22 @@ def test_every_flag_reaches_the_diagnosis(folder, asked, capsys):
     assert "there/report.html" in shown.out
     assert "Stopped early" not in shown.out
     assert shown.err == ""  # no bar where nobody looks
-    main(parsed(*flags.split()))
-    assert "The same command goes on from here." in capsys.readouterr().out
+
+
+def test_a_stopped_run_goes_on_only_from_what_was_kept_of_it(folder, asked, capsys):
+    run = "--model robot.xml --recordings train --output there"
+    main(parsed(*run.split()))  # complete, as no later one is
+    endings = []
+    for flags in ("", " --time-budget 5"):
+        for digest in ("", "of another run"):
+            kept = {"digest": digest, "results": {"fit": 1}}
+            Path("there").mkdir(exist_ok=True)
+            Path("there/progress.json").write_text(json.dumps(kept))
+            main(parsed(*f"{run}{flags}".split()))
+            endings.append(capsys.readouterr().out.splitlines()[-1])
+    begin = "Stopped early. No fit was finished by then, so that nothing is kept: begin anew"
+    on = "Stopped early. The same command goes on from here."
+    assert endings == [on, f"{begin}.", on, f"{begin}, with a larger --time-budget than 5 s."]
 
 
 def test_what_the_first_run_was_told_is_told_again_where_a_recording_joins(folder, asked):

@@ -46,6 +46,11 @@ class Checkpoint:
             write_json(self.path, {"digest": self.digest, "results": self._results})
         return value
 
+    @property
+    def kept(self) -> bool:
+        """Whether there is something to go on from."""
+        return bool(self._results)
+
     def remove(self) -> None:
         """Forget: the report is complete."""
         if self.path is not None:

@@ -11,8 +11,9 @@ from typing import Annotated, Literal
 
 import tyro
 
+from torchrl_athletic.diagnosis.checkpoint import Checkpoint
 from torchrl_athletic.diagnosis.continuation import as_before, recall, remember
-from torchrl_athletic.diagnosis.diagnose import diagnose
+from torchrl_athletic.diagnosis.diagnose import CHECKPOINT, diagnose
 from torchrl_athletic.diagnosis.fitting import Fit
 from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.inputs import checked, columns_for, freed, inputs, refuse_wrong_numbers
@@ -146,8 +147,17 @@ def _main(asked: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
         print(f"With its recording the diagnosis goes on:\n  {go_on(str(config.output), plan.payload)}")
     print(f"\nReport: {config.output / 'report.html'}")
     if not diagnosis.answer.complete:
-        print("Stopped early. The same command goes on from here.")
+        kept = Checkpoint(config.output / CHECKPOINT, diagnosis.answer.inputs).kept
+        print(f"Stopped early. {stopped_sentence(kept, config.time_budget)}")
     return diagnosis
+
+
+def stopped_sentence(kept: bool, time_budget: float | None) -> str:
+    """What to do after a run that was stopped, of which something was kept or not."""
+    if kept:
+        return "The same command goes on from here."
+    more = "" if time_budget is None else f", with a larger --time-budget than {time_budget:g} s"
+    return f"No fit was finished by then, so that nothing is kept: begin anew{more}."
 
 
 def fastened(asked: Config, config: Config) -> Config:
