@@ -153,6 +153,25 @@ def test_joints_that_are_locked_stay_so_where_a_recording_joins(folder, asked):
     assert [r.joint_names for r in (*recordings, *settings["joined"])] == [("pendulum",)] * 2
 
 
+def test_a_check_of_recordings_that_join_knows_the_first_ones(folder, asked, capsys):
+    def check(flags):
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main(parsed(*f"--output there {flags} --check".split()))
+        return ended.value.code, capsys.readouterr().out
+
+    said = check("--continue c.npz --memory -1")[1]
+    assert "nothing to continue" in said
+    assert "--memory is -1" in said
+    main(parsed(*"--model robot.xml --recordings train --output there".split()))
+    assert check("--continue c.npz") == (0, "The inputs can be used.\n")
+    assert check("--continue c.npz --payload 0.5")[0] == 0
+    code, said = check("--continue gone.npz")
+    assert code == 1
+    assert "gone.npz: there is no such file" in said
+    assert "--payload speaks of the recordings of --continue" in check("--payload 0.5")[1]
+
+
 def test_flags_that_are_given_with_a_recording_that_joins_win_and_those_that_stay_are_told(folder, asked, capsys):
     main(parsed(*"--model robot.xml --recordings train --seed 4 --time-budget 60 --uan --output there".split()))
     capsys.readouterr()
@@ -495,7 +514,7 @@ def test_what_is_unusual_about_the_inputs_is_said_first_a_line_each(
 def test_a_check_says_what_it_found_and_ends_with_whether_the_inputs_will_do(monkeypatch, capsys):
     for module, config in ((command, Config(check=True)), (fit_command, fit_command.FitConfig(check=True))):
         for usable in (True, False):
-            monkeypatch.setattr(module, "checked", lambda given, usable=usable: (f"usable: {usable}", usable))
+            monkeypatch.setattr(module, "checked", lambda given, *_, usable=usable: (f"usable: {usable}", usable))
             with pytest.raises(SystemExit) as ended:
                 module.main(config)
             assert ended.value.code == int(not usable)

@@ -15,6 +15,7 @@ from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis import Diagnosis, diagnose
 from torchrl_athletic.diagnosis.model import ModelError, load_model
+from torchrl_athletic.diagnosis.prepare import stood
 from torchrl_athletic.diagnosis.report.words import grounds_words
 from torchrl_athletic.diagnosis.resources import OutOfTime
 from torchrl_athletic.diagnosis.stages import Decided, Given, Located, Proposed, Simulated
@@ -312,13 +313,13 @@ def test_a_base_is_held_only_where_it_floats_and_nobody_recorded_it():
     bolted = mujoco.MjModel.from_xml_string(FLOATING.replace("<freejoint/>", ""))
     for model in (floating, bolted):
         for take in (bare, moved):
-            assert diagnosing._stood(take, model, "recorded") is take
-    assert diagnosing._stood(bare, floating, "fixed").base_position is not None
-    assert diagnosing._stood(moved, bolted, "fixed").base_position is not None  # which says nothing of a joint
+            assert stood(take, model, "recorded") is take
+    assert stood(bare, floating, "fixed").base_position is not None
+    assert stood(moved, bolted, "fixed").base_position is not None  # which says nothing of a joint
     with pytest.raises(RecordingError, match="a take: base_position was recorded, and base is said to be 'fixed'"):
-        diagnosing._stood(moved, floating, "fixed")
+        stood(moved, floating, "fixed")
     with pytest.raises(ValueError, match="base is 'held', needed is one of 'recorded', 'fixed'"):
-        diagnosing._stood(bare, floating, "held")
+        stood(bare, floating, "held")
 
 
 def test_what_is_kept_aside_is_seen_in_the_band_of_what_is_fitted(monkeypatch):

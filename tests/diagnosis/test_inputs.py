@@ -7,6 +7,8 @@ from types import SimpleNamespace
 
 import mujoco
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from diagnosis.plants import pendulum, record, smooth_torque
 
@@ -14,7 +16,14 @@ from torchrl_athletic.diagnosis import inputs as inputs_module
 from torchrl_athletic.diagnosis.fit_command import FitConfig, main
 from torchrl_athletic.diagnosis.inputs import Inputs, checked, columns_for, gains_of, inputs
 from torchrl_athletic.diagnosis.locking import locked_joints
-from torchrl_athletic.recordings import ColumnMap, Recording, RecordingError, read_recordings, write_recording
+from torchrl_athletic.recordings import (
+    ColumnMap,
+    FetchError,
+    Recording,
+    RecordingError,
+    read_recordings,
+    write_recording,
+)
 
 SERVO = """<mujoco><worldbody><body><joint name="hip" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/>
   <body pos="0.5 0 0"><joint name="knee" axis="0 1 0" pos="0.1 0 0.05"/><geom size="0.1" pos="0.2 0 0"/></body></body>
@@ -30,6 +39,7 @@ class Flags:
     lock: tuple[str, ...] = ()
     drive: str = "command"
     dataset: str | None = None
+    output: Path = Path("out")
 
 
 def targets(path: Path) -> None:
@@ -113,6 +123,7 @@ def test_all_files_of_a_folder_are_checked_with_the_models_gains_and_each_warnin
     monkeypatch.setattr(
         inputs_module, "check_quality", lambda r: SimpleNamespace(warnings=(f"{r.source}: late.", "it is short."))
     )
+    monkeypatch.setattr(inputs_module, "prepare", lambda *_, **__: SimpleNamespace(left_out=()))
     said, usable = checked(Flags(tmp_path / "robot.xml", (tmp_path / "takes",)))
     assert read == [(name, {"hip": (30.0, 2.0)}) for name in ("a.npz", "b.npz")]
     assert usable
@@ -262,6 +273,123 @@ def test_all_problems_are_said_at_once(tmp_path, capsys):
     text, usable = checked(Flags(tmp_path / "robot.xml", (tmp_path / "good.npz",)))
     assert usable
     assert text.endswith("The inputs can be used.")
+
+
+def arm(path, seconds=3.0, knee=0.0, joints=("hip", "knee")):
+    """A take of the servo's robot whose knee travels so far."""
+    time = np.arange(int(100 * seconds)) / 100
+    both = np.stack([np.sin(4 * time), 0.3 + knee * np.linspace(0, 1, len(time))], 1)[:, : len(joints)]
+    write_recording(Recording(time, joints, both, torque_command=0.1 * both), path)
+
+
+@pytest.fixture
+def robot(tmp_path):
+    (tmp_path / "robot.xml").write_text(SERVO)
+    for name in ("empty", "texts", "takes", "moves"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "texts" / "note.txt").write_text("Of Tuesday.")
+    arm(tmp_path / "takes" / "a.npz")
+    (tmp_path / "takes" / "._a.npz").write_bytes(b"\x00\x05\x16\x07")  # as macOS leaves it on a stick
+    arm(tmp_path / "moves" / "a.npz", knee=1.0)
+    arm(tmp_path / "short.npz", 0.39)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("takes", "flags", "says"),
+    [
+        ("empty", {}, "no file of a known kind"),
+        ("texts", {}, "no file of a known kind"),
+        ("short.npz", {}, "at least 0."),
+        ("takes", {"lock": ("ankle",)}, "--lock ankle: the model has no such joint"),
+        ("takes", {"lock": ("ankle", "knee=abc")}, "--lock knee=abc: give a number"),
+        ("moves", {"lock": ("knee",)}, "--lock knee: it moves by 1 in the recordings"),
+        ("takes", {"lock": ("hip=0", "knee")}, "a.npz: --lock names all of its joints"),
+        ("takes", {"drive": "measured"}, "there is no torque_measured"),
+        ("takes", {}, ""),
+        ("takes", {"lock": ("knee",)}, ""),
+        ("moves", {}, ""),
+    ],
+)
+def test_a_check_and_a_run_refuse_the_same(robot, takes, flags, says):
+    asked = Flags(robot / "robot.xml", (robot / takes,), **flags)
+    said, usable = checked(asked)
+    assert says in said
+    try:
+        given = inputs(asked)
+        inputs_module.prepare(given.recordings, inputs_module.load_model(given.model)[0], asked.drive)
+    except RecordingError:
+        assert not usable
+    else:
+        assert usable, said
+
+
+def test_a_take_that_is_too_short_is_left_out_of_several_and_a_warning_says_so(robot):
+    said, usable = checked(Flags(robot / "robot.xml", (robot / "moves", robot / "short.npz")))
+    assert usable
+    assert f"- warning: {robot}/short.npz: the take lasts 0.38 s" in said
+    said, usable = checked(Flags(robot / "robot.xml", (robot / "moves",), (robot / "short.npz",)))
+    assert not usable
+
+
+def test_a_data_set_that_is_a_folder_is_checked_as_a_whole(tmp_path):
+    (tmp_path / "robot.xml").write_text(SERVO)
+    for folder in ("set/meta", "set/data/chunk-000"):
+        (tmp_path / folder).mkdir(parents=True)
+    time = np.arange(200) / 50
+    both = np.stack([np.sin(4 * time), np.sin(3 * time)], 1)
+    rows = pa.array(list(both), pa.list_(pa.float64()))
+    names = {"names": ["hip.pos", "knee.pos"]}
+    table = {"observation.state": rows, "action": rows, "timestamp": time, "episode_index": np.zeros(200, int)}
+    pq.write_table(pa.table(table), tmp_path / "set/data/chunk-000/file-000.parquet")
+    (tmp_path / "set/meta/info.json").write_text(
+        json.dumps({"codebase_version": "v3.0", "fps": 50, "features": {"observation.state": names, "action": names}})
+    )
+    columns = {"position": {"name": "observation.state", "unit": "rad"}, "kp": 20.0, "kd": 0.5,
+               "position_target": {"name": "action", "unit": "rad"}}  # fmt: skip
+    (tmp_path / "map.json").write_text(json.dumps(columns))
+    said, usable = checked(Flags(tmp_path / "robot.xml", (tmp_path / "set",), columns=tmp_path / "map.json"))
+    assert usable, said
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_public_data_set_and_the_demo_need_neither_model_nor_recordings(monkeypatch, named):
+    log = record(pendulum(), smooth_torque(1.0))
+    monkeypatch.setattr(inputs_module, "inputs", lambda *_: Inputs(pendulum(), [log], [log]))
+    said, usable = checked(Flags(dataset="pendulum" if named else None))
+    assert usable, said
+    assert ("this is of the demo" in said) is not named
+
+    def offline(*_):
+        raise FetchError("no network")
+
+    monkeypatch.setattr(inputs_module, "inputs", offline)
+    assert checked(Flags(dataset="pendulum")) == ("- no network\nThe inputs cannot be used.", False)
+
+
+def test_recordings_that_join_are_checked_too_and_copies_without_the_map(robot):
+    arm(robot / "new.npz", joints=("hip",))
+    asked = Flags(robot / "robot.xml", (robot / "moves",), output=robot / "out")
+    said, usable = checked(asked, (robot / "new.npz", robot / "gone.npz"))
+    assert not usable
+    assert "new.npz: knee of the model is not recorded" in said
+    assert "gone.npz: there is no such file" in said
+    (robot / "out" / "with_payload").mkdir(parents=True)
+    arm(robot / "out/with_payload/copy.npz", knee=0.5)
+    time, names = np.arange(300) / 100, ("t", "q_hip", "q_knee", "u_hip", "u_knee")
+    table = np.stack([time, np.sin(4 * time), np.sin(3 * time), np.sin(time), np.cos(time)], 1)
+    np.savetxt(robot / "log.csv", table, delimiter=",", header=",".join(names), comments="")
+    columns = {"time": "t", "position": "q_{joint}", "torque_command": "u_{joint}"}
+    (robot / "map.json").write_text(json.dumps({"joint_names": ["hip", "knee"], **columns}))
+    mapped = replace(asked, recordings=(robot / "log.csv",), columns=robot / "map.json")
+    said, usable = checked(mapped, (robot / "out/with_payload/copy.npz",))
+    assert usable, said
+
+
+def test_what_is_wrong_with_numbers_is_said_with_all_else(robot):
+    said, usable = checked(FitConfig(None, (robot / "empty",), memory=-1.0, seed=-2))
+    assert [mark in said for mark in ("--memory", "--seed", "--model is missing", "no file of a known")] == [True] * 4
+    assert not usable
 
 
 def test_what_is_no_recording_may_lie_in_a_folder_but_is_not_named_and_joints_fit_each_other_and_the_model(tmp_path):

@@ -16,7 +16,17 @@ from torchrl_athletic.diagnosis.continuation import as_before, recall, remember
 from torchrl_athletic.diagnosis.diagnose import CHECKPOINT, diagnose
 from torchrl_athletic.diagnosis.fitting import Fit
 from torchrl_athletic.diagnosis.folder import locked
-from torchrl_athletic.diagnosis.inputs import checked, columns_for, freed, inputs, refuse_wrong_numbers
+from torchrl_athletic.diagnosis.inputs import (
+    COPIES,
+    checked,
+    columns_for,
+    columns_of,
+    freed,
+    inputs,
+    listed,
+    refuse_wrong_flags,
+    wrong_flags,
+)
 from torchrl_athletic.diagnosis.model import ModelError
 from torchrl_athletic.diagnosis.outcome import Diagnosis
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
@@ -31,9 +41,6 @@ from torchrl_athletic.recordings import (
     read_recordings,
     write_recording,
 )
-
-COPIES = "with_payload"
-"""Folder beside the report of copies of recordings that say what was fastened."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +98,7 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
             :func:`~torchrl_athletic.training.learn_remainder`.
     """
     if config.check:
-        text, usable = checked(config)
+        text, usable = _checked(config)
         print(text)
         sys.exit(0 if usable else 1)
     if config.fit_only:
@@ -108,9 +115,18 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
         sys.exit(f"error: {' '.join(str(error).split())}")
 
 
+def _checked(asked: Config) -> tuple[str, bool]:
+    """What is wrong with the inputs, those of the earlier diagnosis that is continued among them."""
+    try:
+        config = recall(asked, asked.output)
+    except (RecordingError, OSError) as error:
+        return listed([*wrong_flags(asked), str(error)])
+    return checked(config, config.continue_with)
+
+
 def _main(asked: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | None) -> Diagnosis:
     try:
-        refuse_wrong_numbers(asked)
+        refuse_wrong_flags(asked)
         recalled = recall(asked, asked.output)
         if before := as_before(asked, recalled):
             print(before)
@@ -164,8 +180,6 @@ def fastened(asked: Config, config: Config) -> Config:
     """The recalled settings with copies of the files that joined now, which say what was fastened."""
     if not asked.payload:
         return config
-    if not asked.continue_with:
-        raise RecordingError("--payload speaks of the recordings of --continue. Name them, too.")
     folder = (config.output / COPIES).resolve()
     copies: list[Path] = []
     folder.mkdir(parents=True, exist_ok=True)
@@ -180,10 +194,10 @@ def fastened(asked: Config, config: Config) -> Config:
 
 
 def joined(config: Config) -> list[Recording]:
-    """The new recordings, without the joints that are locked; copies that say what was fastened are canonical."""
-    columns, copies = columns_for(config), (config.output / COPIES).resolve()
+    """The new recordings, without the joints that are locked."""
+    columns = columns_for(config)
     return [
         freed(r, config.lock)
         for path in config.continue_with
-        for r in read_recordings(path, None if path.parent == copies else columns)
+        for r in read_recordings(path, columns_of(path, config, columns))
     ]

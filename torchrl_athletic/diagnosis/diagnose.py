@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
-
-import mujoco
 
 from torchrl_athletic.diagnosis.checkpoint import Checkpoint, inputs_digest
 from torchrl_athletic.diagnosis.decide import decide
@@ -16,7 +13,7 @@ from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.locate import locate
 from torchrl_athletic.diagnosis.model import Model, load_model
 from torchrl_athletic.diagnosis.outcome import Diagnosis, deliver
-from torchrl_athletic.diagnosis.prepare import Drive, prepare
+from torchrl_athletic.diagnosis.prepare import Drive, prepare, stood
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.propose import propose
 from torchrl_athletic.diagnosis.resources import OutOfTime, alarm, room_for_data, within_memory
@@ -26,8 +23,8 @@ from torchrl_athletic.diagnosis.stages import Decided, Given, Located, Ready, Ru
 from torchrl_athletic.diagnosis.state import state
 from torchrl_athletic.diagnosis.thresholds import SPENDING
 from torchrl_athletic.effects import CATALOGUE, Effect
-from torchrl_athletic.effects.base import Base, free_joint, held_base
-from torchrl_athletic.recordings import Recording, RecordingError
+from torchrl_athletic.effects.base import Base
+from torchrl_athletic.recordings import Recording
 
 CHECKPOINT = "progress.json"
 
@@ -95,7 +92,7 @@ def diagnose(
     every = within_memory((*recordings, *joined, *heldout), room_for_data(memory))
     fits = len(recordings) + len(joined)
     takes = every.recordings[:fits], every.recordings[fits:]
-    fitted, aside = (tuple(_stood(r.ordered(order), compiled, base) for r in group) for group in takes)
+    fitted, aside = (tuple(stood(r.ordered(order), compiled, base) for r in group) for group in takes)
     given = _with_digest(
         Given(
             compiled,
@@ -197,15 +194,3 @@ def _with_digest(given: Given) -> Given:
         "joined": given.joined,
     }
     return replace(given, inputs=inputs_digest(given.xml, (*given.recordings, *given.heldout), settings))
-
-
-def _stood(recording: Recording, model: mujoco.MjModel, base: Base) -> Recording:
-    """The recording with the base where the model has it, if it is said to be fixed."""
-    if base not in get_args(Base):
-        raise ValueError(f"base is {base!r}, needed is one of {', '.join(map(repr, get_args(Base)))}.")
-    if base == "fixed" and free_joint(model) is not None and recording.base_position is not None:
-        raise RecordingError(
-            f"{recording.source}: base_position was recorded, and base is said to be 'fixed'. Leave one out: the "
-            "recorded pose may be constant."
-        )
-    return recording if base == "recorded" else held_base(recording, model)

@@ -11,7 +11,7 @@ from typing import Literal
 from torchrl_athletic.diagnosis.extension import GEARS, LAWS
 from torchrl_athletic.diagnosis.fitting import STAGES, Fit, JointParameter, fit
 from torchrl_athletic.diagnosis.folder import locked
-from torchrl_athletic.diagnosis.inputs import checked, inputs, refuse_wrong_numbers
+from torchrl_athletic.diagnosis.inputs import checked, inputs, refuse_wrong_flags
 from torchrl_athletic.diagnosis.model import ModelError, position_unit
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.recordings import FetchError, RecordingError
@@ -71,7 +71,7 @@ def main(config: FitConfig) -> Fit:
 
 
 def _fitted(config: FitConfig) -> Fit:
-    refuse_wrong_numbers(config)
+    refuse_wrong_flags(config)
     given = inputs(config)
     print("\n".join(given.notes), end="\n" if given.notes else "")
     with Progress(STAGES) as progress:

@@ -13,12 +13,24 @@ import numpy as np
 
 from torchrl_athletic.diagnosis.locking import locked_joints
 from torchrl_athletic.diagnosis.model import ModelError, load_model
-from torchrl_athletic.diagnosis.prepare import PAYLOAD
+from torchrl_athletic.diagnosis.prepare import PAYLOAD, Drive, prepare, stood
+from torchrl_athletic.diagnosis.resources import room_for_data, within_memory
 from torchrl_athletic.effects import JointAddress
-from torchrl_athletic.recordings import ColumnMap, Recording, RecordingError, check_quality, read_recordings
+from torchrl_athletic.effects.base import Base
+from torchrl_athletic.recordings import (
+    ColumnMap,
+    FetchError,
+    Recording,
+    RecordingError,
+    check_quality,
+    read_recordings,
+)
+from torchrl_athletic.recordings.formats.read import _sources
 
 CHANGES_MODEL = (PAYLOAD,)
 """Notes of a recording that change the model it is compared with."""
+COPIES = "with_payload"
+"""Folder beside the report of copies of recordings that say what was fastened."""
 ABOVE_ZERO = {"time_budget": " s", "memory": " GB", "highest_frequency": " Hz"}
 """Flags that are more than zero, and their units."""
 NOT_BELOW_ZERO = {"payload": " kg", "seed": "", "demo": ""}
@@ -39,9 +51,11 @@ class Asked(Protocol):
     @property
     def lock(self) -> tuple[str, ...]: ...
     @property
-    def drive(self) -> str: ...
+    def drive(self) -> Drive: ...
     @property
     def dataset(self) -> str | None: ...
+    @property
+    def output(self) -> Path: ...
 
 
 class Inputs(NamedTuple):
@@ -101,33 +115,45 @@ def inputs(asked: Asked, demo: int = 0) -> Inputs:
     return Inputs(xml, [freed(r, asked.lock) for r in recordings], [freed(r, asked.lock) for r in heldout])
 
 
-def wrong_numbers(asked: object) -> Iterator[str]:
-    """What is wrong with the numbers of a command's flags."""
+def wrong_flags(asked: object) -> Iterator[str]:
+    """What is wrong with the numbers of a command's flags, and with flags that need another one."""
     for name, unit in (ABOVE_ZERO | NOT_BELOW_ZERO).items():
         value = getattr(asked, name, None)
         if value is None or (np.isfinite(value) and (value > 0 or (value == 0 and name in NOT_BELOW_ZERO))):
             continue
         least = "0 or more" if name in NOT_BELOW_ZERO else "more than 0"
         yield f"--{name.replace('_', '-')} is {value}{unit}. Give {least}, or leave it out."
+    if getattr(asked, "payload", 0) and not getattr(asked, "continue_with", ()):
+        yield "--payload speaks of the recordings of --continue. Name them, too."
 
 
-def refuse_wrong_numbers(asked: object) -> None:
-    """Say what is wrong with the numbers of a command's flags before any work.
+def refuse_wrong_flags(asked: object) -> None:
+    """Say what is wrong with a command's flags before any work.
 
     Raises:
-        RecordingError: If one is no number or too small.
+        RecordingError: If a number is none or too small, or a flag lacks another one.
     """
-    if wrong := list(wrong_numbers(asked)):
+    if wrong := list(wrong_flags(asked)):
         raise RecordingError(" ".join(wrong))
 
 
 def columns_for(asked: Asked) -> ColumnMap:
     """The column map that is asked for, or none, with what else the flags and the model say of the files."""
-    columns = ColumnMap() if asked.columns is None else ColumnMap.load(asked.columns)
-    columns = replace(columns, measured_drives=columns.measured_drives or asked.drive == "measured")
+    columns = mapped(asked)
     if asked.model is None or not Path(asked.model).is_file():
         return columns
     return replace(columns, model_gains=gains_of(load_model(asked.model)[0]))
+
+
+def mapped(asked: Asked) -> ColumnMap:
+    """The column map that is asked for, or none, with what else the flags say of the files."""
+    columns = ColumnMap() if asked.columns is None else ColumnMap.load(asked.columns)
+    return replace(columns, measured_drives=columns.measured_drives or asked.drive == "measured")
+
+
+def columns_of(source: Path, asked: Asked, columns: ColumnMap) -> ColumnMap | None:
+    """The column map of a file; copies that say what was fastened are canonical, whatever the map says."""
+    return None if source.parent == (asked.output / COPIES).resolve() else columns
 
 
 def gains_of(model: mujoco.MjModel) -> Mapping[str, tuple[float, float]]:
@@ -163,11 +189,17 @@ def _left_out(model: mujoco.MjModel) -> Iterator[str]:
 
 
 def freed(recording: Recording, lock: Sequence[str]) -> Recording:
-    """A recording without the joints that are locked."""
+    """A recording without the joints that are locked.
+
+    Raises:
+        RecordingError: If no other one is recorded.
+    """
     locked = {entry.partition("=")[0] for entry in lock}
     kept = [n for n in recording.joint_names if n not in locked]
     if len(kept) == recording.num_joints:
         return recording
+    if not kept:
+        raise RecordingError(f"{recording.source}: --lock names all of its joints. Leave out one that moves.")
     at = [recording.joint_names.index(n) for n in kept]
     fields = ("position", "velocity", "torque_command", "position_target", "torque_measured", "kp", "kd")
     cut = {f: getattr(recording, f)[..., at] for f in fields if getattr(recording, f) is not None}
@@ -175,49 +207,123 @@ def freed(recording: Recording, lock: Sequence[str]) -> Recording:
 
 
 WARNING = "warning: "
+REFUSALS = (RecordingError, ModelError, FetchError, ImportError, OSError)
+"""What a command says in a line, and not as a traceback."""
 
 
-def checked(asked: Asked) -> tuple[str, bool]:
-    """All that is wrong with the inputs, as a list to print, and whether they can be used all the same."""
-    said = [f"- {' '.join(text.split())}" for text in dict.fromkeys(_problems(asked))]
+def checked(asked: Asked, joined: Sequence[Path] = ()) -> tuple[str, bool]:
+    """All that is wrong with the inputs, as a list to print, and whether they can be used all the same.
+
+    Args:
+        asked: The flags.
+        joined: Files of experiments that join the recordings.
+    """
+    wrong = list(wrong_flags(asked))
+    model, groups = _gathered(asked, joined, wrong)
+    every = [r for group in groups for r in group]
+    for r in every:
+        wrong += _of_one(r)
+        if set(r.joint_names) != set(every[0].joint_names):
+            wrong.append(f"{r.source}: its joints are {', '.join(r.joint_names)}; {every[0].source} has other ones.")
+    if model is not None and all(text.startswith(WARNING) for text in wrong):
+        wrong += _unprepared(asked, model, groups)
+    return listed(wrong)
+
+
+def listed(wrong: Sequence[str]) -> tuple[str, bool]:
+    """What is wrong as a list to print, each thing once, and whether all of it is warnings."""
+    said = [f"- {' '.join(text.split())}" for text in dict.fromkeys(wrong)]
     usable = all(text.startswith(f"- {WARNING}") for text in said)
     return "\n".join([*said, "The inputs can be used." if usable else "The inputs cannot be used."]), usable
 
 
-def _problems(asked: Asked) -> Iterator[str]:
-    model = None
-    if asked.model is None:
-        yield "--model is missing."
-    else:
-        try:
-            model, _, _ = load_model(asked.model)
-        except (ModelError, OSError) as error:
-            yield str(error)
-    if not asked.recordings:
-        yield "--recordings is missing."
+def _gathered(
+    asked: Asked, joined: Sequence[Path], wrong: list[str]
+) -> tuple[Path | str | None, list[list[Recording]]]:
+    """Model without what is locked, recordings to fit, that join and are kept aside; what is wrong joins a list."""
     try:
-        columns = columns_for(asked) if model is not None else ColumnMap()
-    except (RecordingError, OSError) as error:
-        yield str(error)
-        return
-    read: list[Recording] = []
-    for path in (*asked.recordings, *asked.heldout):
-        for file in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
-            try:
-                read += read_recordings(file, columns)
-            except (RecordingError, ImportError, OSError) as error:
-                if not path.is_dir() or "is not a known kind of file" not in str(error):
-                    yield str(error)
-    for r in read:
-        if model is not None:
-            yield from _beside(r, model, asked.lock)
+        if asked.dataset is not None or (asked.model is None and not asked.recordings):
+            given = inputs(asked, getattr(asked, "demo", 0))
+            if asked.dataset is None:
+                wrong.append(f"{WARNING}neither a model nor recordings are named: this is of the demo.")
+            return given.model, [given.recordings, _read(joined, asked, columns_for(asked), wrong), given.heldout]
+        model = _model(asked, wrong)
+        if not asked.recordings:
+            wrong.append("--recordings is missing.")
+        columns = mapped(asked) if model is None else columns_for(asked)
+    except REFUSALS as error:
+        wrong.append(str(error))
+        return None, []
+    groups = [_read(paths, asked, columns, wrong) for paths in (asked.recordings, joined, asked.heldout)]
+    if model is None:
+        return None, groups
+    held: Sequence[str] = asked.lock
+    try:
+        if asked.lock:
+            xml, _ = locked_joints(model, asked.lock, groups[0])
+            groups = [[freed(r, asked.lock) for r in group] for group in groups]
+            model, held = xml, ()
+    except RecordingError as error:
+        wrong.append(str(error))
+    compiled = load_model(model)[0]
+    wrong += [text for group in groups for r in group for text in _beside(r, compiled, held)]
+    return model, groups
+
+
+def _model(asked: Asked, wrong: list[str]) -> Path | str | None:
+    if asked.model is None:
+        wrong.append("--model is missing.")
+        return None
+    try:
+        load_model(asked.model)
+    except (ModelError, OSError) as error:
+        wrong.append(str(error))
+        return None
+    return asked.model
+
+
+def _read(paths: Sequence[Path], asked: Asked, columns: ColumnMap, wrong: list[str]) -> list[Recording]:
+    """Recordings of all files that can be read; what is wrong with the others is added to a list."""
+    out: list[Recording] = []
+    for path in paths:
         try:
-            for w in check_quality(r).warnings:
-                yield f"{WARNING}{w}" if w.startswith(r.source) else f"{WARNING}{r.source}: {w}"
-        except RecordingError as error:
-            yield str(error)
-        if set(r.joint_names) != set(read[0].joint_names):
-            yield f"{r.source}: its joints are {', '.join(r.joint_names)}; {read[0].source} has other ones."
+            sources = _sources(path)
+        except (RecordingError, OSError) as error:
+            wrong.append(str(error))
+            continue
+        for source in sources:
+            try:
+                out += read_recordings(source, columns_of(source, asked, columns))
+            except (RecordingError, ImportError, OSError) as error:
+                wrong.append(str(error))
+    return out
+
+
+def _of_one(r: Recording) -> Iterator[str]:
+    try:
+        for w in check_quality(r).warnings:
+            yield f"{WARNING}{w}" if w.startswith(r.source) else f"{WARNING}{r.source}: {w}"
+    except RecordingError as error:
+        yield str(error)
+
+
+def _unprepared(asked: Asked, model: Path | str, groups: Sequence[Sequence[Recording]]) -> Iterator[str]:
+    """What a run would refuse or leave out as it prepares its recordings, such as takes that are too short."""
+    compiled, xml, _ = load_model(model)
+    fitted, joined, aside = map(len, groups)
+    every = within_memory([r for group in groups for r in group], room_for_data(getattr(asked, "memory", None)))
+    try:
+        base: Base = getattr(asked, "base", "recorded")
+        order = every.recordings[0].joint_names if every.recordings else ()
+        takes = [stood(r.ordered(order), compiled, base) for r in every.recordings]
+        train = prepare(takes[: fitted + joined], compiled, asked.drive, joined=joined, xml=xml)
+        yield from (f"{WARNING}{text}" for text in train.left_out)
+        if aside:
+            kernel = train.signals[0].kernel
+            held = prepare(takes[fitted + joined :], compiled, asked.drive, kernel, xml=xml)
+            yield from (f"{WARNING}{text}" for text in held.left_out)
+    except REFUSALS as error:
+        yield str(error)
 
 
 def _beside(r: Recording, model: mujoco.MjModel, locked: Sequence[str]) -> Iterator[str]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.replay import Take, join, take_of
 from torchrl_athletic.effects import JointAddress, Signals, project_recording
-from torchrl_athletic.effects.base import base_columns, pose_of
+from torchrl_athletic.effects.base import Base, base_columns, free_joint, held_base, pose_of
 from torchrl_athletic.effects.payload import with_payload
 from torchrl_athletic.effects.signals import QUICKEST, kernel_for, torque_range
 from torchrl_athletic.recordings import (
@@ -139,6 +139,22 @@ def prepare(
     noise = np.median([q.position_noise for q in quality], axis=0)
     repeatable = [r for r in recordings if not base_moves(r)]  # nobody carries a robot twice the same way
     return Prepared(quality, tuple(signals), tuple(join(takes)), noise, repeat_noise(repeatable), tuple(left_out))
+
+
+def stood(recording: Recording, model: mujoco.MjModel, base: Base) -> Recording:
+    """The recording with the base where the model has it, if it is said to be fixed.
+
+    Raises:
+        RecordingError: If its pose was recorded.
+    """
+    if base not in get_args(Base):
+        raise ValueError(f"base is {base!r}, needed is one of {', '.join(map(repr, get_args(Base)))}.")
+    if base == "fixed" and free_joint(model) is not None and recording.base_position is not None:
+        raise RecordingError(
+            f"{recording.source}: base_position was recorded, and base is said to be 'fixed'. Leave one out: the "
+            "recorded pose may be constant."
+        )
+    return recording if base == "recorded" else held_base(recording, model)
 
 
 def refuse_stance(recording: Recording, model: mujoco.MjModel) -> None:
