@@ -136,12 +136,12 @@ def current(rows: Sequence[Row], program: str | None) -> list[Row]:
 
 
 def findings(rows: Sequence[Row]) -> Stated:
-    """Features, effect and grade of every finding but senseless ones: theirs is no logistic answer."""
+    """Features, effect and grade of every finding but senseless and refused ones: theirs is no logistic answer."""
     of = [
         (number, row.grade(f), f)
         for number, row in enumerate(rows)
         for f in row.findings
-        if not f["grounds"].get("senseless", False)
+        if not (f["grounds"].get("senseless", False) or f["grounds"].get("refused", False))
     ]
     drawn = Counter(row.case.block for row in rows)
     weight = {block: COUNTS[block] / sum(COUNTS.values()) * len(rows) / n for block, n in drawn.items()}

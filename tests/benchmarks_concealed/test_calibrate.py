@@ -34,7 +34,8 @@ from torchrl_athletic.diagnosis.calibration import Grounds, learnt, probability,
 NOTHING = np.zeros(1 + WIDTH)
 GROUNDS = Grounds(
     **{f.name: 1 for f in fields(Grounds)}
-    | {"share": 0.9, "left": 0.1, "energy": 0.8, "plain": False, "senseless": False, "leans": False, "far": False}
+    | {"share": 0.9, "left": 0.1, "energy": 0.8, "plain": False, "senseless": False, "leans": False}
+    | {"far": False, "refused": False}
 )
 
 
@@ -74,9 +75,10 @@ def test_a_name_that_is_true_of_a_part_only_does_not_count_as_right():
     assert stated.case.tolist() == [0, 1, 1]
 
 
-def test_a_senseless_finding_teaches_nothing_since_its_probability_is_not_learnt():
+@pytest.mark.parametrize("why", ["senseless", "refused"])
+def test_a_senseless_or_refused_finding_teaches_nothing_since_its_probability_is_not_learnt(why):
     odd = row(FRICTION, "stribeck_friction", "coulomb_friction")
-    odd.findings[0]["grounds"]["senseless"] = True
+    odd.findings[0]["grounds"][why] = True
     assert findings([odd]).grade.tolist() == ["right"]
 
 
@@ -90,10 +92,9 @@ def test_blocks_count_as_they_do_in_the_proof_however_many_of_their_cases_were_r
 
 def test_what_is_fitted_is_what_the_diagnosis_states():
     weights = in_force()
-    features = np.array([columns(GROUNDS, "backlash")])
     for share in (0.95, 0.7, 0.2):
         grounds = replace(GROUNDS, share=share)
-        features[0, FEATURES.index("share")] = grounds.features()["share"]
+        features = np.array([columns(grounds, "backlash")])
         stated = probability(grounds, "backlash")
         assert chance(weights, features, np.array([grounds.most]))[0] == pytest.approx(stated)
 

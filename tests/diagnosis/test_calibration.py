@@ -125,6 +125,9 @@ def test_grounds_count_by_decades_from_where_they_are_usual_to_where_more_says_n
         ({"share": 0.51}, 0.51),
         ({"senseless": True}, STATEMENT.senseless),
         ({"senseless": True, "far": True}, STATEMENT.senseless),
+        ({"refused": True}, STATEMENT.refused),
+        ({"refused": True, "senseless": True}, STATEMENT.refused),
+        ({"refused": True, "share": 0.05}, 0.05),
     ],
 )
 def test_no_finding_has_more_than_its_share_of_the_evidence_nor_more_than_nonsense_may_have(doubt, most, monkeypatch):

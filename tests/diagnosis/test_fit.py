@@ -136,6 +136,18 @@ def test_the_same_seed_gives_the_same_answer_and_another_one_a_different_interva
     assert np.ptp(one.samples) > 0
 
 
+def test_a_number_that_may_not_move_stays_and_the_others_are_found():
+    true = pendulum(joint='damping="0.12" armature="0.03" frictionloss="0"')
+    r = record(true, smooth_torque(3.0), noise=1e-4)
+    viscous, rotor = (candidate(e, r, pendulum()) for e in (ViscousFriction(), ReflectedInertia()))
+    held = replace(rotor, parameters=(replace(rotor.parameters[0], lower=0.0, upper=0.0),))
+    h = Hypothesis((viscous, held))
+    fitted = fit(h, [take(pendulum(), r, 1e-4)], h.nominal, np.random.default_rng(0), max_windows=20)
+    assert fitted.values[1] == 0.0
+    assert not fitted.samples[:, 1].any()
+    assert 0.05 < fitted.values[0] < 0.3
+
+
 def test_no_effect_at_all_is_a_fit_too():
     fitted = fit_one(pendulum(), [])
     assert fitted.values.shape == (0,)

@@ -608,3 +608,18 @@ def test_a_term_that_the_fit_does_not_have_is_not_stated(monkeypatch):
     part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)])))
     nothing = Fitted(Hypothesis(()), np.zeros(0), np.zeros((3, 0)), 0.0)
     assert gates.judge_findings([part], nothing, [score(0.2)], {one.key: ()}) == ()
+
+
+def test_a_refused_name_is_held_back_with_its_class_and_its_rivals_and_says_so():
+    rival = Rival("coulomb_friction", "hip", 0.3, "")
+    sure = Finding(
+        "viscous_friction", "hip", 0.8, "Viscous.", {}, "", rivals=(rival,), energy_share=0.9,
+        grounds={"share": 1.0}, class_probability=0.9, law_probability=0.8 / 0.9,
+    )  # fmt: skip
+    other = dataclasses.replace(sure, joint="knee", probability=0.6)
+    first, second = gates.refused((sure, other), {("viscous_friction", "hip")})
+    assert first is other
+    assert (second.probability, second.class_probability, second.law_probability) == (STATEMENT.refused,) * 2 + (1.0,)
+    assert [r.probability for r in second.rivals] == [STATEMENT.refused]
+    assert second.sentence == "Viscous. Recordings that were kept aside refuse it."
+    assert second.grounds["refused"]

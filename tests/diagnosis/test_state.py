@@ -68,6 +68,7 @@ def test_what_is_taken_back_is_gone_from_the_stated_errors_too(monkeypatch):
     assert found.fitted == ("the rest", gone)
     assert found.scores == {"heldout": ("the rest", gone)}
     assert found.sentences == ("before", "taken back")
+    assert found.taken_back == gone
     gone.clear()
     own_scores = {"train": own.scores["train"]}
     for correction, held in (
@@ -279,3 +280,28 @@ def test_another_name_is_that_of_an_effect_that_acts_in_every_take(monkeypatch):
     assert (found, names, damped) == ("findings", given.joint_names, ["hip", "foot"])
     assert [effect.name for effect in applying] == ["everywhere"]
     assert stating._findings(Decided(located)) == ()
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_names_of_what_recordings_kept_aside_refuse_are_held_back_and_the_verdict_is_of_these(own, monkeypatch):
+    """Not where the correction is another trial's, of which nothing was named."""
+    named = trial(4.0)
+    gone = SimpleNamespace(effect=SimpleNamespace(name="viscous_friction"), joint_name="hip")
+    kept = stating.Correction(None, named.scores, taken_back=(gone,))
+    followed = SimpleNamespace(fitted=named.fitted if own else "another trial's")
+    monkeypatch.setattr(stating, "_findings", lambda decided: ("finding",))
+    monkeypatch.setattr(stating, "refused", lambda findings, places: (*findings, *places))
+    verdicts = []
+    monkeypatch.setattr(stating, "verdict_of", lambda *a: verdicts.append(a[1]) or (f"verdict {len(verdicts)}", 0.25))
+    monkeypatch.setattr(stating, "_best_followed", lambda decided: followed)
+    monkeypatch.setattr(stating, "_kept", lambda best, ready: kept)
+    monkeypatch.setattr(stating, "summarise", lambda *a: ())
+    for name in ("_quality", "_remarks"):
+        monkeypatch.setattr(stating, name, lambda *a: ())
+    monkeypatch.setattr(stating, "_maps", lambda decided: [])
+    given = SimpleNamespace(name="m", seed=7, inputs="digest", model="model", joint_names=("hip",), base="fixed")
+    ready = SimpleNamespace(given=given, train=SimpleNamespace(used_share=dict))
+    answer = stating.state(Decided(SimpleNamespace(ready=ready, locations=()), None, named, is_open=True)).answer
+    expected = ("finding", ("viscous_friction", "hip")) if own else ("finding",)
+    assert (answer.findings, verdicts[-1]) == (expected, expected)
+    assert answer.verdict == ("verdict 2" if own else "verdict 1")

@@ -39,7 +39,7 @@ def test_what_is_surer_has_the_stricter_bound():
     assert SEARCH.seen < SEARCH.material < SEARCH.richer < SEARCH.all < 1
     assert SEARCH.steady < SEARCH.invariant < 1
     assert SEARCH.accuracy < SEARCH.material
-    assert STATEMENT.senseless < STATEMENT.likely < STATEMENT.refutes
+    assert STATEMENT.refused < STATEMENT.senseless < STATEMENT.likely < STATEMENT.refutes
     assert STATEMENT.least_share < 1 - STATEMENT.refutes
     assert STATEMENT.explained < STATEMENT.kept < STATEMENT.partly < 1
     assert 1 < STATEMENT.shown < STATEMENT.near_floor

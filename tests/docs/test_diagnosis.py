@@ -136,6 +136,8 @@ SAID = {
         f"on up to {M.windows} windows of {M.window:g} s",
         f"Others above {100 * T.least_share:.0f} % are **rivals**",
         f"a gear on a joint that the given model follows: {T.senseless:g} at most",
+        f"is taken back, and its names have {T.refused:g} at most",
+        f"| `refused` | taken back: {T.refused:g} at most |",
         f"is more than {COUNTED[T.near_floor]} floors off on its joint and keeps more than {SHARES[T.kept]} of the",
         f"`rivals` have more than {SHARES[1 - T.refutes]} of the evidence",
         f"errs by at most {COUNTED[T.near_floor]} floors on every joint",

@@ -44,10 +44,14 @@ class Grounds:
     """Whether another finding on its joint is senseless, so that the two may be halves of something else."""
     far: bool = False
     """Whether the simulation with it is still far from the recordings on its joint, so that the law may be another."""
+    refused: bool = False
+    """Whether recordings kept aside are followed worse with what was found at its joint than by the given model."""
 
     @property
     def most(self) -> float:
         """The probability that it may have at most."""
+        if self.refused:
+            return min(STATEMENT.refused, STATEMENT.senseless if self.senseless else self.share)
         return STATEMENT.senseless if self.senseless else self.share
 
     def features(self) -> dict[str, float]:

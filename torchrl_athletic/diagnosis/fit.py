@@ -22,6 +22,8 @@ WINDOW = SIMULATION.window
 """Length of the windows that scores are stated for [s]."""
 SHOOTING = (0.2, WINDOW)
 """Window lengths of the successive fits [s]: short ones are nearly linear and forgive a poor start."""
+FIXED = 1e-9
+"""Room of a parameter that may not move, in its scale [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +112,8 @@ def fit(
         max_iter: Gauss-Newton iterations a round.
         progress: Told the finished fraction.
     """
-    low, high = hypothesis.bounds
+    low, most = hypothesis.bounds
+    high = np.maximum(most, low + FIXED * hypothesis.scale)  # the solver refuses a parameter without room
     unit = np.minimum(hypothesis.scale, np.maximum((high - low) / 4, 1e-12))
     x = np.clip(start, low, high) / unit
     if not len(x):
@@ -132,7 +135,7 @@ def fit(
         x = _solve(final, x, low / unit, high / unit, max_iter // 2)
     samples, cost = _bootstrap(final, x, rng, low / unit, high / unit)
     progress(1.0)
-    return Fitted(hypothesis, np.clip(x * unit, low, high), samples * unit, cost)
+    return Fitted(hypothesis, np.clip(x * unit, low, most), np.clip(samples * unit, low, most), cost)
 
 
 def _with_telling(

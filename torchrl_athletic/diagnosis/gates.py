@@ -8,6 +8,7 @@ included, must pass the sensors' floor.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +60,30 @@ def judge_findings(
         for term in part.best.fit.terms
         if term.candidate.key in stated
     ]
+    return tuple(sorted(out, key=lambda f: (-round(f.probability, 2), -f.energy_share)))
+
+
+def refused(findings: Sequence[Finding], places: Collection[tuple[str, str | None]]) -> tuple[Finding, ...]:
+    """The same, those held back that recordings kept aside refuse, most probable first.
+
+    Args:
+        findings: As stated of the fitted recordings.
+        places: Effects and joints of what is taken back.
+    """
+    out = []
+    for f in findings:
+        if (f.effect, f.joint) in places:
+            held = min(f.probability, STATEMENT.refused)
+            f = replace(
+                f,
+                probability=held,
+                class_probability=held,
+                law_probability=1.0,
+                sentence=f"{f.sentence} Recordings that were kept aside refuse it.",
+                rivals=tuple(replace(r, probability=min(r.probability, held)) for r in f.rivals),
+                grounds={**f.grounds, "refused": True},
+            )
+        out.append(f)
     return tuple(sorted(out, key=lambda f: (-round(f.probability, 2), -f.energy_share)))
 
 

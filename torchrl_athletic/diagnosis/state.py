@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from torchrl_athletic.diagnosis.compare import harms, uncorrected
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, without
-from torchrl_athletic.diagnosis.gates import judge_findings, summarise, verdict_of
+from torchrl_athletic.diagnosis.gates import judge_findings, refused, summarise, verdict_of
 from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.locate import regime_maps
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.remainder import remarks_on
 from torchrl_athletic.diagnosis.result import Answer, Finding, RegimeMap, Score
+from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.simulate import scores_of
 from torchrl_athletic.diagnosis.stages import Decided, Given, Ready
 from torchrl_athletic.diagnosis.thresholds import STATEMENT
@@ -49,6 +50,8 @@ class Correction:
     scores: Mapping[str, Score]
     sentences: tuple[str, ...] = ()
     """What of the names it has not, and why."""
+    taken_back: tuple[Candidate, ...] = ()
+    """What recordings kept aside refuse."""
 
 
 def state(decided: Decided, stopped_in: str = "") -> Stated:
@@ -65,7 +68,13 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
     harmful = harms(scores.get("train"))
     correction = Correction(None, {split: uncorrected(score) for split, score in scores.items()})
     if trial is not None and verdict != "nothing_missing" and not harmful:
-        correction = _kept(_best_followed(decided), ready)
+        followed = _best_followed(decided)
+        correction = _kept(followed, ready)
+        if correction.taken_back and followed.fitted is trial.fitted:
+            findings = refused(findings, {(c.effect.name, c.joint_name) for c in correction.taken_back})
+            verdict, share = verdict_of(
+                decided.evidence, findings, scores.get("train"), scores.get("heldout"), decided.is_open
+            )
     nominal = as_given(given)
     corrected = nominal
     if correction.fitted is not None:
@@ -114,7 +123,7 @@ def _findings(decided: Decided) -> tuple[Finding, ...]:
 def _best_followed(decided: Decided) -> Correction:
     """The chosen trial, or another with which recordings that were kept aside are followed better.
 
-    The names stay: they are the fitted recordings' alone.
+    The names stay.
     """
     trial = decided.trial
     assert trial is not None
@@ -140,7 +149,7 @@ def _kept(correction: Correction, ready: Ready) -> Correction:
         return correction
     fitted = without(fitted, gone)
     said = (*correction.sentences, veto_sentence(gone, given.joint_names))
-    return Correction(fitted, scores_of(fitted, ready), said)
+    return Correction(fitted, scores_of(fitted, ready), said, gone)
 
 
 def as_given(given: Given) -> Simulation:

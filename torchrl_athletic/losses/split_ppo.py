@@ -415,14 +415,14 @@ def movement(log_ratio: Tensor, mask: Tensor | None, low: Tensor, high: Tensor) 
     """What tells how far the policy is from the one that collected. Shape ()."""
     counted = log_ratio if mask is None else log_ratio.masked_fill(~mask, -torch.inf)
     counted = counted.flatten()
-    count = counted.numel() if mask is None else mask.sum()
+    count = counted.isfinite().sum() if mask is None else mask.sum()
     ess = (2 * counted.logsumexp(0) - (2 * counted).logsumexp(0)).exp() / count
     outside = (log_ratio < low) | (log_ratio > high)
     return TensorDict(
         {
             "clip_fraction": masked_mean(outside.to(log_ratio.dtype), mask),
             "kl_approx": masked_mean(-log_ratio, mask),
-            "ESS": ess if mask is None else torch.where(count > 0, ess, 0),
+            "ESS": torch.where(count > 0, ess, 0),
             "max_ratio": counted.max().exp(),
             "mean_ratio": masked_mean(log_ratio.exp(), mask),
         }

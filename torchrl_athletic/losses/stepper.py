@@ -384,9 +384,10 @@ def present(batch: TensorDictBase, keys: list[NestedKey]) -> list[NestedKey]:
 
 def mean_of(reports: list[TensorDict], counts: Sequence[Tensor | None] = ()) -> TensorDict:
     """Mean of the reports; where masks tell how many samples stand behind each, weighted by them."""
-    stacked = torch.stack(reports)
     weights = [count for count in counts if count is not None]
     if not weights:
-        return stacked.mean(0)
+        return torch.stack(reports).mean(0)
     weight = torch.stack(weights) / torch.stack(weights).sum().clamp_min(1)
-    return stacked.apply(lambda value: (weight.to(value.dtype) * value).sum(0), batch_size=[])
+    parts = [report * share for report, share in zip(reports, weight, strict=True)]
+    total: TensorDict = sum(parts[1:], parts[0])
+    return total
