@@ -4,7 +4,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
-from torchrl.envs import Compose, InitTracker, RewardSum, StepCounter, TransformedEnv
+from torchrl.envs import Compose, GymEnv, InitTracker, RewardSum, StepCounter, TransformedEnv
 from torchrl.testing.mocking_classes import CountingEnv, NestedCountingEnv
 from training.tasks import SEEN, arm_env
 
@@ -211,3 +211,9 @@ def test_a_state_stays_as_it_was_taken():
     for value in rollout.current.values():
         value.zero_()
     assert state["observation"].flatten().tolist() == [2, 2, 2]
+
+
+def test_an_environment_without_one_dimension_of_rows_is_refused_with_its_mend():
+    env = GymEnv("Pendulum-v1")
+    with pytest.raises(ValueError, match=r"batch size \(\).*SerialEnv"):
+        Rollout(env, env.rand_action, 3)

@@ -18,6 +18,10 @@ Average = Callable[[Sequence[Tensor], Tensor | None], None]
 """Replaces tensors by their means over the processes that train together, weighted by the second argument."""
 
 
+SEEN = "_seen"
+"""Entry of a step's report: whether any of its samples counts."""
+
+
 class SplitOptimizationStepper(OptimizationStepper):
     """Several epochs over one batch: minibatches move the actor, all samples together move the critic.
 
@@ -242,21 +246,17 @@ class SplitOptimizationStepper(OptimizationStepper):
 
     def _optimize(self, data: TensorDict, order: Tensor) -> TensorDict:
         """All epochs, in the order given: (epochs, B) indices."""
-        actor_reports, critic_reports, seen, seen_by_critic = [], [], [], []
+        actor_reports, critic_reports = [], []
         actor_data, critic_data = data.select(*self._actor_keys(data)), data.select(*self._critic_keys(data))
         for epoch in order.unbind():
             for index in epoch.tensor_split(self.minibatches):
-                minibatch = actor_data[index]
-                actor_reports.append(self._step_actor(minibatch))
-                seen.append(self._seen(minibatch))
+                actor_reports.append(self._step_actor(actor_data[index]))
             if self.critic_minibatches == 1:  # all samples, in any order: spare the copy
                 critic_reports.append(self._step_critic(critic_data))
                 continue
             for index in epoch.tensor_split(self.critic_minibatches):
-                minibatch = critic_data[index]
-                critic_reports.append(self._step_critic(minibatch))
-                seen_by_critic.append(self._seen(minibatch))
-        report = mean_of(actor_reports, seen).update(mean_of(critic_reports, seen_by_critic))
+                critic_reports.append(self._step_critic(critic_data[index]))
+        report = mean_of(actor_reports).update(mean_of(critic_reports))
         report["actor_lr"], report["critic_lr"] = self.actor_lr.clone(), self.critic_lr.clone()
         keys = self.loss.tensor_keys
         if keys.value in data.keys(True):
@@ -269,7 +269,7 @@ class SplitOptimizationStepper(OptimizationStepper):
         report = self.loss.loss_actor(minibatch)
         loss = report["loss_objective"]
         (loss + report["loss_entropy"] if self.loss.entropy_bonus else loss).backward()
-        report = report.detach()
+        report = report.detach().update(self._seen(minibatch))
         self._exchange(self.actor_parameters, report, minibatch)
         if self.adaptive_kl is not None:
             self.adaptive_kl(self.actor_lr, report["kl"])
@@ -287,6 +287,7 @@ class SplitOptimizationStepper(OptimizationStepper):
             report["loss_critic"].backward()
             reports.append(report.detach())
         total: TensorDict = sum(reports[1:], reports[0])
+        total.update(self._seen(batch))
         self._exchange(self.critic_parameters, total, batch)
         total["critic_grad_norm"] = nn.utils.clip_grad_norm_(self.critic_parameters, self.max_grad_norm)
         self.critic_optimizer.step()
@@ -305,10 +306,10 @@ class SplitOptimizationStepper(OptimizationStepper):
         mask = self.loss.valid(batch)
         return batch.numel() if mask is None else mask.sum(dtype=self.critic_parameters[0].dtype).clamp_min(1)
 
-    def _seen(self, batch: TensorDict) -> Tensor | None:
-        """Samples that count, where a mask tells."""
+    def _seen(self, batch: TensorDict) -> dict[str, Tensor]:
+        """One if any sample counts, zero if none, where a mask tells."""
         mask = self.loss.valid(batch)
-        return None if mask is None else mask.sum(dtype=self.actor_parameters[0].dtype)
+        return {} if mask is None else {SEEN: mask.any().to(self.actor_parameters[0].dtype)}
 
     def _order(self, count: int) -> Tensor:
         """A permutation of the samples for each epoch, drawn outside the graph. Shape (epochs, B)."""
@@ -382,12 +383,13 @@ def present(batch: TensorDictBase, keys: list[NestedKey]) -> list[NestedKey]:
     return [key for key in dict.fromkeys(keys) if key in held]
 
 
-def mean_of(reports: list[TensorDict], counts: Sequence[Tensor | None] = ()) -> TensorDict:
-    """Mean of the reports; where masks tell how many samples stand behind each, weighted by them."""
-    weights = [count for count in counts if count is not None]
-    if not weights:
+def mean_of(reports: list[TensorDict]) -> TensorDict:
+    """Mean over the steps, those left out of which no sample counts."""
+    if SEEN not in reports[0].keys():
         return torch.stack(reports).mean(0)
-    weight = torch.stack(weights) / torch.stack(weights).sum().clamp_min(1)
-    parts = [report * share for report, share in zip(reports, weight, strict=True)]
+    seen = torch.stack([report[SEEN] for report in reports])
+    parts = [
+        report.exclude(SEEN) * share for report, share in zip(reports, seen / seen.sum().clamp_min(1), strict=True)
+    ]
     total: TensorDict = sum(parts[1:], parts[0])
     return total

@@ -56,13 +56,13 @@ class CapturedRollout(Rollout):
         keys: Sequence[NestedKey] | None = None,
         fuse: bool = True,
     ) -> None:
-        super().__init__(env, policy, horizon, keys=keys)
         physics = getattr(base_env_of(env), "physics", None)
         if physics is None:
             raise ValueError(
                 f"{type(base_env_of(env)).__name__} has no physics of this library, so nobody knows how to record it. "
                 "Collect with Rollout."
             )
+        super().__init__(env, policy, horizon, keys=keys)
         self.physics, self.fuse = physics, fuse
         self._replay: Callable[[], None] | None = None
         self._time = torch.zeros(1, dtype=torch.int64, device=env.device)
