@@ -85,6 +85,8 @@ def test_grounds_are_those_that_were_kept_about_the_joint_that_counts(joint, whe
     ]
     [far] = grounds_words(replace(told, grounds={"far": 1.0}))
     assert f"of {joint or 'some joint'} is still far" in far
+    [refused] = grounds_words(replace(told, grounds={"refused": 1.0, "far": 0.0}))
+    assert "kept aside" in refused
     assert grounds_words(FRICTION) == []
 
 
