@@ -98,7 +98,7 @@ def grounds_words(finding: Finding) -> list[str]:
     if g.get("far"):
         at = finding.joint or "some joint"
         words.append(
-            f"With all that is named the simulation of {at} is still far from the recordings: some law there is another."
+            f"With all that is named the simulation of {at} is still far from the recordings: a law there is another."
         )
     if g.get("refused"):
         words.append("With it recordings that were kept aside are followed worse than by the given model.")
