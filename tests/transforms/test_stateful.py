@@ -185,11 +185,11 @@ def test_a_copy_counts_episodes_of_its_own() -> None:
 
 def test_memory_that_a_partial_reset_would_leave_alone_is_refused() -> None:
     """TorchRL merges what stands beside the reset's flag and nothing else."""
-    part = ActionHistory(2, reset_key=("data", "_reset"), history_key="action_history")
+    part = ActionHistory(2)
     with pytest.raises(ValueError, match=r"\('data', 'action_history'\)"):
-        part._check_place("action_history")
-    part._check_place(("data", "action_history"))
-    ActionHistory(2)._check_place("action_history")
+        part._check_place("action_history", ("data", "_reset"))
+    part._check_place(("data", "action_history"), ("data", "_reset"))
+    part._check_place("action_history", "_reset")
 
 
 def test_a_joint_counted_from_the_end_is_that_joint() -> None:

@@ -50,9 +50,8 @@ class Grounds:
     @property
     def most(self) -> float:
         """The probability that it may have at most."""
-        if self.refused:
-            return min(STATEMENT.refused, STATEMENT.senseless if self.senseless else self.share)
-        return STATEMENT.senseless if self.senseless else self.share
+        most = STATEMENT.senseless if self.senseless else self.share
+        return min(most, STATEMENT.refused) if self.refused else most
 
     def features(self) -> dict[str, float]:
         """Numbers of order one, in which the log odds are linear."""

@@ -25,7 +25,7 @@ from torchrl_athletic.recordings import (
     check_quality,
     read_recordings,
 )
-from torchrl_athletic.recordings.formats.read import _sources
+from torchrl_athletic.recordings.formats.read import sources_of
 
 CHANGES_MODEL = (PAYLOAD,)
 """Notes of a recording that change the model it is compared with."""
@@ -287,7 +287,7 @@ def _read(paths: Sequence[Path], asked: Asked, columns: ColumnMap, wrong: list[s
     out: list[Recording] = []
     for path in paths:
         try:
-            sources = _sources(path)
+            sources = sources_of(path)
         except (RecordingError, OSError) as error:
             wrong.append(str(error))
             continue

@@ -104,9 +104,10 @@ class StatefulTransform(Transform):
         return next_tensordict
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        starts = reset_mask(tensordict, self.reset_key)
+        reset_key = self.reset_key
+        starts = reset_mask(tensordict, reset_key)
         for key, first in self.initial(tensordict_reset).items():
-            self._check_place(key)
+            self._check_place(key, reset_key)
             old = tensordict.get(key, None)
             if starts is None or old is None:
                 tensordict_reset.set(key, first)
@@ -114,9 +115,8 @@ class StatefulTransform(Transform):
                 tensordict_reset.set(key, torch.where(spread(starts, first), first, old))
         return tensordict_reset
 
-    def _check_place(self, key: NestedKey) -> None:
+    def _check_place(self, key: NestedKey, reset_key: NestedKey) -> None:
         """A partial reset merges what stands beside its flag; elsewhere rows that start would keep their memory."""
-        reset_key = self.reset_key
         place = reset_key[:-1] if isinstance(reset_key, tuple) else ()
         if place and (key if isinstance(key, tuple) else (key,))[: len(place)] != place:
             raise ValueError(

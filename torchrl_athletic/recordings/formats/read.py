@@ -61,12 +61,12 @@ def read_recordings(
     if not paths:
         raise RecordingError("no path to read recordings from; give a file or a folder.")
     columns = columns or ColumnMap()
-    sources = (source for path in paths for source in _sources(Path(path)))
+    sources = (source for path in paths for source in sources_of(Path(path)))
     states = (source for source in sources if source.name != columns.command_file)
     return [recording for source in states for recording in read_in_child(source, columns)]
 
 
-def _sources(path: Path) -> list[Path]:
+def sources_of(path: Path) -> list[Path]:
     """The files to read, and the folders that are one recording or data set as a whole."""
     if not path.exists():
         raise RecordingError(f"{path}: there is no such file or folder.")
