@@ -1,10 +1,12 @@
-"""Conceal physics on five real benches, and see whether the diagnosis finds it.
+"""Conceal physics on real benches and arms, and see whether the diagnosis finds it.
 
-    ATHLETIC_DATA=... python benchmarks/concealed_real.py --jobs 2
+    ATHLETIC_DATA=... ATHLETIC_CLONES=... python benchmarks/concealed_real.py --jobs 2
     python benchmarks/concealed_real.py --only 'pendulum-*' 'emps-removed-*'
     python benchmarks/concealed_real.py --table            # of what is done so far; runs nothing
 
-A bench's *complete* model is the published one, with its friction, rotors, masses and delays. From it one effect is
+A bench's *complete* model is the published one, with its friction, rotors, masses and delays; three arms of several
+joints, whose published models have none of these, have a hand fit instead (``real_robots/complete.py``), and their logs
+lie in the folder of clones that ``ATHLETIC_CLONES`` names; without one their cases are left out. From it one effect is
 taken away (``removed``), or one is put into the recordings (``injected``); the ``complete`` model itself is the
 control. ``left_out`` keeps one kind of motion aside and fits the others. Nothing tells the diagnosis which case it has.
 
@@ -39,6 +41,7 @@ from tqdm import tqdm
 sys.path.append(str(Path(__file__).parents[1]))
 
 from benchmarks.concealed.run import _pin, program_digest
+from benchmarks.real_robots.complete import ARMS, complete_arm
 from torchrl_athletic.diagnosis import diagnose
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.fit import Hypothesis
@@ -50,6 +53,8 @@ Kind = Literal["complete", "removed", "injected", "left_out"]
 Name = tuple[str, str | None]
 """An effect and its joint; None for the whole robot."""
 
+CLONES = "ATHLETIC_CLONES"
+"""Environment variable that names the folder of clones, see ``real_robots/robots.py``."""
 LEAST = 0.05
 """Probability from which a name counts as stated, or as a rival."""
 VISIBLE = 3.0
@@ -123,11 +128,14 @@ def main(cfg: Config) -> None:
         run(cfg.case, cfg.answers)
         return
     wanted = [c for c in cases() if not cfg.only or any(fnmatch(c.name, pattern) for pattern in cfg.only)]
+    if CLONES not in os.environ:
+        print(f"Without {CLONES}, the arms {', '.join(ARMS)} are left out.")
+        wanted = [c for c in wanted if c.bench not in ARMS]
     todo = [] if cfg.table else [c for c in wanted if _again(c, cfg) or not _is_done(cfg.answers / f"{c.name}.json")]
     print(f"{len(wanted)} cases, {len(wanted) - len(todo)} of them not to be run")
     todo.sort(key=lambda c: DEAREST.index(c.bench))
     for bench in {c.bench for c in todo}:  # said now, and once
-        dataset(bench)
+        complete(bench)
     with ThreadPoolExecutor(cfg.jobs, initializer=_pin, initargs=(Value("i", 0),)) as pool:
         pending = [pool.submit(in_own_process, c.name, cfg) for c in todo]
         for done in tqdm(as_completed(pending), total=len(pending), unit="case", disable=not todo):
@@ -218,6 +226,9 @@ dataset = cache(load_dataset)
 @cache
 def complete(bench: str) -> Takes:
     """A bench with the published physics in its model; what MJCF cannot hold is taken out of the recordings instead."""
+    if bench in ARMS:
+        arm = complete_arm(bench, Path(os.environ[CLONES]))
+        return Takes(arm.xml, tuple(arm.recordings), tuple(arm.heldout))
     data = dataset(bench)
     takes = Takes(data.model, tuple(data.recordings), tuple(data.heldout))
     if bench == "two_link_arm":  # model_2.0; driven by the measured torque, so that the drives' lag is not in question
@@ -327,6 +338,12 @@ def weak(recording: Recording, joint: int, scale: float) -> Recording:
     return replace(recording, torque_command=recording.torque_command * per_joint)
 
 
+def stiff(recording: Recording, joint: int, scale: float) -> Recording:
+    """A log whose servo of one joint is ``scale`` times as stiff as its gain says."""
+    assert recording.kp is not None
+    return replace(recording, kp=recording.kp / np.where(np.arange(recording.num_joints) == joint, scale, 1.0))
+
+
 def commanded_arm() -> Takes:
     """The arm's log without its measured torque: the drives' lag is between the lines."""
     data = dataset("two_link_arm")
@@ -353,7 +370,7 @@ def without_kind(bench: str, kind: str) -> Takes:
 
 # --- the list ---------------------------------------------------------------------------------------------------------
 
-DEAREST = ("two_link_arm", "xl330", "unbalanced_disk", "emps", "pendulum")
+DEAREST = ("so101", "airbot", "double_pendulum", "two_link_arm", "xl330", "unbalanced_disk", "emps", "pendulum")
 """Benches, those that take longest first."""
 KINDS = {  # of motion
     "two_link_arm": (
@@ -434,6 +451,23 @@ def _removed() -> list[Case]:
         mass("xl330", "pendulum", *ONE_OF_THREE),
         take_away("xl330", "encoder_offset pendulum", "31 mrad", partial(upright, body="pendulum"),
                   ("encoder_offset", "pendulum"), ("gravity_tilt", None)),
+        friction("double_pendulum", "shoulder", "0.235 N·m"),
+        friction("double_pendulum", "elbow", "0.182 N·m"),
+        rotor("double_pendulum", "elbow", "0.00477 kg·m²"),
+        mass("double_pendulum", "shoulder", *ONE_OF_THREE),
+        mass("double_pendulum", "elbow", "link_mass"),
+        damping("airbot", "joint2", "0.69 N·m·s/rad"),
+        damping("airbot", "joint3", "0.322 N·m·s/rad"),
+        friction("airbot", "joint5", "0.0649 N·m"),
+        friction("airbot", "joint6", "0.0618 N·m"),
+        rotor("airbot", "joint4", "0.243 kg·m²"),
+        rotor("airbot", "joint5", "0.0202 kg·m²"),
+        mass("airbot", "joint3", "link_mass"),
+        friction("so101", "elbow_flex", SO101["frictionloss"]),
+        friction("so101", "wrist_flex", SO101["frictionloss"]),
+        damping("so101", "shoulder_lift", SO101["damping"]),
+        rotor("so101", "elbow_flex", SO101["armature"]),
+        mass("so101", "elbow_flex", "link_mass"),
     ]  # fmt: skip
 
 
@@ -448,6 +482,10 @@ def _injected() -> list[Case]:
         ("pendulum", "pendulum", 0, (2, 6, 20)),
         ("unbalanced_disk", "disk", 0, (50, 75, 100)),
         ("xl330", "pendulum", 0, (5, 10, 20)),
+        ("double_pendulum", "elbow", 1, (6, 20)),
+        ("airbot", "joint2", 1, (10, 30)),
+        ("airbot", "joint5", 4, (10, 30)),
+        ("so101", "elbow_flex", 2, (20, 40)),
     ):
         out += [
             put(
@@ -470,7 +508,10 @@ def _injected() -> list[Case]:
             )
             for ms in (2, 6, 20)
         ]
-    for bench, joint, index in (("two_link_arm", "elbow", 1), ("pendulum", "pendulum", 0), ("xl330", "pendulum", 0)):
+    for bench, joint, index in (
+        ("two_link_arm", "elbow", 1), ("pendulum", "pendulum", 0), ("xl330", "pendulum", 0),
+        ("double_pendulum", "elbow", 1), ("airbot", "joint2", 1),
+    ):  # fmt: skip
         out += [
             put(
                 bench,
@@ -478,7 +519,7 @@ def _injected() -> list[Case]:
                 f"{mrad} mrad",
                 partial(misread, joint=index, offset=mrad / 1000),
                 ("encoder_offset", joint),
-                *([("gravity_tilt", None)] if bench != "two_link_arm" else []),
+                *([("gravity_tilt", None)] if bench in ("pendulum", "xl330") else []),
             )
             for mrad in (20, 60, 150)
         ]
@@ -486,6 +527,9 @@ def _injected() -> list[Case]:
         ("emps", "carriage", 0, SLIDES_MASS),
         ("two_link_arm", "elbow", 1, ("torque_scale",)),
         ("unbalanced_disk", "disk", 0, ONE_OF_THREE),
+        ("double_pendulum", "elbow", 1, ("torque_scale",)),
+        ("airbot", "joint3", 2, ("torque_scale",)),
+        ("airbot", "joint5", 4, ("torque_scale",)),
     ):
         out += [
             put(
@@ -497,6 +541,12 @@ def _injected() -> list[Case]:
             )
             for scale in (0.95, 0.85, 0.6)
         ]
+    for joint, index in (("shoulder_lift", 1), ("wrist_flex", 3)):
+        out += [
+            put("so101", f"gain_mismatch {joint}", f"{scale:g}", partial(stiff, joint=index, scale=scale),
+                ("gain_mismatch", joint))
+            for scale in (0.8, 0.5)
+        ]  # fmt: skip
     for bench, unit, steps in (
         ("emps", "m", (1e-5, 1e-4, 1e-3)),
         ("two_link_arm", "rad", (2 * np.pi / 2**n for n in (12, 10, 8))),
