@@ -463,10 +463,10 @@ def _removed() -> list[Case]:
         rotor("airbot", "joint4", "0.243 kg·m²"),
         rotor("airbot", "joint5", "0.0202 kg·m²"),
         mass("airbot", "joint3", "link_mass"),
-        friction("so101", "elbow_flex", SO101["frictionloss"]),
-        friction("so101", "wrist_flex", SO101["frictionloss"]),
-        damping("so101", "shoulder_lift", SO101["damping"]),
-        rotor("so101", "elbow_flex", SO101["armature"]),
+        friction("so101", "elbow_flex", "2.74 N·m"),
+        friction("so101", "wrist_roll", "1.49 N·m"),
+        damping("so101", "wrist_roll", "1.81 N·m·s/rad"),
+        rotor("so101", "shoulder_pan", "0.0656 kg·m²"),
         mass("so101", "elbow_flex", "link_mass"),
     ]  # fmt: skip
 
