@@ -65,6 +65,8 @@ class Statement:
     """Share of the error that the correction closes."""
     energy: float
     """Share of the joint's missing torque that the finding accounts for."""
+    left: float
+    """Share of it that stays unexplained."""
     senseless: bool
     """Whether its values are none that a robot has: then the class is no likelier than the law."""
     right: bool
@@ -94,7 +96,7 @@ def main(cfg: Config) -> None:
 
 def known(cases: Sequence[Mapping[str, Any]]) -> dict[str, set[Place]]:
     """Classes that each complete model's diagnosis names."""
-    return {c["bench"]: {_place(f) for f in c["findings"]} for c in cases if c["kind"] == "complete"}
+    return {c["bench"]: {_place(f) for f in c.get("findings", ())} for c in cases if c["kind"] == "complete"}
 
 
 def statements(cases: Sequence[Mapping[str, Any]], of_control: Mapping[str, set[Place]]) -> list[Statement]:
@@ -108,6 +110,7 @@ def statements(cases: Sequence[Mapping[str, Any]], of_control: Mapping[str, set[
             alike=f["probability"] + sum(p for e, j, p in f["rivals"] if (CLASS[e], j) == _place(f)),
             closed=1.0 - f["grounds"]["open"],
             energy=f["grounds"]["energy"],
+            left=f["grounds"].get("left", 0.0),
             senseless=f["grounds"]["senseless"],
             right=_place(f) in _hidden(case),
             known=_place(f) in of_control[case["bench"]],
@@ -152,7 +155,7 @@ def probability(stated: Statement, weights: Mapping[str, float]) -> float:
     """Of its class, by these weights."""
     if stated.senseless:
         return stated.law
-    return class_probability(stated.law, stated.alike, stated.closed, stated.energy, weights)
+    return class_probability(stated.law, stated.alike, stated.closed, stated.energy, stated.left, weights)
 
 
 def learn(stated: Sequence[Statement]) -> dict[str, float]:

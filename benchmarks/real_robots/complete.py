@@ -7,7 +7,7 @@ that are fitted here: on 100 windows of the double pendulum, and on 60 of each a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 

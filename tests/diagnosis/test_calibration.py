@@ -58,12 +58,14 @@ def test_an_interval_is_widened_on_each_side_by_what_it_has_there_and_by_a_share
     assert widened(1.0, 1.5, 0.5) == pytest.approx((0.9, 1.1))  # a bootstrap that missed the estimate
 
 
-@pytest.mark.parametrize(("closed", "energy"), [(0.3, 1.0), (1.0, 0.6 * STATEMENT.faint)])
-def test_a_class_is_no_likelier_than_what_is_closed_and_accounted_for_but_as_likely_as_its_law(closed, energy):
+@pytest.mark.parametrize(
+    ("closed", "energy", "left"), [(0.3, 1.0, 0.0), (1.0, 0.6 * STATEMENT.faint, 0.0), (1.0, 1.0, 0.7)]
+)
+def test_a_class_is_no_likelier_than_what_it_explains_but_as_likely_as_its_law(closed, energy, left):
     assert class_probability(0.1, 0.99, 1.0, 1.0) > 0.5
     assert class_probability(0.1, 0.99, 1.0, 1.0) > class_probability(0.1, 0.11, 1.0, 1.0) + 0.1
-    assert class_probability(0.1, 0.99, closed, energy) == pytest.approx(0.3)
-    assert class_probability(0.6, 0.99, closed, energy) == 0.6
+    assert class_probability(0.1, 0.99, closed, energy, left) == pytest.approx(0.3)
+    assert class_probability(0.6, 0.99, closed, energy, left) == 0.6
 
 
 @pytest.mark.parametrize("doubt", ["plain", "leans", "far"])

@@ -106,19 +106,26 @@ def probability(grounds: Grounds, effect: str = "") -> float:
 
 
 def class_probability(
-    law: float, alike: float, closed: float, energy: float = 1.0, weights: Mapping[str, float] | None = None
+    law: float,
+    alike: float,
+    closed: float,
+    energy: float = 1.0,
+    left: float = 0.0,
+    weights: Mapping[str, float] | None = None,
 ) -> float:
     """That physics of a finding's class is missing at its joint, whatever the law: learnt on real benches.
 
-    What the correction leaves open may be of another class: the probability is no larger than what is closed. What
-    accounts for hardly any of the missing torque may stand in for a little of another one's: the probability is at most
-    one half at a share of ``STATEMENT.faint``, and less in proportion below it.
+    What the correction leaves open may be of another class: the probability is no larger than what is closed of the
+    simulation's error, nor than what is explained of the joint's missing torque. What accounts for hardly any of that
+    torque may stand in for a little of another one's: the probability is at most one half at a share of
+    ``STATEMENT.faint``, and less in proportion below it.
 
     Args:
         law: Probability of the finding.
         alike: The same with its rivals of the same class and joint.
         closed: Share of the simulation's error energy above the floor that the correction closes, 0..1.
         energy: Share of the joint's missing torque that the finding accounts for, 0..1.
+        left: Share of it that stays unexplained, 0..1.
         weights: Level and steepness of the logistic; None takes those in force.
 
     Example:
@@ -128,11 +135,13 @@ def class_probability(
         0.9
         >>> class_probability(law=0.2, alike=0.9, closed=1.0, energy=0.02)
         0.5
+        >>> class_probability(law=0.2, alike=0.9, closed=0.9, left=0.75)
+        0.25
     """
     weights, p = weights or learnt("class"), float(np.clip(alike, 1e-3, 1 - 1e-3))
     odds = weights["level"] + weights["steepness"] * np.log(p / (1 - p))
     seen = STATEMENT.likely * energy / STATEMENT.faint
-    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, seen)))
+    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, 1.0 - left, seen)))
 
 
 def rival_probability(likely: float, own: float, share: float) -> float:

@@ -227,7 +227,7 @@ def _finding(
     alike = sum(rival_probability(likely, own, o.share) for o in others if _is_alike(o.atom.candidate, candidate))
     of_class = likely
     if not grounds.senseless:
-        of_class = class_probability(likely, likely + alike, 1.0 - still_open, grounds.energy)
+        of_class = class_probability(likely, likely + alike, 1.0 - still_open, grounds.energy, grounds.left)
     explained = bank.prediction(part.best.fit, term)
     return Finding(
         effect=effect.name,
