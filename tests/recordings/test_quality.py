@@ -84,6 +84,17 @@ def test_gaps_are_named_with_time_and_length_and_lost_samples_are_counted():
     assert "0.155 s after 1.495 s (row 299)" in quality.warnings[0]
 
 
+def test_stamps_that_come_late_are_no_lost_samples():
+    time = np.arange(2000) / RATE
+    time[10:1990:20] += 0.7 / RATE
+    quality = check_quality(swing(time))
+    assert quality.lost_samples == 0
+    assert not any("missing" in text for text in quality.warnings)
+    kept = np.ones(2000, dtype=bool)
+    kept[500:1500:25] = False
+    assert "40 of 2000 samples are missing" in check_quality(swing(time[kept])).warnings[-1]
+
+
 def commanded(kept: np.ndarray, command: np.ndarray) -> Recording:
     time = np.arange(len(kept))[kept] / RATE
     return swing(time, torque_command=command[kept, None])

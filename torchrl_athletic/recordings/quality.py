@@ -222,7 +222,7 @@ def check_quality(recording: Recording, torque_limit: ArrayLike | None = None) -
         rate=recording.rate,
         jitter=_jitter(recording.time),
         gaps=gaps,
-        lost_samples=int(np.maximum(np.round(np.diff(recording.time) * recording.rate) - 1, 0).sum()),
+        lost_samples=_lost_samples(recording),
         encoder_step=steps,
         position_noise=position_noise,
         noise_correlation=noise_correlation(recording),
@@ -268,8 +268,7 @@ def _beside_gaps(recording: Recording, gaps: tuple[Gap, ...]) -> Mask:
 def _beside_lost(recording: Recording) -> Mask:
     mask = np.zeros(recording.position.shape, dtype=np.bool_)
     step = np.diff(recording.time) * recording.rate
-    beside = np.minimum(np.append(step[1:], 1.0), np.insert(step[:-1], 0, 1.0))
-    long = (step > LOST_FACTOR) & (step <= GAP_FACTOR) & (beside > SHORT_FACTOR)
+    long = (step > LOST_FACTOR) & (step <= GAP_FACTOR) & ~_made_up_for(step)
     command = recording.command
     acts = command if recording.position_target is None else command - recording.position  # what the motor hears of it
     change = np.abs(np.diff(command, axis=0)) / np.maximum(acts.std(axis=0), 1e-12)
@@ -279,6 +278,18 @@ def _beside_lost(recording: Recording) -> Mask:
     rows = worst[harm[worst] > LOST_CHANGE]
     mask[rows] = mask[rows + 1] = True
     return mask
+
+
+def _made_up_for(step: Floats) -> Mask:
+    """Which steps, in median steps, have a short one beside them: a stamp came late, no row was lost."""
+    beside = np.minimum(np.append(step[1:], 1.0), np.insert(step[:-1], 0, 1.0))
+    return np.asarray(beside <= SHORT_FACTOR, dtype=np.bool_)
+
+
+def _lost_samples(recording: Recording) -> int:
+    step = np.diff(recording.time) * recording.rate
+    late = (step <= GAP_FACTOR) & _made_up_for(step)
+    return int(np.maximum(np.round(step) - 1, 0)[~late].sum())
 
 
 def _frozen(recording: Recording, smallest_move: Floats, velocity_noise: Floats | None) -> Mask:
