@@ -343,7 +343,18 @@ def test_deviations_count_windows_and_not_samples_and_what_the_torques_say():
     near.normal = np.tile(np.diag([2.0, 5.0]), (4, 1, 1))
     near.right = np.array([[1.0, 0.0], [-1.0, 3.0], [2.0, 0.0], [-2.0, -4.0]])
     near.pull_columns = np.array([[2.0, 0.0]])
+    near.problem.windows = (SimpleNamespace(start=10 * np.arange(4), length=10),)
     assert fitting.spread_of(near) == pytest.approx([np.sqrt(10) / 12 * 0.5, 5 / 20 * 3.0])
+
+
+def test_windows_that_are_looked_at_over_and_over_tell_no_more():
+    near = solved(free=[True])
+    near.pull_columns = np.zeros((0, 1))
+    for times in (1, 5):
+        near.normal = np.full((4 * times, 1, 1), 2.0)
+        near.right = np.repeat([[1.0], [-1.0], [2.0], [-2.0]], times, axis=0)
+        near.problem.windows = (SimpleNamespace(start=np.repeat(10 * np.arange(4), times), length=10),)
+        assert fitting.spread_of(near) == pytest.approx([np.sqrt(10) / 8])
 
 
 def test_what_is_not_seen_and_what_is_one_and_the_same_has_no_number_of_its_own():

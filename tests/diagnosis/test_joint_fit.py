@@ -315,6 +315,13 @@ def test_windows_that_overlap_count_once():
         assert module.independent(Problem(None, windows, np.ones(1), np.ones(1))) == count
 
 
+def test_a_sample_is_told_by_as_many_windows_as_see_it():
+    apart, denser = (Windows(take_like(80), np.array(at), 10) for at in ([0, 10, 20, 35], [0, 0, 0, 40]))
+    half = Windows(take_like(80), np.array([0, 5]), 10)  # five of each ten are seen twice
+    for windows, count in (((apart,), 1.0), ((denser,), (3 * 3 + 1) / 4), ((half,), 1.5), ((apart, half), 7 / 6)):
+        assert module.tellings(Problem(None, windows, np.ones(1), np.ones(1))) == pytest.approx(count)
+
+
 def test_few_windows_are_made_up_by_some_that_overlap_within_their_own_recordings(monkeypatch):
     windows = Windows(take_like(40, (0, 20)), np.array([0, 11, 20, 31]), 8)
     denser = module._overlapping(windows, 8)

@@ -26,6 +26,7 @@ from torchrl_athletic.diagnosis.joint_fit import (
     linearise,
     prune,
     search,
+    tellings,
     weighed,
     window_cost,
 )
@@ -395,13 +396,14 @@ def _not_missed(problem: Problem, x: Array, unknown: NDArray[np.bool_]) -> NDArr
 def spread_of(near: Linearised) -> Array:
     """Standard deviation of each free parameter; windows are independent of each other, samples are not. Shape (P,).
 
-    The sandwich estimate (White 1980), clustered by window.
+    The sandwich estimate (White 1980), clustered by window. Of a short recording windows overlap: what several of them
+    tell they tell once.
     """
     scale = near.problem.hypothesis.scale[near.free]
     normal = near.normal.sum(0) + near.pull_columns.T @ near.pull_columns
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.pinv(normal / size / size[:, None], rcond=1e-8, hermitian=True) / size / size[:, None]
-    middle = near.right.T @ near.right
+    middle = near.right.T @ near.right * tellings(near.problem)
     return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ middle @ inverse), 0.0)) * scale, dtype=np.float64)
 
 

@@ -292,6 +292,12 @@ def independent(problem: Problem) -> int:
     return count
 
 
+def tellings(problem: Problem) -> float:
+    """Windows in which a sample is seen, the mean over all windows' samples: 1 where none overlap."""
+    shared = [np.clip(1.0 - np.abs(w.start[:, None] - w.start) / w.length, 0.0, 1.0).sum() for w in problem.windows]
+    return float(np.sum(shared) / sum(len(w.start) for w in problem.windows))
+
+
 def _overlapping(w: Windows, times: int) -> Windows:
     """Add windows that start between the given ones, so that no window's start weighs much."""
     shifts = w.length * np.arange(times) // times
