@@ -60,6 +60,22 @@ def test_a_share_is_the_energy_of_the_acceleration_that_the_joints_own_missing_t
     assert [got[name] for name in NAMES] == pytest.approx(list(energy / energy.sum()))
 
 
+@pytest.mark.parametrize("metre", [1.0, 100.0])
+def test_shares_of_a_cart_and_its_pole_are_those_of_the_robot_whatever_its_unit_of_length(metre):
+    """By hand: 2 N on 4 kg are 1 W/s, 6 N·m on 12 kg·m² are 3."""
+    cart = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody>
+      <body><joint name="shoulder" type="slide" axis="1 0 0"/>
+        <inertial pos="0 0 0" mass="4" diaginertia="1 1 1"/></body>
+      <body><joint name="elbow" axis="0 1 0"/><inertial pos="0 0 0" mass="1"
+        diaginertia="{12 * metre**2} {12 * metre**2} {12 * metre**2}"/></body></worldbody></mujoco>""")
+    s = signals(np.tile([2 * metre, 6 * metre**2], (N, 1)), **MOTION)
+    s = replace(s, model=cart, nominal=cart, address=JointAddress.of(cart, NAMES), noise=np.zeros(2))
+    joints, _ = joints_and_regimes(locate(Bank([s], [], noise=np.ones(2)), rng()))
+    assert [(x.joint, x.share_of_error) for x in joints] == [
+        ("elbow", pytest.approx(0.75)), ("shoulder", pytest.approx(0.25))
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("torque", "regime"),
     [

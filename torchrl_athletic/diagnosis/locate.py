@@ -49,7 +49,9 @@ def locate(bank: Bank, rng: np.random.Generator, most: int = 6) -> tuple[Locatio
     """Shares of the error, joint by joint and then by regime, with block-bootstrap bands.
 
     The error of a joint is the acceleration that its own missing torque would cause, so that what reaches a joint
-    through coupling is charged to the joint where it arises. Energy below the sensors' noise is not counted.
+    through coupling is charged to the joint where it arises. Energy below the sensors' noise is not counted. Where
+    slides and hinges are compared, whose accelerations have no common unit, the energy is that acceleration times the
+    torque [W/s].
 
     Args:
         bank: The missing torque.
@@ -58,9 +60,10 @@ def locate(bank: Bank, rng: np.random.Generator, most: int = 6) -> tuple[Locatio
     """
     inertia = np.concatenate([s.inertia for s in bank.takes])
     own = np.diagonal(inertia, axis1=1, axis2=2)
+    slides = {is_slide(bank.takes[0].nominal, bank.takes[0].address, j) for j in range(bank.joints)}
     used = bank.weight > 0
     noise = np.array([s.noise for s in bank.takes]).mean(0)
-    energy = np.where(used, np.maximum(bank.target**2 - noise**2, 0.0) / own**2, 0.0)
+    energy = np.where(used, np.maximum(bank.target**2 - noise**2, 0.0) / own ** (1 if len(slides) > 1 else 2), 0.0)
     if energy.sum() <= 0:
         return ()
     blocks = bank.block
