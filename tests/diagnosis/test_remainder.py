@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from diagnosis.columns import Given, candidate, signals
+from scipy.signal import butter, sosfilt
 
 from torchrl_athletic.diagnosis import remainder
 from torchrl_athletic.diagnosis.remainder import Flexibility, flexibilities, remarks_on
@@ -100,6 +101,19 @@ def test_noise_that_does_not_answer_to_the_command_is_no_flexibility(rigid):
     loud = Recording(noisy.time, noisy.joint_names, noisy.position + wobble, torque_command=noisy.command)
     s = projected(loud)
     assert flexibilities([s], nothing([s]), BAND) == []
+
+
+def test_what_chance_gives_short_takes_is_no_flexibility_beside_a_long_one():
+    """Coherence of eight segments is an eighth by chance, of sixty a sixtieth: whichever take comes first."""
+
+    def shaken(seconds, seed):
+        r, rng = recorded(False, seconds, seed), np.random.default_rng(seed + 500)
+        shake = sosfilt(butter(4, [9, 30], "band", fs=RATE, output="sos"), rng.normal(0, 4e-4, len(r.time)))
+        moved = r.position + shake[:, None]
+        return projected(Recording(r.time, ("rail",), moved, torque_command=r.command))
+
+    takes = [shaken(60.0, 0), *(shaken(8.5, seed) for seed in range(1, 9))]
+    assert flexibilities(takes, nothing(takes), BAND) == flexibilities(takes[::-1], nothing(takes), BAND) == []
 
 
 def test_what_a_finding_explains_is_taken_away_first(rigid):

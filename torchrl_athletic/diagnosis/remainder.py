@@ -88,10 +88,11 @@ def flexibilities(takes: Sequence[Signals], best: Scored, band: float) -> list[F
             )
     out = []
     for j, parts in per_joint.items():
-        f, _, _, chance, noise = parts[0]
+        f, *_, noise = parts[0]
         if any(len(part[0]) != len(f) for part in parts):
             continue
         c, p = np.mean([part[1] for part in parts], axis=0), np.mean([part[2] for part in parts], axis=0)
+        chance = float(np.mean([part[3] for part in parts]))  # a short take has fewer segments, and more of it
         answers = c > COHERENT * chance / np.sqrt(len(parts))
         coherent = float(np.sqrt((c * p)[answers].sum() * (f[1] - f[0]))) if answers.sum() > 3 else 0.0
         mean = float((c * p).sum() / p.sum())
