@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from torchrl_athletic.diagnosis import replay
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.replay import join, simulate, take_of, windows_of
+from torchrl_athletic.diagnosis.replay import join, simulate, take_of, window_rmse, windows_of
 from torchrl_athletic.effects import Backlash, Compliance, Hysteresis, LoadDependentFriction, ThermalDrift
 from torchrl_athletic.effects.base import BaseMotion
 from torchrl_athletic.effects.plant import Law
@@ -597,8 +597,17 @@ def test_what_diverges_keeps_its_last_finite_values_for_good_and_in_its_own_row(
     fine, wild = np.arange(8.0).reshape(4, 2), np.arange(8.0).reshape(4, 2)
     wild[2, 1] = np.nan
     lost = np.full((4, 2), 2e4)
-    found = replay._hold_finite(np.stack([fine, wild, lost]))
-    np.testing.assert_array_equal(found, [fine, [[0, 1], [2, 3], [2, 3], [2, 3]], np.zeros((4, 2))])
+    start = np.array([[0.0, 1.0], [0.0, 1.0], [3.0, 4.0]])
+    found = replay._hold_finite(np.stack([fine, wild, lost]), start)
+    np.testing.assert_array_equal(found, [fine, [[0, 1], [2, 3], [2, 3], [2, 3]], [[3, 4]] * 4])
+
+
+def test_a_wheel_that_has_turned_two_thousand_times_is_followed_as_well_as_one_that_has_not():
+    pushed = record(slider(), np.full((200, 1), 4.0))
+    for ahead in (0.0, 2e4):
+        t = take(slider(), replace(pushed, position=pushed.position + ahead))
+        w = windows_of(t, 0.5)
+        assert window_rmse([w], [simulate(w, as_given, np.zeros((1, 0)))[0]])[0] < 1e-3
 
 
 def test_an_error_over_all_windows_weighs_them_by_their_length():

@@ -42,6 +42,8 @@ Build = Callable[[Plant, Array], None]
 
 CHUNK = 3_000_000
 """Rows times physics steps times joints simulated in one go: bounds the memory to some 100 MB."""
+FARTHEST = 1e4
+"""Way from its start beyond which a simulation has diverged [rad, m]; a wheel that turns may be anywhere."""
 SHORTEST = 1.0
 """Pieces that are joined; shorter ones may not hold a whole window of a fit [s]."""
 
@@ -350,7 +352,9 @@ def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array,
     else:
         with np.errstate(all="ignore"):  # of rows that diverge
             out = _closed_loop(physics, command, carry, plant, windows, sets)
-    out = _hold_finite(out * plant.encoder_scale[:, None] + plant.encoder_offset[:, None])
+    out = _hold_finite(
+        out * plant.encoder_scale[:, None] + plant.encoder_offset[:, None], np.tile(measured[0], (sets, 1))
+    )
     return out.reshape(sets, count, windows.length, joints)
 
 
@@ -505,12 +509,19 @@ def _drive(torque: Array, plant: Plant, take: Take) -> Array:
     return np.clip(torque * plant.torque_scale[:, None] + plant.torque_offset[:, None], low, high)
 
 
-def _hold_finite(out: Array) -> Array:
-    bad = ~np.isfinite(out) | (np.abs(out) > 1e4)
+def _hold_finite(out: Array, start: Array) -> Array:
+    """What has run away, from where it started by more than any joint moves in a window, keeps its last good values.
+
+    Args:
+        out: Readings [rad, m]. Shape (rows, length, J).
+        start: Readings before. Shape (rows, J).
+    """
+    with np.errstate(invalid="ignore"):
+        bad = ~(np.abs(out - start[:, None]) <= FARTHEST)  # NaN is bad
     if bad.any():
         for row in np.flatnonzero(bad.any((1, 2))):
             first = int(np.argmax(bad[row].any(1)))
-            out[row, first:] = out[row, first - 1] if first else 0.0
+            out[row, first:] = out[row, first - 1] if first else start[row]
     return out
 
 
