@@ -659,7 +659,7 @@ def two_jointed() -> Experiment:
         pairs={keys[:2]: (1.25, 9.75)},
         inseparable=(keys[1:],),
         spread=0.02,
-        unit="rad",
+        units=("rad", "rad"),
         joint_names=("hip", "knee"),
         time=np.arange(3) / PLAN.rate,
         target=np.array([[0.0, 5.0], [0.1, 5.1], [0.2, 5.2]]),
@@ -705,7 +705,7 @@ def test_the_sentence_of_an_experiment_says_how_often_with_what_weight_and_what_
     assert "drag of hip, rotor of knee and tilt of the robot about 9.8 standard deviations apart" in e.sentence
     assert "now they are 1.2 apart, and repeating the old motion would make it 2.5." in e.sentence
     assert e.sentence.endswith("No motion within the limits separates rotor of knee and tilt of the robot.")
-    sliding = replace(e, unit="m", repeats=2).sentence
+    sliding = replace(e, units=("m", "m"), repeats=2).sentence
     assert "±0.4 m at 1.5 Hz" in sliding
     assert "±0.3 m" in sliding
     assert ", 2 times with" in sliding
@@ -713,8 +713,18 @@ def test_the_sentence_of_an_experiment_says_how_often_with_what_weight_and_what_
     assert not any(word in plain for word in ("times", "fastened", "No motion"))
 
 
-@pytest.mark.parametrize(("slides", "unit"), [((False, False), "rad"), ((True, False), "rad"), ((True, True), "m")])
-def test_an_experiment_promises_what_its_closest_pair_that_can_be_told_has(slides, unit, monkeypatch):
+def test_a_slide_moves_by_metres_and_a_hinge_beside_it_by_radians():
+    e = replace(two_jointed(), units=("m", "rad"))
+    assert "Move hip in a sine of ±0.4 m at 1.5 Hz" in e.sentence
+    assert "step knee by ±0.3 rad" in e.sentence
+    assert [m["unit"] for m in e.report()["motions"]] == ["m", "rad"]
+    for units, told in ((("m", "rad"), "rad or m"), (("rad", "m"), "rad or m"), (("m", "m"), "m")):
+        together = replace(e, motions=(replace(e.motions[0], joint="all joints", kind="multisine"),), units=units)
+        assert f"Move all joints at once by up to ±0.4 {told}, up to" in together.sentence
+
+
+@pytest.mark.parametrize("slides", [(False, False), (True, False), (True, True)])
+def test_an_experiment_promises_what_its_closest_pair_that_can_be_told_has(slides, monkeypatch):
     monkeypatch.setattr(planning, "is_slide", lambda model, address, j: slides[j])
     e, keys = two_jointed(), [("drag", "hip"), ("rotor", "knee"), ("tilt", None)]
     recording = Recording(e.time, e.joint_names, e.reference, position_target=e.target, kp=e.kp, kd=e.kd)
@@ -729,7 +739,8 @@ def test_an_experiment_promises_what_its_closest_pair_that_can_be_told_has(slide
     assert (found.before, found.repeated, found.after) == (1.0, 2.5, 8.0)
     assert found.pairs[keys[0], keys[2]] == (2.0, 8.0)
     assert found.inseparable == ((keys[1], keys[2]),)
-    assert (found.spread, found.unit) == (pytest.approx(0.3), unit)
+    assert found.spread == pytest.approx(0.3)
+    assert found.units == tuple("m" if slide else "rad" for slide in slides)
     assert (found.repeats, found.payload, found.limits) == (3, 0.25, e.limits)
     for name in ("time", "target", "reference", "torque", "kp", "kd"):
         np.testing.assert_array_equal(getattr(found, name), getattr(e, name))

@@ -80,8 +80,8 @@ class Experiment:
     """Pairs that no motion within the limits separates."""
     spread: float
     """Largest difference between the positions that the rivals predict for it [rad, m]."""
-    unit: str
-    """Unit of the amplitude: 'rad' or 'm'."""
+    units: tuple[str, ...]
+    """Unit of each joint's position: 'rad' or 'm'. Length J."""
     joint_names: tuple[str, ...]
     time: Array
     """Uniform stamps [s]. Shape (T,)."""
@@ -100,7 +100,7 @@ class Experiment:
     @property
     def sentence(self) -> str:
         """What to do and what it tells, in words."""
-        how = ", then ".join(m.words(self.unit) for m in self.motions)
+        how = ", then ".join(m.words(self._unit(m)) for m in self.motions)
         often = f", {self.repeats} times" if self.repeats > 1 else ""
         load = f" with {self.payload:g} kg fastened to the end" if self.payload else ""
         text = (
@@ -112,6 +112,11 @@ class Experiment:
             which = "; ".join(_words(pair) for pair in self.inseparable)
             text += f" No motion within the limits separates {which}."
         return text
+
+    def _unit(self, motion: Motion) -> str:
+        """Unit of a motion's amplitude; of all joints at once, each one's own."""
+        of = dict(zip(self.joint_names, self.units, strict=True))
+        return of.get(motion.joint) or " or ".join(sorted(set(self.units), reverse=True))
 
     def report(self) -> dict[str, Any]:
         """All but the samples, as plain lists and numbers."""
@@ -130,7 +135,7 @@ class Experiment:
                     "joint": m.joint,
                     "kind": m.kind,
                     "amplitude": m.amplitude,
-                    "unit": self.unit,
+                    "unit": self._unit(m),
                     "frequency": m.frequency,
                     "pose": m.pose.tolist(),
                 }
@@ -636,7 +641,7 @@ def _experiment(
         pairs={pair: (float(x), float(y)) for pair, x, y in zip(named, separations[0], separations[2], strict=True)},
         inseparable=tuple(pair for pair, can in zip(named, hopeful, strict=True) if not can),
         spread=float(np.ptp(paths[:, 0], axis=0).max()),
-        unit="m" if all(slides) else "rad",
+        units=tuple("m" if slide else "rad" for slide in slides),
         joint_names=r.joint_names,
         time=r.time,
         target=r.command,
