@@ -22,7 +22,7 @@ def on_grid(recording: Recording, robot: Robot) -> Recording:
     """The take on the time step of the robot's physics, with a velocity; the joints stay as they are.
 
     Args:
-        recording: Of any rate; resampled if it is off by more than :data:`SAME_RATE`.
+        recording: Of any rate; resampled if it is off by more than :data:`SAME_RATE`, or if rows were lost.
         robot: Whose time step counts.
 
     Raises:
@@ -37,7 +37,8 @@ def on_grid(recording: Recording, robot: Robot) -> Recording:
         (200, (199, 1))
     """
     step = float(robot.model().opt.timestep)
-    if abs(recording.rate * step - 1) > SAME_RATE:
+    lost = bool((np.diff(recording.time) > 1.5 * step).any())  # one row a step would play what is left faster
+    if lost or abs(recording.rate * step - 1) > SAME_RATE:
         recording = resample(recording, step)
     return recording if recording.velocity is not None else replace(recording, velocity=velocity_of(recording))
 
