@@ -22,7 +22,7 @@ from torchrl_athletic.diagnosis.prepare import (
 )
 from torchrl_athletic.effects import ActuationDelay, TorqueScale, project_recording
 from torchrl_athletic.effects.signals import KERNEL
-from torchrl_athletic.recordings import Recording, RecordingError
+from torchrl_athletic.recordings import Recording, RecordingError, repeat_noise
 
 NOISE = 2e-5
 
@@ -230,13 +230,26 @@ def test_the_measured_torque_drives_when_asked(takes):
         prepare([first], arm(), "measured")
 
 
+def following_targets(r: Recording) -> Recording:
+    """The same positions, as a loop made them."""
+    return replace(r, torque_command=None, position_target=r.position, kp=np.full(2, 20.0), kd=np.full(2, 0.5))
+
+
 def test_repeats_tell_the_repeatability(takes):
-    (first, _) = takes
+    first = following_targets(takes[0])
     rng = np.random.default_rng(3)
     again = replace(first, position=first.position + rng.normal(0, 10 * NOISE, first.position.shape), source="2.npz")
     prepared = prepare([replace(r, metadata={"repeat_id": "a"}) for r in (first, again)], arm())
     assert prepared.repeatability is not None
     np.testing.assert_allclose(prepared.repeatability, 10 * NOISE / np.sqrt(2), rtol=0.3)
+
+
+def test_repeats_that_drift_apart_under_torques_set_no_floor_for_windows_that_start_anew(takes):
+    """A pendulum that goes over the top once more than the last time is 6 rad away; a window is followed as ever."""
+    apart = replace(takes[0], position=takes[0].position + np.linspace(0, 6, len(takes[0].time))[:, None])
+    repeats = [replace(r, metadata={"repeat_id": "a"}) for r in (takes[0], apart)]
+    assert repeat_noise(repeats) is not None
+    assert prepare(repeats, arm()).repeatability is None
 
 
 def test_the_report_names_its_source_once(takes):
@@ -348,7 +361,8 @@ def test_a_mask_stays_with_its_samples_where_those_of_a_lost_base_went_and_nobod
     takes, monkeypatch
 ):
     first, again = (
-        replace(r, metadata={"repeat_id": "a"}) for r in (takes[0], replace(takes[0], source="carried.npz"))
+        replace(following_targets(r), metadata={"repeat_id": "a"})
+        for r in (takes[0], replace(takes[0], source="carried.npz"))
     )
     unfit = np.zeros(first.position.shape, dtype=bool)
     unfit[600:650, 1] = True
@@ -356,7 +370,7 @@ def test_a_mask_stays_with_its_samples_where_those_of_a_lost_base_went_and_nobod
     alike = []
 
     def without_lost(r):
-        return replace(r, time=r.time[kept], position=r.position[kept], torque_command=r.torque_command[kept])
+        return r.where(np.isin(np.arange(r.num_samples), kept))
 
     def projected(piece, model, noise, velocity_noise, mask, *rest):
         masks.append((piece.time, mask))

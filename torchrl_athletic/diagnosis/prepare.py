@@ -54,7 +54,7 @@ class Prepared:
     position_noise: Array
     """Standard deviation of one reading, the median over the recordings [rad, m]. Shape (J,)."""
     repeatability: Array | None
-    """Scatter between repeats of the same take [rad, m], shape (J,), when there are any."""
+    """Scatter between repeats of the same take [rad, m], shape (J,), when there are any that followed targets."""
     left_out: tuple[str, ...] = ()
     """Why pieces were left out: too short to see a motion in."""
 
@@ -137,7 +137,9 @@ def prepare(
             "Excite the joints, clear of their stops, and record again."
         )
     noise = np.median([q.position_noise for q in quality], axis=0)
-    repeatable = [r for r in recordings if not base_moves(r)]  # nobody carries a robot twice the same way
+    # a loop brings repeats back together; pushed by torques they drift apart, however well a window is followed
+    held = [r for r in recordings if r.position_target is not None]
+    repeatable = [r for r in held if not base_moves(r)]  # nobody carries a robot twice the same way
     return Prepared(quality, tuple(signals), tuple(join(takes)), noise, repeat_noise(repeatable), tuple(left_out))
 
 
