@@ -23,6 +23,11 @@ def test_time_and_values_bound_what_is_kept(seconds, values, kept):
     assert sum(r.duration for r in parts) == pytest.approx(kept, rel=0.5)
 
 
+@pytest.mark.parametrize("seconds", [11, 13, 600])
+def test_ten_seconds_are_kept_however_little_is_asked_for(seconds):
+    assert 9.5 <= seconds_of(cut_stretches([log(seconds)], 1.0)) <= 12.0
+
+
 def test_stretches_lie_in_all_takes_in_proportion_and_in_order():
     parts = cut_stretches([log(3000), log(1000)], 240.0)
     starts = [r.time[0] for r in parts]

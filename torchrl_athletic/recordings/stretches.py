@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -40,7 +41,7 @@ def cut_stretches(recordings: Sequence[Recording], seconds: float, values: float
     most = max(min(seconds, total * values / max(size, 1)), LEAST)
     if total <= most:
         return list(recordings)
-    count = max(1, int(most / STRETCH))
+    count = max(math.ceil(LEAST / STRETCH), int(most / STRETCH))
     ends = np.cumsum([clock[-1] for clock in clocks])
     middles = (np.arange(count) + 0.5) * total / count
     out = []
