@@ -492,6 +492,22 @@ def test_a_fold_is_told_by_the_others_and_never_by_itself(monkeypatch, first_ord
     np.testing.assert_allclose(square, [[49, 25, 36], [1, 9, 64]], rtol=1e-4)
 
 
+def test_windows_that_overlap_a_fold_do_not_tell_it(monkeypatch):
+    """A fold that sees a 1 is told by the windows that see a 3, and not by the one that sees half of each."""
+    problem, _ = following(monkeypatch, Windows(take_like(41), np.array([0, 5, 10, 20, 30]), 10))
+    for aside, apart in (([0], [2, 3, 4]), ([2], [0, 3, 4]), ([1, 2], [3, 4]), ([3], [0, 1, 2, 4])):
+        kept = np.isin(np.arange(5), aside)
+        assert np.flatnonzero(module.apart_from(problem, kept)).tolist() == apart
+    close, _ = following(monkeypatch, Windows(take_like(20), np.array([0, 3]), 10))
+    assert module.apart_from(close, np.array([True, False])).tolist() == [False, True]  # better than nothing
+    t = take_like(31)
+    t.measured[11:, 0] = 3.0
+    problem, _ = following(monkeypatch, Windows(t, np.array([0, 5, 10, 20]), 10))
+    near = replace(linearise(problem, np.ones(1), np.ones(1, dtype=bool)), ridge=0.0)
+    square = folded(near, [np.zeros(1, dtype=bool)], np.array([0, 1, 1, 1]))
+    assert square[0, 0] == pytest.approx([4.0])  # by 3; with the one between by 8 / 3
+
+
 def test_folds_are_whole_recordings_as_even_as_can_be_and_of_few_recordings_stretches_of_time():
     one = Windows(take_like(40, (0, 10, 20)), np.array([0, 1, 2, 3, 4, 5, 10, 11, 12, 20]), 3)
     two = Windows(take_like(20, (0, 10)), np.array([0, 1, 10, 11, 12]), 3)

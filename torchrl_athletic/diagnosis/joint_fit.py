@@ -633,16 +633,28 @@ def folded(near: Linearised, trials: Sequence[Mask], fold: NDArray[np.intp], fir
     problem = near.problem
     out = np.empty((len(trials), len(fold), len(problem.unit)))
     for k in np.unique(fold):
+        others = apart_from(problem, fold == k)
         if first_order:
             rows = np.isin(problem.window, np.flatnonzero(fold == k))
             for n, held in enumerate(trials):
                 errors = np.zeros(len(rows))
-                errors[rows] = near.errors[rows] + near.columns[rows] @ near.move(fold != k, held)
+                errors[rows] = near.errors[rows] + near.columns[rows] @ near.move(others, held)
                 out[n, fold == k] = problem.squares(errors)[fold == k]
         else:
-            values = np.stack([near.step(fold != k, held) for held in trials])
+            values = np.stack([near.step(others, held) for held in trials])
             out[:, fold == k] = part_of(problem, fold == k).mean_square(values)
     return out
+
+
+def apart_from(problem: Problem, aside: Mask) -> Mask:
+    """Windows that share no sample with those that are kept aside; all others where none is so far away. Shape (W,)."""
+    apart, first = ~aside, 0
+    for w in problem.windows:
+        own = slice(first, first + len(w.start))
+        first = own.stop
+        far = np.abs(w.start[:, None] - w.start[aside[own]]) >= w.length
+        apart[own] &= far.all(axis=1)
+    return apart if apart.any() else ~aside
 
 
 def part_of(problem: Problem, chosen: Mask) -> Problem:
