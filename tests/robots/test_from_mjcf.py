@@ -51,6 +51,16 @@ def test_our_robots_are_found_in_their_own_xml(make):
     assert found.model().body_mass.sum() == pytest.approx(robot.model().body_mass.sum(), rel=1e-5)
 
 
+def test_a_ball_that_lies_about_is_no_base():
+    """Neither of an arm that is bolted down, nor of a robot that stands behind the ball in its model."""
+    ball = '<worldbody><body name="ball" pos="3 0 1"><freejoint/><geom size="0.1"/></body>'
+    for robot in (z1(), b2z1()):
+        spec = robot.spec()
+        for key in spec.keys:
+            spec.delete(key)  # whose states have no place for the ball
+        assert from_mjcf(spec.to_xml().replace("<worldbody>", ball)).base == robot.base
+
+
 def test_it_goes_to_another_process_and_into_an_environment(tmp_path):
     path = tmp_path / "arm.xml"
     path.write_text(two_link_arm())

@@ -32,7 +32,7 @@ def from_mjcf(
 
     Its joints are those of the model's actuators, in their order, or, without actuators, every hinge and slide. The
     actuators themselves are switched off: torques reach the joints directly, and what drives them is a chain of
-    transforms. The base is the body with a free joint, where there is one.
+    transforms. The base is the body with a free joint that carries them, where there is one.
 
     Args:
         mjcf: Path of the file, or the XML itself.
@@ -88,7 +88,7 @@ def from_mjcf(
             (float(low), float(high)) if limited else (-np.inf, np.inf)
             for (low, high), limited in zip(model.jnt_range[links], model.jnt_limited[links], strict=True)
         ),
-        base=_base(model),
+        base=_base(model, joints),
         sensors={key: tuple(members) for key, members in (sensors or {}).items()},
         build=build,
         keyframe=start,
@@ -158,9 +158,12 @@ def _servo_gains(model: mujoco.MjModel, actuators: list[int], joints: int) -> tu
     return tuple(map(float, kp)), tuple(map(float, kd))
 
 
-def _base(model: mujoco.MjModel) -> str | None:
-    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
-    return model.body(model.jnt_bodyid[free[0]]).name if free.size else None
+def _base(model: mujoco.MjModel, joints: list[int]) -> str | None:
+    """Of the bodies with a free joint, which a ball on the floor has too, the one that carries the driven joints."""
+    carrying = model.body_rootid[model.jnt_bodyid[joints]]
+    free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+    bases = free[np.isin(free, carrying)]
+    return model.body(bases[0]).name if bases.size else None
 
 
 def _each(value: Sequence[float] | float, count: int) -> tuple[float, ...]:
