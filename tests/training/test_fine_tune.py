@@ -12,6 +12,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_athletic.envs import ball_throw_env, whole_body_env
 from torchrl_athletic.envs.ball_throw import KNOWN
+from torchrl_athletic.envs.whole_body import phase_inputs
+from torchrl_athletic.functional.phase import sled_phases
 from torchrl_athletic.networks import pretrained, read_network, trunk_of
 from torchrl_athletic.training import FINE_TUNE, PPO, CSVTable, FineTune, fine_tune, iterate, save_wbc, task_learner
 from torchrl_athletic.training.wbc import WATCHED
@@ -81,6 +83,17 @@ def test_a_tuned_policy_goes_on_as_it_was(env, tmp_path):
     shown = env.reset().select("observation", "privileged")
     torch.testing.assert_close(actions(again.actor, shown), actions(learner.actor, shown), rtol=0, atol=0)
     assert (again.critic(shown.clone())["state_value"] == learner.critic(shown.clone())["state_value"]).all()
+
+
+def test_a_policy_tuned_to_a_task_that_adds_nothing_still_hears_of_phases_when_it_goes_on(tmp_path):
+    env = whole_body_env(num_envs=4, schedule=sled_phases(), net=None)
+    learner = task_learner(env, SMALL)
+    columns = phase_inputs(env)
+    with torch.no_grad():
+        trunk_of(learner.actor).mlp[0].weight[:, columns] += 0.1  # as a training may
+    again = task_learner(env, SMALL, start=save_wbc(learner, tmp_path, name="kick"))
+    assert (trunk_of(again.actor).mlp[0].weight[:, columns] == trunk_of(learner.actor).mlp[0].weight[:, columns]).all()
+    assert (trunk_of(again.critic).mlp[0].weight == trunk_of(learner.critic).mlp[0].weight).all()
 
 
 def test_a_critic_may_learn_before_its_policy_does(env, monkeypatch):
@@ -259,14 +272,14 @@ def test_a_controller_that_goes_on_with_a_task_that_adds_nothing_is_deaf_to_phas
     told = Told()
     for name in ("open_inputs", "Learner"):
         monkeypatch.setattr(module, name, told.of(name))
-    monkeypatch.setattr(module, "phase_inputs", lambda env, frames=None: ["all" if frames is None else frames])
+    monkeypatch.setattr(module, "phase_inputs", lambda env, frames=None: [73 if frames is None else frames])
     known = trunk_of(pretrained("wbc_critic")).mlp[0].in_features
     shown = {"observation": torch.zeros(4, 770), "privileged": torch.zeros(4, known)}
     env = SimpleNamespace(observation_spec=shown, ndim=1, action_spec=torch.zeros(4, 19), device="cpu")
     task_learner(env, seed=6, cuda_graph=True)
     ((_, options),) = told["Learner"]
     assert options == {"watch": WATCHED, "seed": 6, "cuda_graph": True}
-    assert [arguments[1:] for arguments, _ in told["open_inputs"]] == [(["all"],), ([1], [])]
+    assert [arguments[1:] for arguments, _ in told["open_inputs"]] == [([73],), ([1], [])]
 
 
 def test_one_that_begins_anew_is_told_the_configuration_its_seed_and_where_to_record(monkeypatch):

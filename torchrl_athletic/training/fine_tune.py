@@ -15,7 +15,7 @@ from tensordict import TensorDict
 from torchrl.envs import EnvBase, TransformedEnv
 
 from torchrl_athletic.envs.whole_body import phase_inputs
-from torchrl_athletic.networks import open_inputs, pretrained, trunk_of
+from torchrl_athletic.networks import RunningNormalizer, open_inputs, pretrained, trunk_of
 from torchrl_athletic.recordings.whole_file import whole_file
 from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.curves import draw_curves
@@ -73,9 +73,10 @@ def task_learner(
     """A controller and its critic, ready to learn a task.
 
     At first the policy acts as the controller does, whatever phase it is told of: it saw only zeros there
-    (:func:`~torchrl_athletic.networks.open_inputs`). A policy whose critic knows the task's entries was tuned to it
-    before, and goes on as it is. Its standard deviation is that with which it was trained last. What inputs are
-    normalised by stays as it was: a policy that is tuned slowly shall not be moved by that.
+    (:func:`~torchrl_athletic.networks.open_inputs`). A policy whose critic knows the task's entries, or which has heard
+    of phases where the task adds none, was tuned before, and goes on as it is. Its standard deviation is that with
+    which it was trained last. What inputs are normalised by stays as it was: a policy that is tuned slowly shall not be
+    moved by that.
 
     Args:
         env: Of a task: ``ball_throw_env`` and the like.
@@ -106,14 +107,9 @@ def task_learner(
     seen, told = (shown[key].shape[-1] for key in ("observation", "privileged"))
     new = [size for key, size in known.items() for _ in range(shown[key].shape[env.ndim :].numel())]
     policy, value = read_wbc(start, trainable=True)
-    tuned = bool(new) and trunk_of(value).mlp[0].in_features == told
-    check_sizes(
-        str(start),
-        {
-            "observation": (policy, seen, env.action_spec.shape[-1]),
-            "privileged": (value, told if tuned else told - len(new), 1),
-        },
-    )
+    check_sizes(str(start), {"observation": (policy, seen, env.action_spec.shape[-1])})
+    tuned = trunk_of(value).mlp[0].in_features == told if new else _heard_of_phases(policy, env)
+    check_sizes(str(start), {"privileged": (value, told if tuned else told - len(new), 1)})
     if not tuned:
         open_inputs(policy, phase_inputs(env))
         open_inputs(value, phase_inputs(env, frames=1), new)
@@ -126,6 +122,12 @@ def task_learner(
         seed=seed,
         cuda_graph=cuda_graph,
     )
+
+
+def _heard_of_phases(policy: Any, env: EnvBase) -> bool:
+    """Whether a policy has learnt what phases mean: its normaliser knows a spread of theirs, which are 0 before."""
+    normalizer = trunk_of(policy).normalizer
+    return isinstance(normalizer, RunningNormalizer) and bool((normalizer.variance[phase_inputs(env)] > 0).any())
 
 
 def controller_for(env: EnvBase, name: str) -> Any:
