@@ -23,6 +23,7 @@ from torchrl_athletic.training.rollout import control_step
 from torchrl_athletic.transforms import (
     B2Z1_PUSHES,
     ActionDelay,
+    CommandSampler,
     DomainRandomization,
     EncoderOffset,
     ExternalPush,
@@ -194,6 +195,12 @@ def test_an_episode_begins_with_the_hand_where_it_is_told_to_be(height):
     shown = whole_body_env(ROBOT, num_envs=3, commands=CommandRanges(frame_height=height), net=None).reset()
     assert shown["tracking", "position"].max() < 1e-3
     assert shown["tracking", "attitude"].max() < 1e-2
+
+
+def test_a_sampler_of_one_s_own_brings_its_frame():
+    sampler = CommandSampler(CommandRanges(frame_height=0.3), 0.02)
+    shown = whole_body_env(ROBOT, num_envs=1, commands=[sampler, Watcher("dof_damping")], **STILL).reset()
+    assert shown["pose_error"].abs().max() < 1e-5
 
 
 def test_the_errors_shown_are_those_of_an_independent_program():

@@ -212,7 +212,6 @@ def whole_body_env(
     """
     robot = b2z1(terrain=Terrain(), cone="pyramidal") if robot is None else robot
     commands = CommandRanges() if commands is None else commands
-    ranges = commands if isinstance(commands, CommandRanges) else CommandRanges()
     chance = Disturbances() if disturbances is None else disturbances
     rows: dict[str, Any] = {"seed": seed, "first_row": first_row}
     if chain is None:
@@ -249,7 +248,7 @@ def whole_body_env(
             *([CommandSampler(commands, dt, **rows)] if isinstance(commands, CommandRanges) else commands),
             GaitClock(dt, **rows),
             *extra,
-            PoseError(ranges.frame_height),
+            PoseError(_frame_height(commands)),
             TrackingErrors(),
             _scaling(robot, action_offset, action_scale),
             ActionHistory(3, before=torch.zeros(len(robot.joint_names))),
@@ -266,6 +265,14 @@ def _policy_step(robot: Robot, chain: Sequence[Transform], substeps: int) -> flo
     """Time between two actions [s]."""
     decimation = [transform.steps for transform in chain if isinstance(transform, Decimation)]
     return math.prod(decimation) * substeps * float(robot.model().opt.timestep)
+
+
+def _frame_height(commands: CommandRanges | Sequence[Transform]) -> float:
+    """Height of the frame in which the hand is commanded, by whatever writes the command last [m]."""
+    if isinstance(commands, CommandRanges):
+        return commands.frame_height
+    last = next((part for part in reversed(commands) if "end_effector_command" in part.out_keys), None)
+    return (last.ranges if isinstance(last, CommandSampler) else CommandRanges()).frame_height
 
 
 def _sensing(chance: Disturbances, rows: Mapping[str, Any]) -> list[Transform]:
