@@ -27,12 +27,15 @@ from torchrl_athletic.transforms import (
     DomainRandomization,
     EncoderOffset,
     ExternalPush,
+    GaitClock,
     InitialState,
     PDControl,
     PoseError,
     PowerClip,
     RandomizationRanges,
     RandomTransform,
+    ReferenceTrajectory,
+    SledRope,
     StartRanges,
     TaskPhase,
     UANCorrection,
@@ -316,6 +319,19 @@ def test_a_finer_time_step_leaves_drives_and_policy_at_their_rates():
     assert float(fine.base_env.physics.time) == pytest.approx(0.5)
     assert one["gait_cycle"].item() == pytest.approx(other["gait_cycle"].item())
     torch.testing.assert_close(one["joint_position"], other["joint_position"], atol=0.01, rtol=0)
+
+
+@pytest.mark.parametrize(("part", "name"), [("objects", "SledRope"), ("extra", "GaitClock"), ("commands", "Reference")])
+def test_a_part_that_counts_in_other_steps_than_the_robot_is_refused(part, name):
+    """MuJoCo's own time step is 2 ms, at which the paper's motions would be over in 2/5 of their time."""
+    robot = with_options(ROBOT, timestep=0.002)
+    made = {
+        "objects": SledRope(0.005),
+        "extra": GaitClock(0.02),
+        "commands": ReferenceTrajectory({"end_effector_command": torch.zeros(2, 9)}, table_dt=0.02, dt=0.02),
+    }
+    with pytest.raises(ValueError, match=rf"{name}.* takes a step for 0\.0.* lasts 0\.00[28] s.*timestep=0\.005"):
+        whole_body_env(robot, num_envs=1, **{part: [made[part]]}, **STILL)
 
 
 def test_a_part_of_a_batch_is_what_it_is_in_the_whole():

@@ -201,6 +201,9 @@ def whole_body_env(
         seed: Of all draws.
         first_row: Number of the first row, for parts of a larger batch.
 
+    Raises:
+        ValueError: If ``commands``, ``objects`` or ``extra`` count in other steps than the robot's.
+
     Source:
         Fey et al. 2025, section II-B and appendix A.
 
@@ -218,7 +221,10 @@ def whole_body_env(
         net = pretrained(net) if isinstance(net, str) else net
         least, greatest = chance.delay
         chain = actuation_chain(robot, net=net, arm_power=arm_power, max_delay=greatest, min_delay=least, **rows)
-    dt = _policy_step(robot, chain, substeps)
+    torque_dt = substeps * float(robot.model().opt.timestep)
+    dt = torque_dt * math.prod(part.steps for part in chain if isinstance(part, Decimation))
+    _refuse_other_times(objects, torque_dt)
+    _refuse_other_times((*(() if isinstance(commands, CommandRanges) else commands), *extra), dt)
     sensing, starting = _sensing(chance, rows), _starting(chance, rows)
     fields = {field for part in (*objects, *chain, *starting, *extra) for field in getattr(part, "fields", ())}
     sensed = [key for key in robot.sensors if key.endswith("_force")]
@@ -261,10 +267,17 @@ def whole_body_env(
     return env.append_transform(Privileged(_known(env, privileged)))
 
 
-def _policy_step(robot: Robot, chain: Sequence[Transform], substeps: int) -> float:
-    """Time between two actions [s]."""
-    decimation = [transform.steps for transform in chain if isinstance(transform, Decimation)]
-    return math.prod(decimation) * substeps * float(robot.model().opt.timestep)
+def _refuse_other_times(parts: Sequence[Transform], dt: float) -> None:
+    """Raise where a part takes its steps for longer or shorter than they are [s]."""
+    for part in parts:
+        told = getattr(part, "dt", dt)
+        if not math.isclose(told, dt, rel_tol=1e-6):
+            raise ValueError(
+                f"{type(part).__name__} takes a step for {told:g} s, but where it stands one lasts {dt:g} s, so that "
+                "its motion would be too fast or too slow. The tasks want a torque each 0.005 s and an action each "
+                "0.02 s: give the robot such steps, with_options(robot, timestep=0.005), or finer ones and substeps=, "
+                f"or make {type(part).__name__} with dt={dt:g}."
+            )
 
 
 def _frame_height(commands: CommandRanges | Sequence[Transform]) -> float:

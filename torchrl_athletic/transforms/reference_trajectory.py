@@ -127,7 +127,7 @@ class ReferenceTrajectory(RandomTransform):
         memory = [keys.id, keys.step] if phase_keys is None else []
         seen = [] if phase_keys is None else list(phase_keys)
         super().__init__(seen, [*shows, *memory], seed=seed, first_row=first_row, reset_key=reset_key)
-        self.phase_keys = phase_keys
+        self.phase_keys, self.dt = phase_keys, dt
         self.names, self.keys, self.flatten, self.reset_state = names, shows, flatten, resets
         self.samples_per_step, self.lookahead = dt / table_dt, tuple(lookahead)
         self.at_end, self.interpolate, self.random_start = at_end, interpolate, random_start
