@@ -77,6 +77,15 @@ def test_a_seed_says_what_happens():
     assert (seven != played(8)).any()
 
 
+def test_robots_that_are_told_no_seed_draw_episodes_of_their_own():
+    """As Gymnasium asks, whose sync and async vectors would else be many copies of one robot."""
+    envs = gymnasium.make_vec("torchrl_athletic/WholeBody-v0", num_envs=2, vectorization_mode="sync", net=None)
+    one, other = envs.reset()[0]
+    assert (one != other).any()
+    told = [GymnasiumVectorEnv("WholeBody", 1, net=None, seed=3) for _ in range(2)]
+    np.testing.assert_array_equal(*(env.reset()[0] for env in told))
+
+
 def test_it_earns_what_the_environment_earns():
     envs = GymnasiumVectorEnv("WholeBody", 2, seed=3)
     envs.reset()
@@ -136,7 +145,7 @@ def toy(monkeypatch):
 def test_rows_start_anew_one_by_one_as_they_end(toy):
     """As TorchRL's own loop has it."""
     envs, env = GymnasiumVectorEnv("Toy", 4), toy(4)
-    first, _ = envs.reset()
+    first, _ = envs.reset(seed=0)
     td = env.reset()
     np.testing.assert_array_equal(first, td["observation"])
     some = 0

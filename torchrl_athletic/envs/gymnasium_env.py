@@ -70,17 +70,24 @@ class GymnasiumVectorEnv(VectorEnv[Array, Array, Any]):
         self.single_action_space = _box(self.env.action_spec.shape[-1])
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
+        self._seeded = "seed" in told
         self._shown: TensorDictBase | None = None
 
     @torch.no_grad()
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Start all rows anew. A seed opens the streams of all draws again; of a list, the first one counts."""
+        """Start all rows anew. A seed opens the streams of all draws again; of a list, the first one counts.
+
+        Without a seed they go on, and where the task was told none either, the first reset takes one by chance.
+        """
         first = seed[0] if isinstance(seed, list) else seed
         super().reset(seed=first, options=options)
+        if first is None and not self._seeded:
+            first = int(self.np_random.integers(2**31))
         if first is not None:
             reseed(self.env, first)
+            self._seeded = True
         self._shown = self.env.reset()
         return _array(self._shown["observation"]), {}
 
