@@ -1,12 +1,16 @@
 """The chain in its order, against the same written as a loop."""
 
+from dataclasses import replace
+
+import pytest
 import torch
 from torchrl.envs import Compose, TransformedEnv
 
-from torchrl_athletic.envs import TorqueEnv, actuation_chain
+from torchrl_athletic.envs import TorqueEnv, actuation_chain, whole_body_env
+from torchrl_athletic.envs.actuation_chain import shipped_net
 from torchrl_athletic.functional import actuation
-from torchrl_athletic.networks import uan
-from torchrl_athletic.robots import z1
+from torchrl_athletic.networks import digest_of, pretrained, uan
+from torchrl_athletic.robots import b2z1, z1
 from torchrl_athletic.transforms import ActionDelay
 
 ARM = z1()
@@ -72,3 +76,23 @@ def test_a_delay_is_part_of_the_chain_wherever_one_can_be_drawn():
     delays = [[p for p in actuation_chain(ARM, max_delay=most) if isinstance(p, ActionDelay)] for most in (0, 3)]
     assert delays[0] == []
     assert [(p.min_steps, p.max_steps) for p in delays[1]] == [(0, 3)]
+
+
+def test_the_shipped_net_is_for_its_own_arm():
+    """An arm of one's own may have as many joints, and even joints of the same names."""
+    for robot in (ARM, b2z1()):
+        assert digest_of(shipped_net("uan", robot)) == digest_of(pretrained("uan"))
+    others = {
+        r"has my_joint1 \(kp 64": replace(ARM, joint_names=tuple(f"my_{name}" for name in ARM.joint_names)),
+        r"has joint1 \(kp 128": replace(ARM, kp=tuple(2 * kp for kp in ARM.kp)),
+        "has no joints": replace(ARM, joint_groups={}),
+    }
+    for told, robot in others.items():
+        with pytest.raises(ValueError, match=f"{told}.*net=None or --actuation ideal"):
+            shipped_net("uan", robot)
+
+
+def test_an_environment_of_another_arm_does_not_take_the_shipped_net_in_silence():
+    robot = b2z1()
+    with pytest.raises(ValueError, match="would push another arm"):
+        whole_body_env(replace(robot, kd=tuple(2 * kd for kd in robot.kd)), num_envs=1)

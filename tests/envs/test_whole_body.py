@@ -522,7 +522,7 @@ def test_parts_that_are_given_keep_their_order_and_get_their_fields_and_a_net_is
 
     monkeypatch.setattr("torchrl_athletic.envs.whole_body.TransformedEnv", refuse)
     monkeypatch.setattr("torchrl_athletic.envs.whole_body.TorqueEnv", lambda robot, **told: told)
-    monkeypatch.setattr("torchrl_athletic.envs.whole_body.pretrained", lambda name: asked.append(name) or uan())
+    monkeypatch.setattr("torchrl_athletic.envs.whole_body.shipped_net", lambda name, _: asked.append(name) or uan())
     steer = [Watcher("first"), Watcher("second")]
     chain = [Watcher("dof_frictionloss"), PDControl(ROBOT.kp, ROBOT.kd)]
     for told in ({"chain": chain}, {"net": "mine"}):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import nn
 from torchrl.envs import Transform
 
+from torchrl_athletic.networks import describe, pretrained
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.transforms import ActionDelay, Decimation, PDControl, PowerClip, TorqueSpeedClip, UANCorrection
 
@@ -57,3 +58,35 @@ def actuation_chain(
     if max_delay:
         chain.append(ActionDelay(max_delay, min_delay, before=robot.default_pose, seed=seed, first_row=first_row))
     return [*chain, Decimation(decimation)]
+
+
+def shipped_net(name: str, robot: Robot) -> nn.Module:
+    """A shipped actuator net, for the arm that it was trained on.
+
+    Args:
+        name: ``"uan"``.
+        robot: With a group ``arm``.
+
+    Raises:
+        ValueError: If the robot's arm has other joints or gains: what the net makes of their errors would mean nothing.
+
+    Example:
+        >>> from torchrl_athletic.robots import b2z1
+        >>> type(shipped_net("uan", b2z1())).__name__
+        'Sequential'
+    """
+    arm = robot.joint_groups.get("arm", ())
+    known = describe(name)
+    wanted = [(joint, kp, kd) for joint, kp, kd in zip(known["joint_names"], known["kp"], known["kd"], strict=True)]
+    found = [(robot.joint_names[j], robot.kp[j], robot.kd[j]) for j in arm]
+    if found != wanted:
+        raise ValueError(
+            f"the net {name!r} knows an arm of {_told(wanted)}, but that of {robot.name} has {_told(found)}: it would "
+            "push another arm by the errors of its own. Take ideal motors, net=None or --actuation ideal; a simulator "
+            f"that was identified for this arm; or, if you know better, the net itself, net=pretrained({name!r})."
+        )
+    return pretrained(name)
+
+
+def _told(joints: list[tuple[str, float, float]]) -> str:
+    return ", ".join(f"{name} (kp {kp:g}, kd {kd:g})" for name, kp, kd in joints) or "no joints"

@@ -22,12 +22,11 @@ from torchrl.envs import (
     UnaryTransform,
 )
 
-from torchrl_athletic.envs.actuation_chain import actuation_chain
+from torchrl_athletic.envs.actuation_chain import actuation_chain, shipped_net
 from torchrl_athletic.envs.torque_env import TorqueEnv
 from torchrl_athletic.envs.whole_body_rewards import whole_body_rewards
 from torchrl_athletic.functional.commands import CommandRanges
 from torchrl_athletic.functional.phase import PhaseSchedule
-from torchrl_athletic.networks import pretrained
 from torchrl_athletic.robots import Robot, Terrain, b2z1
 from torchrl_athletic.transforms import (
     B2Z1_PUSHES,
@@ -202,7 +201,8 @@ def whole_body_env(
         first_row: Number of the first row, for parts of a larger batch.
 
     Raises:
-        ValueError: If ``commands``, ``objects`` or ``extra`` count in other steps than the robot's.
+        ValueError: If ``commands``, ``objects`` or ``extra`` count in other steps than the robot's, or a shipped net is
+            that of another arm.
 
     Source:
         Fey et al. 2025, section II-B and appendix A.
@@ -218,7 +218,7 @@ def whole_body_env(
     chance = Disturbances() if disturbances is None else disturbances
     rows: dict[str, Any] = {"seed": seed, "first_row": first_row}
     if chain is None:
-        net = pretrained(net) if isinstance(net, str) else net
+        net = shipped_net(net, robot) if isinstance(net, str) else net
         least, greatest = chance.delay
         chain = actuation_chain(robot, net=net, arm_power=arm_power, max_delay=greatest, min_delay=least, **rows)
     torque_dt = substeps * float(robot.model().opt.timestep)

@@ -6,9 +6,8 @@ from typing import Any
 
 from torchrl.envs import Transform
 
-from torchrl_athletic.envs import actuation_chain
+from torchrl_athletic.envs.actuation_chain import actuation_chain, shipped_net
 from torchrl_athletic.identification.simulator import Simulator
-from torchrl_athletic.networks import pretrained
 from torchrl_athletic.robots import Robot
 
 
@@ -46,7 +45,7 @@ def with_actuation(
     least, greatest = delay
     told: dict[str, Any] = {"max_delay": greatest, "min_delay": least, "seed": seed, "first_row": first_row}
     if actuation in ("ideal", "uan"):
-        net = pretrained("uan") if actuation == "uan" else None
+        net = shipped_net("uan", robot) if actuation == "uan" else None
         return robot, actuation_chain(robot, net=net, arm_power=arm_power, **told)
     simulator = Simulator.load(actuation, robot)
     return simulator.robot, simulator.chain(arm_power=arm_power, substeps=substeps, **told)
