@@ -1,6 +1,7 @@
 """The paper's pre-training environment: what it shows, what it rewards, when it ends."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -12,13 +13,21 @@ from tensordict import TensorDict
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import StepCounter, Transform, check_env_specs
 
-from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, phase_inputs, whole_body_env, whole_body_rewards
+from torchrl_athletic.envs import (
+    NO_DISTURBANCES,
+    Disturbances,
+    ball_throw_env,
+    phase_inputs,
+    sled_pull_env,
+    whole_body_env,
+    whole_body_rewards,
+)
 from torchrl_athletic.envs.whole_body import ACTION_SCALE, PRIVILEGED, TrackingErrors, _known, _scaling, fallen
 from torchrl_athletic.functional.commands import CommandRanges
 from torchrl_athletic.functional.phase import throw_phases
 from torchrl_athletic.functional.rewards import WBC_SCALES
 from torchrl_athletic.networks import actor, uan
-from torchrl_athletic.robots import Terrain, b2z1, with_options
+from torchrl_athletic.robots import Handle, Terrain, b2z1, with_options, z1
 from torchrl_athletic.training.rollout import control_step
 from torchrl_athletic.transforms import (
     B2Z1_PUSHES,
@@ -321,10 +330,29 @@ def test_a_finer_time_step_leaves_drives_and_policy_at_their_rates():
     torch.testing.assert_close(one["joint_position"], other["joint_position"], atol=0.01, rtol=0)
 
 
+@pytest.mark.parametrize(
+    ("robot", "told"),
+    [
+        (z1(), "z1 lacks a body with a free joint"),
+        (replace(ROBOT, ground=()), "lacks ground, a plane"),
+        (replace(ROBOT, sensors={"foot_force": ROBOT.sensors["foot_force"]}), "lacks sensors 'end_effector_position'"),
+    ],
+)
+def test_a_robot_of_one_s_own_is_told_what_it_lacks(robot, told):
+    with pytest.raises(ValueError, match=f"{told}.*Add them to its MJCF"):
+        whole_body_env(robot, num_envs=1, action_scale=0.2, **STILL)
+
+
+@pytest.mark.parametrize(("make", "mend"), [(sled_pull_env, r"tool=Handle\(\)"), (ball_throw_env, "with_bucket")])
+def test_a_robot_with_an_empty_hand_is_told_what_to_hold(make, mend):
+    with pytest.raises(ValueError, match=f"reads .*Put into its hand.*{mend}"):
+        make(ROBOT, num_envs=1)
+
+
 @pytest.mark.parametrize(("part", "name"), [("objects", "SledRope"), ("extra", "GaitClock"), ("commands", "Reference")])
 def test_a_part_that_counts_in_other_steps_than_the_robot_is_refused(part, name):
     """MuJoCo's own time step is 2 ms, at which the paper's motions would be over in 2/5 of their time."""
-    robot = with_options(ROBOT, timestep=0.002)
+    robot = with_options(b2z1(tool=Handle()), timestep=0.002)
     made = {
         "objects": SledRope(0.005),
         "extra": GaitClock(0.02),

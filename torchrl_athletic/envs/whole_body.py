@@ -201,8 +201,9 @@ def whole_body_env(
         first_row: Number of the first row, for parts of a larger batch.
 
     Raises:
-        ValueError: If ``commands``, ``objects`` or ``extra`` count in other steps than the robot's, or a shipped net is
-            that of another arm.
+        ValueError: If the robot lacks a base, ground, sensors of its hand or those that an object reads; if
+            ``commands``, ``objects`` or ``extra`` count in other steps than the robot's; or a shipped net is that of
+            another arm.
 
     Source:
         Fey et al. 2025, section II-B and appendix A.
@@ -216,6 +217,7 @@ def whole_body_env(
     robot = b2z1(terrain=Terrain(), cone="pyramidal") if robot is None else robot
     commands = CommandRanges() if commands is None else commands
     chance = Disturbances() if disturbances is None else disturbances
+    _refuse_unfit(robot, objects)
     rows: dict[str, Any] = {"seed": seed, "first_row": first_row}
     if chain is None:
         net = shipped_net(net, robot) if isinstance(net, str) else net
@@ -265,6 +267,27 @@ def whole_body_env(
         ),
     )
     return env.append_transform(Privileged(_known(env, privileged)))
+
+
+def _refuse_unfit(robot: Robot, objects: Sequence[Transform]) -> None:
+    """Raise where a robot lacks what its inputs are read from, or what is to act on it."""
+    for part in objects:
+        if unread := [key for key in getattr(part, "every_step", ()) if key not in robot.sensors]:
+            raise ValueError(
+                f"{type(part).__name__} reads {unread}, but {robot.name} has the sensors {sorted(robot.sensors)}. Put "
+                "into its hand what this task is about: b2z1(tool=Handle()) for a sled, with_bucket(robot, BUCKET) for "
+                "a ball; or give your own robot a site with sensors of these names."
+            )
+    lacks = [
+        f"sensors {key!r}" for key in ("end_effector_position", "end_effector_quaternion") if key not in robot.sensors
+    ]
+    lacks += [] if robot.base else ["a body with a free joint, its base"]
+    lacks += [] if robot.ground else ["ground, a plane or a height field of the world, over which heights are measured"]
+    if lacks:
+        raise ValueError(
+            f"{robot.name} lacks {'; '.join(lacks)}: neither commands nor falls could be told. Add them to its MJCF, "
+            "and sensors to the robot's by these names; docs/whole_body.md, 'A robot of your own', lists what is read."
+        )
 
 
 def _refuse_other_times(parts: Sequence[Transform], dt: float) -> None:

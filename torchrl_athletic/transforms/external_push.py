@@ -163,7 +163,10 @@ class ExternalPush(RandomTransform):
         physics = env.physics
         known = [physics.model.body(i).name for i in range(physics.model.nbody)]
         if unknown := [name for name in self.bodies if name not in known]:
-            raise ValueError(f"ExternalPush: the model has no body {unknown[0]!r}; it has {known}.")
+            raise ValueError(
+                f"ExternalPush: the model has no body {unknown[0]!r}; it has {known}. Push some of these, or nothing: "
+                "Disturbances(pushes=...), which are by default those of a B2 with a Z1."
+            )
         return torch.tensor([known.index(name) for name in self.bodies], device=physics.device)
 
     def state_spec(self, observation_spec: Composite) -> Mapping[NestedKey, TensorSpec]:
