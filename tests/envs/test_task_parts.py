@@ -50,6 +50,12 @@ def test_a_straight_wrist_costs_nothing():
     assert value(bent_wrist([1], ROBOT, "joint_position"), joint_position=position) == pytest.approx(0.14)
 
 
+def test_the_wrist_of_an_arm_of_one_s_own_is_found_by_its_place_in_the_arm():
+    own = replace(ROBOT, joint_names=tuple(f"my_{name}" for name in ROBOT.joint_names))
+    position = [0.0] * 15 + [0.1, -0.2, 0.3] + [9.0]  # the last is the gripper's
+    assert value(bent_wrist([1], own, "joint_position"), joint_position=position) == pytest.approx(0.14)
+
+
 def test_a_force_that_stays_costs_nothing():
     before = {"hand_force": torch.tensor([[3.0, 0.0]])}
     assert value(change_of([1], "hand_force"), before=before, hand_force=[3.0, 0.0]) == 0.0

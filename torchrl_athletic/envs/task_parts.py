@@ -22,7 +22,8 @@ POLICY_DT, PHYSICS_DT = 0.02, 0.005
 PHASE_KEYS: tuple[NestedKey, NestedKey] = ("task_phase_index", "task_phase_step")
 FAILURE = -500.0
 """Scale of a failure, which lasts one step of 0.02 s: it costs 10 where a task does not say otherwise."""
-WRIST = ("joint4", "joint5", "joint6")
+WRIST = slice(3, 6)
+"""Of the arm's joints: the paper's 4, 5 and 6."""
 
 
 def references(
@@ -96,7 +97,7 @@ def off_reference(phases: list[int], joints: list[int], position_key: NestedKey)
 
 def bent_wrist(phases: list[int], robot: Robot, position_key: NestedKey) -> InPhase:
     """Sum of the squares of the wrist's joints [rad²], which are 0 where it is straight."""
-    joints = torch.tensor([robot.joint_names.index(name) for name in WRIST])
+    joints = torch.tensor(robot.joint_groups["arm"][WRIST])
     return InPhase(phases, Term(_square_of, position_key, joints=joints))
 
 
