@@ -35,6 +35,12 @@ def test_terms_count_in_their_phases_alone():
     assert [round(value(stance([0, 2]), phase, **parts), 5) for phase in (0, 1, 2)] == [0.37, 0.0, 0.37]
 
 
+def test_a_smaller_robot_stands_at_its_own_height():
+    upright = {"base_height": [0.3], "projected_gravity": [0.0, 0.0, -1.0]}
+    assert value(stance([1], height=0.3), **upright) == 0.0
+    assert value(stance([1]), **upright) == pytest.approx(0.09)
+
+
 def test_the_arm_is_compared_with_its_own_joints_and_not_with_the_legs():
     term = off_reference([1], list(ROBOT.joint_groups["arm"]), "joint_position")
     position, reference = [0.0] * 19, [0.0] * 19

@@ -15,11 +15,11 @@ TERMS, SCALES = whole_body_rewards(ROBOT)
 POSE = torch.tensor(ROBOT.default_pose)
 
 
-def earned(name, **shown):
+def earned(name, terms=TERMS, **shown):
     """Reward of one robot, at a quarter of the clock: the first and last foot stand, the others swing."""
     entries = {key: torch.as_tensor(value, dtype=torch.float32)[None] for key, value in shown.items()}
     step = TensorDict({"gait_cycle": torch.tensor([[0.25]]), **entries}, [1])
-    value = TERMS[name](TensorDict({}, [1]), step)
+    value = terms[name](TensorDict({}, [1]), step)
     assert value.shape == (1, 1)
     return value.item()
 
@@ -55,6 +55,12 @@ def test_feet_that_should_swing_are_asked_to_be_a_tenth_of_a_metre_over_where_th
     assert earned("foot_clearance", foot_height=[0.5, 0.032, 0.152, 0.5]) == pytest.approx(0.1**2 + 0.02**2)
     assert earned("gait", foot_height=[0.0, 0.042, 0.044, 0.0]) == 1.0  # one that should swing is down
     assert earned("gait", foot_height=[0.0, 0.0, 0.0, 0.0]) == 2.0
+
+
+def test_feet_of_one_s_own_are_down_and_up_by_their_own_radius():
+    small = whole_body_rewards(ROBOT, foot_radius=0.02)[0]
+    assert earned("gait", small, foot_height=[0.0, 0.030, 0.032, 0.0]) == 1.0
+    assert earned("foot_clearance", small, foot_height=[0.5, 0.12, 0.12, 0.5]) == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(("key", "width"), [("leg_force", 8), ("arm_force", 3), ("trunk_force", 1)])

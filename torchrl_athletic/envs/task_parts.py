@@ -80,9 +80,12 @@ def auxiliary_rewards(
     return {**terms, "failure": Term(_as_number, "terminated")}, {**scales, "failure": FAILURE}
 
 
-def stance(phases: list[int]) -> InPhase:
-    r"""How far the base is from standing upright at 0.6 m: :math:`(p_z - 0.6)^2 + g_x^2 + g_y^2`."""
-    return InPhase(phases, Term(_off_stance, "base_height", "projected_gravity"))
+def stance(phases: list[int], height: float = 0.6) -> InPhase:
+    r"""How far the base is from standing upright at its height [m], a B2's unless told.
+
+    .. math:: (p_z - h)^2 + g_x^2 + g_y^2
+    """
+    return InPhase(phases, Term(_off_stance, "base_height", "projected_gravity", wanted=height))
 
 
 def pose_tracking(phases: list[int]) -> InPhase:
@@ -132,8 +135,8 @@ def _as_number(flag: Tensor) -> Tensor:
     return flag.float()
 
 
-def _off_stance(height: Tensor, gravity: Tensor) -> Tensor:
-    return (height - 0.6).square() + rewards.square(gravity[..., :2])
+def _off_stance(height: Tensor, gravity: Tensor, wanted: float) -> Tensor:
+    return (height - wanted).square() + rewards.square(gravity[..., :2])
 
 
 def _off_reference(position: Tensor, reference: Tensor, joints: Tensor) -> Tensor:

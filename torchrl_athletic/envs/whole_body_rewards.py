@@ -21,7 +21,10 @@ AUXILIARY = tuple(name for name in rewards.WBC_SCALES if name not in (*TRACKING,
 
 
 def whole_body_rewards(
-    robot: Robot, position_key: NestedKey = "joint_position", without: Sequence[str] = ()
+    robot: Robot,
+    position_key: NestedKey = "joint_position",
+    without: Sequence[str] = (),
+    foot_radius: float = FOOT_RADIUS,
 ) -> tuple[dict[str, RewardTerm], dict[str, float]]:
     """Terms by name, and the paper's scales.
 
@@ -29,6 +32,7 @@ def whole_body_rewards(
         robot: Gives the default pose and the ranges of the joints.
         position_key: True positions of the joints [rad].
         without: Names of terms to leave out, for ablations.
+        foot_radius: Height of the centre of a foot that stands: a B2's, unless told [m].
 
     Source:
         Fey et al. 2025, appendix A, table of WBC rewards.
@@ -36,13 +40,14 @@ def whole_body_rewards(
     pose = torch.tensor(robot.default_pose, dtype=torch.float32)
     limits = torch.tensor(robot.position_limit, dtype=torch.float32)
     feet = {"offset": torch.tensor(TROT)}
+    swing = {**feet, "radius": foot_radius}
     terms: dict[str, RewardTerm] = {
         "ee_pose_tracking": Term(hand_tracking, "pose_error"),
         "linear_velocity_tracking": Term(_linear_velocity_tracking, "base_linear_velocity", "base_velocity_command"),
         "angular_velocity_tracking": Term(_angular_velocity_tracking, "base_angular_velocity", "base_velocity_command"),
-        "gait": Term(_gait, "gait_cycle", "foot_height", **feet),
+        "gait": Term(_gait, "gait_cycle", "foot_height", **swing),
         "foot_slip": Term(_slip, "gait_cycle", "foot_velocity", **feet),
-        "foot_clearance": Term(_clearance, "gait_cycle", "foot_height", **feet),
+        "foot_clearance": Term(_clearance, "gait_cycle", "foot_height", **swing),
         "mechanical_power": Term(_power, "joint_power"),
         "action_smoothness": Term(rewards.action_roughness, "action_history"),
         "linear_velocity_z": Term(_square_of_third, "base_linear_velocity"),
@@ -69,16 +74,16 @@ def _angular_velocity_tracking(velocity: Tensor, command: Tensor) -> Tensor:
     return rewards.gaussian(velocity[..., 2:], command[..., 2:], 4.0)
 
 
-def _gait(cycle: Tensor, height: Tensor, offset: Tensor) -> Tensor:
-    return rewards.premature_contact(in_swing(cycle, offset), height)
+def _gait(cycle: Tensor, height: Tensor, offset: Tensor, radius: float) -> Tensor:
+    return rewards.premature_contact(in_swing(cycle, offset), height + (FOOT_RADIUS - radius))  # as if it were a B2's
 
 
 def _slip(cycle: Tensor, velocity: Tensor, offset: Tensor) -> Tensor:
     return rewards.foot_slip(~in_swing(cycle, offset), velocity)
 
 
-def _clearance(cycle: Tensor, height: Tensor, offset: Tensor) -> Tensor:
-    return rewards.foot_clearance(in_swing(cycle, offset), FOOT_RADIUS + foot_height(cycle, offset), height)
+def _clearance(cycle: Tensor, height: Tensor, offset: Tensor, radius: float) -> Tensor:
+    return rewards.foot_clearance(in_swing(cycle, offset), radius + foot_height(cycle, offset), height)
 
 
 def _power(power: Tensor) -> Tensor:
