@@ -10,7 +10,14 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from torchrl_athletic.envs import ball_throw_env, whole_body_env
+from torchrl_athletic.envs import (
+    ball_throw_env,
+    dumbbell_snatch,
+    dumbbell_snatch_env,
+    sled_pull,
+    sled_pull_env,
+    whole_body_env,
+)
 from torchrl_athletic.envs.ball_throw import KNOWN
 from torchrl_athletic.envs.whole_body import phase_inputs
 from torchrl_athletic.functional.phase import sled_phases
@@ -94,6 +101,14 @@ def test_a_policy_tuned_to_a_task_that_adds_nothing_still_hears_of_phases_when_i
     again = task_learner(env, SMALL, start=save_wbc(learner, tmp_path, name="kick"))
     assert (trunk_of(again.actor).mlp[0].weight[:, columns] == trunk_of(learner.actor).mlp[0].weight[:, columns]).all()
     assert (trunk_of(again.critic).mlp[0].weight == trunk_of(learner.critic).mlp[0].weight).all()
+
+
+def test_a_critic_of_another_task_is_refused_though_it_sees_as_many_numbers():
+    """The sled's would take a force of 100 N on the hand for a friction of 100, which is 0.2 at most."""
+    small = replace(SMALL, num_envs=1)
+    with pytest.raises(ValueError, match=r"sled divides .* by \[100.*'added_mass': 5.0.*Start from the controller"):
+        task_learner(dumbbell_snatch_env(num_envs=1), small, start="sled", known=dumbbell_snatch.KNOWN)
+    task_learner(sled_pull_env(num_envs=1), small, start="sled", known=sled_pull.KNOWN)
 
 
 def test_a_critic_may_learn_before_its_policy_does(env, monkeypatch):

@@ -89,7 +89,8 @@ def task_learner(
         cuda_graph: Capture control step and update, on a GPU only.
 
     Raises:
-        ValueError: If the controller sees or does something else than this task shows and takes.
+        ValueError: If the controller sees or does something else than this task shows and takes, or was tuned to
+            another task whose entries are as many.
 
     Source:
         Fey et al. 2025, section II-C.
@@ -110,7 +111,9 @@ def task_learner(
     check_sizes(str(start), {"observation": (policy, seen, env.action_spec.shape[-1])})
     tuned = trunk_of(value).mlp[0].in_features == told if new else _heard_of_phases(policy, env)
     check_sizes(str(start), {"privileged": (value, told if tuned else told - len(new), 1)})
-    if not tuned:
+    if tuned:
+        _refuse_other_task(str(start), value, env, known, new)
+    else:
         open_inputs(policy, phase_inputs(env))
         open_inputs(value, phase_inputs(env, frames=1), new)
     return Learner(
@@ -128,6 +131,22 @@ def _heard_of_phases(policy: Any, env: EnvBase) -> bool:
     """Whether a policy has learnt what phases mean: its normaliser knows a spread of theirs, which are 0 before."""
     normalizer = trunk_of(policy).normalizer
     return isinstance(normalizer, RunningNormalizer) and bool((normalizer.variance[phase_inputs(env)] > 0).any())
+
+
+def _refuse_other_task(start: str, value: Any, env: EnvBase, known: Mapping[str, float], new: Sequence[float]) -> None:
+    """Raise where a critic was opened to the entries of another task, which are as many but of other sizes."""
+    normalizer = trunk_of(value).normalizer
+    if not new or not isinstance(normalizer, RunningNormalizer):
+        return
+    if (normalizer.variance[phase_inputs(env, frames=1)] != 1).any():
+        return  # it was not opened but begun with the task, whose sizes it measured
+    sizes = normalizer.variance[-len(new) :].sqrt()
+    if not torch.allclose(sizes, sizes.new_tensor(new), rtol=0.01):
+        raise ValueError(
+            f"the critic of {start} divides the task's entries by {sizes.tolist()}, this task has {dict(known)}: it "
+            "was tuned to another task and would take one quantity for another. Start from the controller that it was "
+            "tuned from, wbc or wbc_wide; or give the sizes that it knows."
+        )
 
 
 def controller_for(env: EnvBase, name: str) -> Any:
