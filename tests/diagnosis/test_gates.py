@@ -489,7 +489,7 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
         ("stribeck_friction", "elbow", pytest.approx(0.2))
     ]
     assert found.sentence == "{'torque': 0.9}"
-    assert of_class == [(0.4, pytest.approx(0.6), pytest.approx(0.7), 0.6)]
+    assert of_class == [(0.4, pytest.approx(0.6), pytest.approx(0.7), 0.6, 0.11)]
     assert found.class_probability == pytest.approx(0.4 + 0.2)  # with what is of its class, not with the spring
     assert found.law_probability == pytest.approx(0.4 / 0.6)
     assert found.regime == "True, torque of coulomb_friction of 1"
