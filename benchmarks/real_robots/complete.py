@@ -1,8 +1,8 @@
 """Arms of several joints with a hand fit in their models, so that physics can be concealed in them.
 
 Their published models lack friction and rotors, or hold such that make every error longer. So the numbers below were
-found by :func:`benchmarks.real_robots.rivals.by_hand`, which shares nothing with our fit but MuJoCo, on the recordings
-that are fitted here: on 100 windows of the double pendulum, and on 60 of each arm.
+found by :func:`benchmarks.real_robots.rivals.by_hand`, which shares nothing with our fit but MuJoCo: on 100 windows of
+the double pendulum's six takes, 60 of AIRBOT's five, of which three are fitted here, and 60 of eight of the SO-101.
 """
 
 from __future__ import annotations

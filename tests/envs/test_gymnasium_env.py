@@ -200,4 +200,6 @@ def test_a_single_robot_tells_a_fall_from_the_end_of_its_time(ends):
 def test_without_gymnasium_there_is_nothing_to_register(monkeypatch):
     monkeypatch.setattr("torchrl_athletic.envs.registration.find_spec", lambda name: None)
     monkeypatch.setitem(sys.modules, "gymnasium", None)  # whose import would fail
+    monkeypatch.delitem(gymnasium.registry, "torchrl_athletic/SledPull-v0")
     register_with_gymnasium()
+    assert "torchrl_athletic/SledPull-v0" not in gymnasium.registry
