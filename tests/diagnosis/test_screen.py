@@ -150,6 +150,16 @@ def test_the_gain_of_a_grid_point_is_what_a_fit_with_it_closes(rng, take, joint)
         assert gain == pytest.approx(float(((before.residual - after.residual) / even).sum()), rel=1e-5, abs=1e-5)
 
 
+def test_the_gains_of_some_grid_points_are_those_among_the_gains_of_all(take):
+    bank = Bank([take], [candidate(Shifted("late", np.empty((0, 1))))], noise=NOISE)
+    fit = bank.fit(())
+    whole, some = bank.gains(fit, np.ones(2)), bank.atoms[1:3]
+    assert bank.gains(fit, np.ones(2), lambda atom: atom in some) == {a: pytest.approx(whole[a]) for a in some}
+    assert len(whole) > len(some)
+    assert all(bank.is_shelved(a) for a in whole)
+    assert bank.gains(fit, np.ones(2), lambda atom: False) == {}
+
+
 def test_no_gain_rests_on_a_trim_that_leaves_its_tolerance(take):
     """Else a limit of half a platform's weight looked good, since the platform could be lighter by as much."""
     time, seen = STEP * np.arange(N), take.valid[:, 0]

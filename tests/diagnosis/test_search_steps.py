@@ -52,7 +52,8 @@ class Told:
             atoms=list(atoms),
             joints=2,
             add_all=self.add_all,
-            gains=lambda fit, level: {},
+            gains=lambda fit, level, among: {},
+            is_shelved=lambda atom: False,
             reaches=lambda atom, joint: joint in (reached or {}).get(atom.candidate.effect.name, ()),
         )
         self.total = self.independent = np.ones((2, 1))
@@ -120,6 +121,14 @@ A, B, C, D = (law(name) for name in "abcd")
 def test_a_term_is_exchanged_for_what_gains_most_until_nothing_gains(evidence, promise, start, kept):
     told = Told(evidence, A, B, C, D, promise=promise)
     assert names(steps._exchange(told, told[start])) == kept
+
+
+@pytest.mark.parametrize(("own", "reached", "kept"), [(True, (0,), "a"), (True, (0, 1), "b"), (False, (0,), "b")])
+def test_what_acts_on_its_own_joint_alone_is_exchanged_for_what_reaches_that_joint(own, reached, kept):
+    elsewhere = law("b", joint=1)
+    elsewhere.candidate.effect.own_joint = own  # type: ignore[misc]
+    told = Told({"a": -10.0, "b": -20.0}, A, elsewhere, reached={"a": reached})
+    assert names(steps._exchange(told, told["a"])) == kept
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ by a little.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
@@ -184,6 +184,7 @@ class Bank:
         self._whole: dict[Atom, Array] = {}
         self._kept: dict[Atom, NDArray[np.float32]] = {}
         """Columns of shelved atoms that reach other joints: too dear to predict again."""
+        self._shelved: set[Atom] = set()
         self._shelves: list[_Shelf] = []
         """Atoms of nonlinear grids, of which a search takes few."""
         self._near: dict[tuple[Candidate, frozenset[tuple[str, float]]], Atom] = {}
@@ -205,6 +206,7 @@ class Bank:
                     if len(grid) > 1 and not effect.whole_robot:
                         shelf = shelves.setdefault((joint, columns.shape[2]), _Shelf(joint))
                         shelf.put(atom, columns[:, joint])
+                        self._shelved.add(atom)
                         if _coupled(columns, joint):
                             self._kept[atom] = columns.astype(np.float32)
                     else:
@@ -361,12 +363,17 @@ class Bank:
             out.append(self._near.setdefault((candidate, frozenset(fixed.items())), moved))
         return tuple(out)
 
-    def gains(self, fit: Fit, level: Array) -> dict[Atom, float]:
-        """How much each shelved atom would lower the weighted sum of squares beside a fit, on its own joint alone.
+    def is_shelved(self, atom: Atom) -> bool:
+        """Whether :meth:`gains` knows an atom."""
+        return atom in self._shelved
+
+    def gains(self, fit: Fit, level: Array, among: Callable[[Atom], bool] = lambda atom: True) -> dict[Atom, float]:
+        """How much shelved atoms would lower the weighted sum of squares beside a fit, each on its own joint alone.
 
         Args:
             fit: Atoms that stay, with coefficients that move along unless they are at a bound.
             level: Mean square of each joint's residual. Shape (J,).
+            among: Which atoms are asked about.
         """
         numbers = [n for atom in fit.atoms for n in self.numbers(atom)]
         low, high = fit.bounds
@@ -379,17 +386,20 @@ class Bank:
         room = (low - fit.coefficients)[free], (high - fit.coefficients)[free]
         out: dict[Atom, float] = {}
         for shelf in self._shelves:
-            j = shelf.joint
+            asked = [k for k, atom in enumerate(shelf.atoms) if among(atom)]
+            if not asked:
+                continue
+            j, shape = shelf.joint, (len(shelf.atoms), -1)
             left = shelf.cross(self.products, 0)
             for n, coefficient in zip(numbers, fit.coefficients, strict=True):
                 left = left - coefficient * shelf.cross(self.products, n)
-            shape = (len(shelf.atoms), -1)
-            cross = [shelf.cross(self.products, n).reshape(shape) for n in moving]
-            beside = np.stack(cross, -1) if cross else np.zeros((*left.reshape(shape).shape, 0))
-            gained = gains(
-                shelf.gram / level[j], beside / level[j], active, left.reshape(shape) / level[j], *shelf.bounds, room
-            )
-            out.update(zip(shelf.atoms, gained.tolist(), strict=True))
+            right = left.reshape(shape)[asked]
+            cross = [shelf.cross(self.products, n).reshape(shape)[asked] for n in moving]
+            beside = np.stack(cross, -1) if cross else np.zeros((*right.shape, 0))
+            low, high = (side[asked] for side in shelf.bounds)
+            gram = shelf.gram[asked]
+            gained = gains(gram / level[j], beside / level[j], active, right / level[j], low, high, room)
+            out.update(zip((shelf.atoms[k] for k in asked), gained.tolist(), strict=True))
         return out
 
     def reaches(self, atom: Atom, joint: int) -> bool:

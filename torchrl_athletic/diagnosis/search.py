@@ -459,14 +459,16 @@ def _differs_in(one: Atom, other: Atom, name: str) -> bool:
 def _exchange(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
     """Replace single terms while the evidence gains.
 
-    The first term of a greedy search is often a stand-in for two others.
+    The first term of a greedy search is often a stand-in for two others. What cannot reach its joint stands for none
+    of what it did.
     """
     for _ in range(rounds):
         better = scored
         for term in scored.fit.terms:
             rest = [a for a in scored.fit.terms if a is not term]
             kept = judge.score(rest)
-            for atom in _promising(judge, kept, _shortlist(judge, kept), 6):
+            near = {j for j in range(judge.bank.joints) if judge.bank.reaches(term, j)}
+            for atom in _promising(judge, kept, _shortlist(judge, kept, partial(_acts_on, near)), 6):
                 trial = judge.score([*rest, atom])
                 if trial.evidence < better.evidence - 1.0:
                     better = trial
@@ -477,6 +479,11 @@ def _exchange(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
             break
         scored = better
     return scored
+
+
+def _acts_on(joints: Collection[int], atom: Atom) -> bool:
+    """Whether an effect is of one of these joints, or may act on any."""
+    return not atom.candidate.effect.own_joint or atom.candidate.joint in joints
 
 
 def _merge(judge: Judge, scored: Scored) -> Scored:
@@ -504,11 +511,12 @@ def _merge(judge: Judge, scored: Scored) -> Scored:
 def _merged(judge: Judge, terms: Sequence[Atom], parts: Sequence[Atom], whole: Candidate | None) -> Scored:
     """The combination with the best single term instead of some: one of their joint, or the given one."""
     kept = judge.score([t for t in terms if t not in parts])
-    atoms = [
-        a
-        for a in _shortlist(judge, kept)
-        if (a.candidate.joint_name == parts[0].candidate.joint_name if whole is None else a.candidate is whole)
-    ]
+
+    def fits(atom: Atom) -> bool:
+        c = atom.candidate
+        return c.joint_name == parts[0].candidate.joint_name if whole is None else c is whole
+
+    atoms = _shortlist(judge, kept, fits)
     trials = [judge.score([*kept.fit.terms, atom]) for atom in _promising(judge, kept, atoms, 3)]
     return _refine(judge, min(trials, key=lambda s: s.evidence)) if trials else kept
 
@@ -653,15 +661,15 @@ def _shortlist(judge: Judge, parent: Scored, among: Callable[[Atom], bool] = lam
     """
     bank, chosen = judge.bank, [a.candidate for a in parent.fit.terms]
     total = judge.total.sum(1)
-    gained = bank.gains(parent.fit, (judge.total * judge.level(parent.fit)).sum(1) / total)
+    gained = bank.gains(parent.fit, (judge.total * judge.level(parent.fit)).sum(1) / total, among)
     ranks: dict[Key, list[Atom]] = {}
-    for atom in sorted(filter(among, gained), key=lambda a: -gained[a]):
+    for atom in sorted(gained, key=lambda a: -gained[a]):
         ranks.setdefault(atom.candidate.key, []).append(atom)
     promising = {atom for rank in ranks.values() for atom in rank[: SEARCH.shortlist]}
     return [
         a
         for a in bank.atoms
-        if (a in promising or (a not in gained and among(a)))
+        if (a in promising or (not bank.is_shelved(a) and among(a)))
         and all(a.candidate.allows(c) for c in chosen)
         and sum(c.joint == a.candidate.joint for c in chosen) < SEARCH.most_per_joint
     ]
