@@ -121,13 +121,18 @@ def test_a_fit_is_a_trial_where_the_catalogue_has_names_for_all_that_it_keeps(mo
         return value
 
     given = Given(None, "<xml/>", "", ("takes",), (), (laws["drag"].effect,), drive="measured", seed=7)
-    run = SimpleNamespace(checkpoint=SimpleNamespace(result=result))
+    run = SimpleNamespace(
+        checkpoint=SimpleNamespace(result=result), time_budget=None, left=lambda share: None if share < 0.8 else 9.0
+    )
     first = standard_joints_of(given, run)
     assert (first is not None) is is_trial
-    assert asked == [(("<xml/>", ("takes",)), {"drive": "measured", "seed": 7})]
+    assert asked == [(("<xml/>", ("takes",)), {"drive": "measured", "seed": 7, "time_budget": None})]
     if is_trial:
         again = standard_joints_of(given, run)
         assert len(asked) == 1
+        hurried = SimpleNamespace(checkpoint=run.checkpoint, time_budget=60.0, left=lambda share: share * 60.0)
+        standard_joints_of(given, hurried)  # what a hurried fit has found is not for a run that has time
+        assert [settings["time_budget"] for _, settings in asked] == [None, 45.0]
         assert [c.key for c in again.hypothesis.terms] == [("drag", "knee")]
         np.testing.assert_array_equal(again.samples, first.samples)
 

@@ -32,7 +32,7 @@ def asked(monkeypatch):
     """What is searched: signals, names of effects, trims and what is taken; and how the measured torque is prepared."""
     told = SimpleNamespace(searched=[], prepared=[], progress=[])
 
-    def searched(takes, catalogue, trims, taken=frozenset(), progress=None):
+    def searched(takes, catalogue, trims, run, taken=frozenset(), progress=None):
         told.searched.append((takes, [e.name for e in catalogue], trims, taken))
         told.progress.append(progress)
         best = scored("scale" if len(told.searched) == 1 else "friction")
@@ -125,12 +125,13 @@ def test_only_joints_that_miss_torque_are_asked_about_effects_of_their_own(monke
     monkeypatch.setattr(proposing, "Bank", lambda takes, candidates, trims: setattr(bank, "trims", trims) or bank)
     monkeypatch.setattr(proposing, "Judge", judge)
     monkeypatch.setattr(proposing, "candidates_for", lambda takes, catalogue: pool)
-    monkeypatch.setattr(proposing, "search", lambda *given: searched.append(given) or ["found"])
+    monkeypatch.setattr(proposing, "search", lambda *given, late: searched.append((*given, late())) or ["found"])
     monkeypatch.setattr(proposing, "noisy_joints", lambda judge: noisy)
     monkeypatch.setattr(proposing, "_options", lambda judge, found: found)
     trims = [SimpleNamespace(key=("mass", 0)), SimpleNamespace(key=("taken", 1))]
-    assert proposing._searched("takes", "catalogue", trims, {("taken", 1)}, "bar") == ["found"]
-    assert [given[1:] for given in searched] == [("bar",), ()][:rounds]
+    run = SimpleNamespace(late=lambda share: share)
+    assert proposing._searched("takes", "catalogue", trims, run, {("taken", 1)}, "bar") == ["found"]
+    assert [given[1:] for given in searched] == [("bar", 0.3), (0.3,)][:rounds]
     assert offered == [("b", 1), ("c", 0)]
     assert [t.key for t in bank.trims] == [("mass", 0)]
     assert len(searched) == rounds

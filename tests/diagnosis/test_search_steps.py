@@ -393,6 +393,19 @@ def test_a_beam_follows_several_combinations_and_the_best_end_comes_first():
 
 
 @pytest.mark.usefixtures("steady")
+@pytest.mark.parametrize(("late", "found"), [([False] * 9, "abc"), ([True] * 9, "a"), ([False, True, True], "ab")])
+def test_in_a_hurry_a_search_ends_with_what_it_has_found_by_then(late, found):
+    told = Told({"": 0.0, "a": -20.0, "ab": -40.0, "abc": -60.0}, A, B, C)
+    late = iter(late)
+    assert names(search(told, late=lambda: next(late))[0]) == found
+
+
+def test_in_a_hurry_nothing_is_polished(monkeypatch):
+    monkeypatch.setattr(steps, "_polish", lambda judge, scored: pytest.fail("there is no time"))
+    assert names(search(Told({"": 0.0, "a": -20.0}, A), late=lambda: True)[0]) == "a"
+
+
+@pytest.mark.usefixtures("steady")
 def test_a_combination_that_is_as_deep_as_may_be_is_found():
     depths = {"abcd"[:k]: -20.0 * k for k in range(5)}
     told = Told(depths, A, B, C, D)

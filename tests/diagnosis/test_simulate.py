@@ -64,7 +64,7 @@ class Started:
 
     def run(self) -> Simulated:
         self.count = len(self.begun.trials)
-        late, progress = lambda: self.count >= self.late, SimpleNamespace(update=lambda fraction: None)
+        late, progress = lambda share=None: self.count >= self.late, SimpleNamespace(update=lambda fraction: None)
         return _asked_alone(self.begun, SimpleNamespace(late=late, progress=progress))
 
 
@@ -162,7 +162,7 @@ def joints_added(monkeypatch: pytest.MonkeyPatch, work: Started, evidence: float
     monkeypatch.setattr(stage, "scored", lambda proposal, fitted, ready: SimpleNamespace(proposal=proposal))
     located = SimpleNamespace(ready=SimpleNamespace(given=None))
     begun = replace(work.begun, proposed=SimpleNamespace(located=located, drive=None))
-    return [t.proposal for t in _with_joints(begun, SimpleNamespace(late=lambda: False)).trials[1:]]
+    return [t.proposal for t in _with_joints(begun, SimpleNamespace(late=lambda share=None: False)).trials[1:]]
 
 
 def test_a_fit_in_which_a_mass_is_adjusted_is_not_taken_for_one_in_which_it_is_found():
@@ -228,7 +228,7 @@ def test_a_trim_may_move_where_the_torques_asked_for_a_tenth_of_its_tolerance_or
 def test_one_combination_is_tried_however_late_it_is_and_others_while_there_is_time(monkeypatch):
     told, late = [], [True]
     monkeypatch.setattr(stage, "_trial", lambda proposal, *_: f"trial of {proposal}")
-    run = SimpleNamespace(late=lambda: late[0], progress=SimpleNamespace(update=told.append))
+    run = SimpleNamespace(late=lambda share: late[0], progress=SimpleNamespace(update=told.append))
     begun = Simulated(None, (), ("a", "b", "c", "d"))
     first = stage._tried_all(begun, run)
     assert (first.trials, first.untried) == (("trial of a",), ("b", "c", "d"))
@@ -340,7 +340,7 @@ def test_the_standard_joints_need_time_a_first_trial_a_whole_chain_and_something
     proposed = SimpleNamespace(located=SimpleNamespace(ready=ready), drive=change.get("drive"))
     begun = replace(work.begun, proposed=proposed, trials=change.get("trials", work.begun.trials),
                     stopped=change.get("stopped", False))  # fmt: skip
-    run = SimpleNamespace(late=lambda: change.get("late", False))
+    run = SimpleNamespace(late=lambda share=None: change.get("late", False))
     new = _with_joints(begun, run).trials[len(begun.trials) :]
     assert len(new) == added
     for trial in new:
@@ -356,10 +356,11 @@ def test_the_standard_joints_need_time_a_first_trial_a_whole_chain_and_something
 
 
 def test_what_was_proposed_is_tried_first_then_the_standard_joints_and_then_each_effect_alone(monkeypatch):
+    """In a hurry the standard joints come before what is left of the proposals."""
     told = []
     for name in ("_tried_all", "_with_joints", "_asked_alone"):
-        monkeypatch.setattr(stage, name, lambda done, run, name=name: told.append((name, run)) or done)
+        monkeypatch.setattr(stage, name, lambda *given, name=name: told.append((name, *given[1:])) or given[0])
     proposed = SimpleNamespace(options=("a", "b"))
     done = stage.simulate(proposed, "run")
-    assert told == [("_tried_all", "run"), ("_with_joints", "run"), ("_asked_alone", "run")]
+    assert told == [("_tried_all", "run", 0.4), ("_with_joints", "run"), ("_tried_all", "run"), ("_asked_alone", "run")]
     assert (done.proposed, done.trials, done.untried, done.stopped) == (proposed, (), ("a", "b"), False)

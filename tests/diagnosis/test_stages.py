@@ -18,6 +18,8 @@ def test_combinations_are_begun_in_the_first_six_tenths_of_the_time():
     assert not run(100.0, 59.0).late()
     assert run(100.0, 61.0).late()
     assert not run(None, 1e6).late()
+    assert run(100.0, 31.0).late(0.3)
+    assert not run(100.0, 29.0).late(0.3)
     assert not Run(None, None, 100.0).late()  # it starts as it is made
 
 

@@ -13,7 +13,7 @@ from torchrl_athletic.diagnosis.fitting import Fit, fit
 from torchrl_athletic.diagnosis.screen import Atom, Candidate
 from torchrl_athletic.diagnosis.search import Judge, Scored
 from torchrl_athletic.diagnosis.stages import Given, Run
-from torchrl_athletic.diagnosis.thresholds import SIMULATION
+from torchrl_athletic.diagnosis.thresholds import SIMULATION, SPENDING
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, Effect, Parameter
 
 Array = NDArray[np.float64]
@@ -33,9 +33,12 @@ def standard_joints_of(given: Given, run: Run) -> Fitted | None:
     known = {e.name: e for e in (*FIT_TRIMS, *CATALOGUE, *given.catalogue)}
 
     def compute() -> Fitted:
-        return _with_draws(fit(given.xml, given.recordings, drive=given.drive, seed=given.seed), given)
+        left = run.left(SPENDING.to_fit_joints)
+        found = fit(given.xml, given.recordings, drive=given.drive, seed=given.seed, time_budget=left)
+        return _with_draws(found, given)
 
-    fitted = run.checkpoint.result("standard joints", compute, _encode, lambda content: _decode(content, known))
+    key = "standard joints" + ("" if run.time_budget is None else f" in {run.time_budget:g} s")
+    fitted = run.checkpoint.result(key, compute, _encode, lambda content: _decode(content, known))
     terms = fitted.hypothesis.terms
     return fitted if terms and all(c.effect.name in named for c in terms) else None
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from functools import partial
 
 from torchrl_athletic.diagnosis.prepare import drive_signals, prepare
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.screen import Bank, Candidate, Key, candidates_for, trims_for
 from torchrl_athletic.diagnosis.search import Judge, Scored, keys, noisy_joints, richer, rivals, search
 from torchrl_athletic.diagnosis.stages import Located, Proposed, Run
-from torchrl_athletic.diagnosis.thresholds import DECISION, SEARCH
+from torchrl_athletic.diagnosis.thresholds import DECISION, SEARCH, SPENDING
 from torchrl_athletic.effects import TRIMS, Effect, Signals
 
 
@@ -23,13 +24,13 @@ def propose(located: Located, run: Run) -> Proposed:
     )
     if cut:
         of_drive = [e for e in catalogue if e.between_torques]
-        drive = _searched(drive_signals(ready.train), of_drive, ())[0]
+        drive = _searched(drive_signals(ready.train), of_drive, (), run)[0]
         measured = prepare(given.recordings, given.model, "measured", signals[0].kernel, given.joined, given.xml)
         signals = measured.signals
     if cut or given.drive == "measured":  # what was measured has passed the drive's lags and limits
         catalogue = tuple(e for e in catalogue if not e.before_sensor)
     taken = keys(drive.best.fit.terms) if drive else frozenset[Key]()
-    options = _searched(signals, catalogue, trims_for(signals, TRIMS), taken, run.progress.update)
+    options = _searched(signals, catalogue, trims_for(signals, TRIMS), run, taken, run.progress.update)
     return Proposed(located, drive, tuple(options))
 
 
@@ -37,6 +38,7 @@ def _searched(
     signals: Sequence[Signals],
     catalogue: Sequence[Effect],
     trims: Sequence[Candidate],
+    run: Run,
     taken: Collection[Key] = frozenset(),
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Proposal]:
@@ -46,10 +48,11 @@ def _searched(
     if is_open.any():
         candidates = [c for c in candidates_for(signals, catalogue) if c.key not in taken]
         bank.extend(c for c in candidates if is_open[c.joint] or not c.effect.own_joint)
-    found = search(judge, progress)
+    late = partial(run.late, SPENDING.to_propose)
+    found = search(judge, progress, late=late)
     if noisy := noisy_joints(judge):
         judge = Judge(bank, noisy)
-        found = search(judge)
+        found = search(judge, late=late)
     return _options(judge, found)
 
 

@@ -154,8 +154,18 @@ class Judge:
         return joint, float(1.0 - left[joint] / was[joint]) if was[joint] > 0 else 0.0
 
 
-def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: None) -> list[Scored]:
-    """The best combinations, best first. The empty one is among them only if nothing material was found."""
+def search(
+    judge: Judge,
+    progress: Callable[[float], None] = lambda fraction: None,
+    late: Callable[[], bool] = lambda: False,
+) -> list[Scored]:
+    """The best combinations, best first. The empty one is among them only if nothing material was found.
+
+    Args:
+        judge: Scores them.
+        progress: Told the finished fraction.
+        late: Whether nothing further is to be asked: what was found by then comes back.
+    """
     bank = judge.bank
     beam, finished = [judge.score(())], []
     most = SEARCH.most_per_joint * bank.joints
@@ -172,11 +182,14 @@ def search(judge: Judge, progress: Callable[[float], None] = lambda fraction: No
         progress((depth + 1) / most)
         if not grown:
             break
+        if late():
+            finished.extend(sorted(grown.values(), key=lambda s: s.evidence)[: SEARCH.beam])
+            break
         beam = [_refine(judge, s) for s in sorted(grown.values(), key=lambda s: s.evidence)[: SEARCH.beam]]
     else:
         finished.extend(beam)
     best = sorted(finished, key=lambda s: s.evidence)[: SEARCH.beam]
-    polished = [_polish(judge, s) for s in best]
+    polished = [s if late() else _polish(judge, s) for s in best]
     unique = {keys(s.fit.terms): s for s in sorted(polished, key=lambda s: -s.evidence)}
     return sorted(unique.values(), key=lambda s: s.evidence)
 

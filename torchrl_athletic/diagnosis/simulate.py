@@ -18,7 +18,7 @@ from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate, Key, is_trim, trims_for
 from torchrl_athletic.diagnosis.search import keys, singles
 from torchrl_athletic.diagnosis.stages import Given, Proposed, Ready, Run, Simulated, Trial
-from torchrl_athletic.diagnosis.thresholds import DECISION, STATEMENT
+from torchrl_athletic.diagnosis.thresholds import DECISION, SPENDING, STATEMENT
 from torchrl_athletic.effects import FIT_TRIMS, TRIMS
 
 Array = NDArray[np.float64]
@@ -27,15 +27,16 @@ Array = NDArray[np.float64]
 def simulate(proposed: Proposed, run: Run) -> Simulated:
     """Fit and score what was proposed, and more where that leaves most of the motion; Ctrl-C keeps what there is."""
     done = Simulated(proposed, untried=proposed.options)
-    for stage in (_tried_all, _with_joints, _asked_alone):
+    done = _tried_all(done, run, SPENDING.to_try)
+    for stage in (_with_joints, _tried_all, _asked_alone):
         done = stage(done, run)
     return done
 
 
-def _tried_all(done: Simulated, run: Run) -> Simulated:
-    """Try what is not tried yet, as far as time allows, and one combination in any case."""
+def _tried_all(done: Simulated, run: Run, share: float = SPENDING.to_fit) -> Simulated:
+    """Try what is not tried yet until a share of the time is spent, and one combination in any case."""
     count = len(done.trials) + len(done.untried)
-    while done.untried and not done.stopped and not (done.trials and run.late()):
+    while done.untried and not done.stopped and not (done.trials and run.late(share)):
         try:
             trial = _trial(done.untried[0], done.proposed, run)
         except KeyboardInterrupt:

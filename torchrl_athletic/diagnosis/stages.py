@@ -17,6 +17,7 @@ from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.proposal import Proposal, StandIn
 from torchrl_athletic.diagnosis.result import Location, Score
 from torchrl_athletic.diagnosis.screen import Bank, Key
+from torchrl_athletic.diagnosis.thresholds import SPENDING
 from torchrl_athletic.effects import Effect
 from torchrl_athletic.effects.base import Base
 from torchrl_athletic.recordings import Recording
@@ -67,9 +68,9 @@ class Run:
     """Time that the whole diagnosis may take [s]."""
     started: float = field(default_factory=time.monotonic)
 
-    def late(self) -> bool:
-        """Whether no further combination is to be fitted."""
-        left = self.left(0.6)
+    def late(self, share: float = SPENDING.to_fit) -> bool:
+        """Whether a share of the time is spent: that after which no fit begins, unless told another."""
+        left = self.left(share)
         return left is not None and left <= 0
 
     def left(self, share: float, kept: float = 0.0) -> float | None:

@@ -273,6 +273,14 @@ class Spending:
     """Least that is kept of a recording, if it is so long [s; physical]."""
     share: float = 0.5
     """Share of the free memory that is taken unless told otherwise [1; budget]."""
+    to_propose: float = 0.3
+    """Share of the time budget after which the search of the torques goes no further [1; budget]."""
+    to_try: float = 0.4
+    """Share of it after which the standard joints come before a further combination [1; budget]."""
+    to_fit: float = 0.6
+    """Share of it after which no fit begins [1; budget]."""
+    to_fit_joints: float = 0.75
+    """Share of it after which that of the standard joints comes to an end [1; budget]."""
     to_find: float = 0.85
     """Share of the time budget after which what was found is stated [1; budget]."""
     telling: float = 4.0
