@@ -81,6 +81,8 @@ class Config:
     """Processes at a time, each on one core."""
     timeout: float = 900.0
     """Time limit of a case [s]; one that takes longer counts as failed."""
+    time_budget: float | None = None
+    """That each diagnosis is given [s], of one core; six joints take ten minutes or more without."""
     fresh: tuple[str, ...] = ()
     """Benches whose cases are run again although they are done, such as 'emps'; '*' for all."""
     table: bool = False
@@ -125,7 +127,7 @@ class Case:
 
 def main(cfg: Config) -> None:
     if cfg.case is not None:
-        run(cfg.case, cfg.answers)
+        run(cfg.case, cfg.answers, cfg.time_budget)
         return
     wanted = [c for c in cases() if not cfg.only or any(fnmatch(c.name, pattern) for pattern in cfg.only)]
     if CLONES not in os.environ:
@@ -166,6 +168,7 @@ def in_own_process(name: str, cfg: Config) -> str:
     path, begin = cfg.answers / f"{name}.json", time.monotonic()
     path.unlink(missing_ok=True)
     command = [sys.executable, __file__, "--case", name, "--answers", str(cfg.answers)]
+    command += [] if cfg.time_budget is None else ["--time-budget", str(cfg.time_budget)]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     error = ""
     try:
@@ -189,7 +192,7 @@ def _begun(name: str) -> dict[str, Any]:
     return {"case": name, "commit": _commit(), "program": program_digest("diagnosis"), "machine": platform.machine()}
 
 
-def run(name: str, folder: Path) -> None:
+def run(name: str, folder: Path, time_budget: float | None = None) -> None:
     """Diagnose one case and keep what was said; what concealing moves is kept before, as no failure changes it."""
     begin = time.monotonic()
     case = next(c for c in cases() if c.name == name)
@@ -197,7 +200,8 @@ def run(name: str, folder: Path) -> None:
     if case.kind in ("removed", "injected"):
         content["moved"] = moved(complete(case.bench), takes)
         write_json(folder / f"{name}.json", content)
-    content["answer"] = diagnose(takes.model, takes.fit, takes.aside, seed=0).answer.to_json()
+    found = diagnose(takes.model, takes.fit, takes.aside, seed=0, time_budget=time_budget)
+    content |= {"answer": found.answer.to_json(), "time_budget": time_budget}
     content["seconds"] = round(time.monotonic() - begin, 1)
     write_json(folder / f"{name}.json", content)
 
