@@ -133,7 +133,9 @@ def main(cfg: Config) -> None:
     if CLONES not in os.environ:
         print(f"Without {CLONES}, the arms {', '.join(ARMS)} are left out.")
         wanted = [c for c in wanted if c.bench not in ARMS]
-    todo = [] if cfg.table else [c for c in wanted if _again(c, cfg) or not _is_done(cfg.answers / f"{c.name}.json")]
+    todo = (
+        [] if cfg.table else [c for c in wanted if _again(c, cfg) or not _is_done(cfg.answers / f"{c.name}.json", cfg)]
+    )
     print(f"{len(wanted)} cases, {len(wanted) - len(todo)} of them not to be run")
     todo.sort(key=lambda c: DEAREST.index(c.bench))
     for bench in {c.bench for c in todo}:  # said now, and once
@@ -155,9 +157,10 @@ def _again(case: Case, cfg: Config) -> bool:
     return any(fnmatch(case.bench, pattern) for pattern in cfg.fresh)
 
 
-def _is_done(path: Path) -> bool:
+def _is_done(path: Path, cfg: Config) -> bool:
     kept = _read(path) or {}
-    return "answer" in kept and kept.get("program") == program_digest("diagnosis")
+    same = kept.get("program") == program_digest("diagnosis") and kept.get("time_budget") == cfg.time_budget
+    return "answer" in kept and same
 
 
 def in_own_process(name: str, cfg: Config) -> str:
@@ -180,7 +183,7 @@ def in_own_process(name: str, cfg: Config) -> str:
     except subprocess.TimeoutExpired:
         error = f"not finished after {cfg.timeout:g} s"
     seconds = round(time.monotonic() - begin, 1)
-    content = _read(path) or _begun(name)
+    content = _read(path) or _begun(name, cfg.time_budget)
     if error:
         content |= {"error": error, "seconds": seconds}
         write_json(path, content)
@@ -188,20 +191,22 @@ def in_own_process(name: str, cfg: Config) -> str:
     return f"{name}  {seconds:.0f} s  {said or error[-200:] or 'nothing named'}"
 
 
-def _begun(name: str) -> dict[str, Any]:
-    return {"case": name, "commit": _commit(), "program": program_digest("diagnosis"), "machine": platform.machine()}
+def _begun(name: str, time_budget: float | None = None) -> dict[str, Any]:
+    digest = program_digest("diagnosis")
+    machine = platform.machine()
+    return {"case": name, "commit": _commit(), "program": digest, "machine": machine, "time_budget": time_budget}
 
 
 def run(name: str, folder: Path, time_budget: float | None = None) -> None:
     """Diagnose one case and keep what was said; what concealing moves is kept before, as no failure changes it."""
     begin = time.monotonic()
     case = next(c for c in cases() if c.name == name)
-    content, takes = _begun(name), case.takes()
+    content, takes = _begun(name, time_budget), case.takes()
     if case.kind in ("removed", "injected"):
         content["moved"] = moved(complete(case.bench), takes)
         write_json(folder / f"{name}.json", content)
     found = diagnose(takes.model, takes.fit, takes.aside, seed=0, time_budget=time_budget)
-    content |= {"answer": found.answer.to_json(), "time_budget": time_budget}
+    content["answer"] = found.answer.to_json()
     content["seconds"] = round(time.monotonic() - begin, 1)
     write_json(folder / f"{name}.json", content)
 

@@ -249,12 +249,13 @@ def test_a_case_that_does_not_finish_is_kept_as_failed_and_run_again_when_asked_
     kept = json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))
     assert kept["case"] == name
     assert "not finished" in kept["error"]
-    assert not concealed_real._is_done(tmp_path / f"{name}.json")
+    assert not concealed_real._is_done(tmp_path / f"{name}.json", concealed_real.Config())
 
 
 def test_an_answer_of_another_diagnosis_is_not_done(tmp_path):
     path = tmp_path / "case.json"
     path.write_text(json.dumps({"answer": {}, "program": program_digest("diagnosis")}), encoding="utf-8")
-    assert concealed_real._is_done(path)
+    assert concealed_real._is_done(path, concealed_real.Config())
+    assert not concealed_real._is_done(path, concealed_real.Config(time_budget=120.0))  # it had more time
     path.write_text(json.dumps({"answer": {}, "program": "older"}), encoding="utf-8")
-    assert not concealed_real._is_done(path)
+    assert not concealed_real._is_done(path, concealed_real.Config())

@@ -105,6 +105,7 @@ def test_the_best_comes_first_then_a_richer_law_on_trial_and_near_ones_once_each
     assert names_of(proposing._options("judge", [first, *far]))[-1] == "f"
     near[:] = [(scored(f"n{k}"), 0.1 * k) for k in range(50)]
     assert len(proposing._options("judge", [first])) == DECISION.most_fits
+    assert names_of(proposing._options("judge", [first], late=lambda: True)) == names[: 1 + (rich is not None)]
 
 
 @pytest.mark.parametrize(("noisy", "rounds"), [([], 1), ([1], 2)])
@@ -127,7 +128,7 @@ def test_only_joints_that_miss_torque_are_asked_about_effects_of_their_own(monke
     monkeypatch.setattr(proposing, "candidates_for", lambda takes, catalogue: pool)
     monkeypatch.setattr(proposing, "search", lambda *given, late: searched.append((*given, late())) or ["found"])
     monkeypatch.setattr(proposing, "noisy_joints", lambda judge: noisy)
-    monkeypatch.setattr(proposing, "_options", lambda judge, found: found)
+    monkeypatch.setattr(proposing, "_options", lambda judge, found, late: found)
     trims = [SimpleNamespace(key=("mass", 0)), SimpleNamespace(key=("taken", 1))]
     run = SimpleNamespace(late=lambda share: share)
     assert proposing._searched("takes", "catalogue", trims, run, {("taken", 1)}, "bar") == ["found"]

@@ -54,6 +54,7 @@ class Told:
             add_all=self.add_all,
             gains=lambda fit, level, among: {},
             is_shelved=lambda atom: False,
+            is_coupled=lambda atom: len((reached or {}).get(atom.candidate.effect.name, ())) > 1,
             reaches=lambda atom, joint: joint in (reached or {}).get(atom.candidate.effect.name, ()),
         )
         self.total = self.independent = np.ones((2, 1))
@@ -123,11 +124,19 @@ def test_a_term_is_exchanged_for_what_gains_most_until_nothing_gains(evidence, p
     assert names(steps._exchange(told, told[start])) == kept
 
 
-@pytest.mark.parametrize(("own", "reached", "kept"), [(True, (0,), "a"), (True, (0, 1), "b"), (False, (0,), "b")])
+@pytest.mark.parametrize(
+    ("own", "reached", "kept"),
+    [
+        (True, {"a": (0,)}, "a"),
+        (True, {"a": (0, 1)}, "b"),
+        (False, {"a": (0,)}, "b"),
+        (True, {"a": (0,), "b": (0, 1)}, "b"),  # a shaft that gives is felt by the joints before it
+    ],
+)
 def test_what_acts_on_its_own_joint_alone_is_exchanged_for_what_reaches_that_joint(own, reached, kept):
     elsewhere = law("b", joint=1)
     elsewhere.candidate.effect.own_joint = own  # type: ignore[misc]
-    told = Told({"a": -10.0, "b": -20.0}, A, elsewhere, reached={"a": reached})
+    told = Told({"a": -10.0, "b": -20.0}, A, elsewhere, reached=reached)
     assert names(steps._exchange(told, told["a"])) == kept
 
 
@@ -398,6 +407,25 @@ def test_in_a_hurry_a_search_ends_with_what_it_has_found_by_then(late, found):
     told = Told({"": 0.0, "a": -20.0, "ab": -40.0, "abc": -60.0}, A, B, C)
     late = iter(late)
     assert names(search(told, late=lambda: next(late))[0]) == found
+
+
+@pytest.mark.parametrize(("polished", "found"), [(0, ["ab", "c"]), (1, ["a"]), (2, ["a", "c"])])
+def test_what_is_not_polished_is_no_rival_of_what_is(monkeypatch, polished, found):
+    """Polishing gives up what looks better than it is."""
+    told = Told({"": 0.0, "a": -20.0, "ab": -40.0, "c": -30.0}, law("a", excludes="c"), B, law("c", excludes="ab"))
+    done = []
+    monkeypatch.setattr(steps, "_polish", lambda judge, s: done.append(s) or (told["a"] if names(s) == "ab" else s))
+    in_beam = iter([False] * len(asked_in_beam(told)))
+    assert sorted(map(names, search(told, late=lambda: next(in_beam, len(done) == polished)))) == found
+
+
+def asked_in_beam(told: Told) -> list[int]:
+    """How often a search asks for the time before it polishes."""
+    asked: list[int] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(steps, "_polish", lambda judge, s: s)
+        whole = search(told, late=lambda: bool(asked.append(1)))
+    return asked[: len(asked) - len(whole)]
 
 
 def test_in_a_hurry_nothing_is_polished(monkeypatch):

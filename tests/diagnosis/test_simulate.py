@@ -13,7 +13,7 @@ from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.simulate import _asked_alone, _with_joints, key_of
-from torchrl_athletic.diagnosis.stages import Simulated
+from torchrl_athletic.diagnosis.stages import Simulated, Trial
 from torchrl_athletic.diagnosis.thresholds import DECISION
 from torchrl_athletic.effects import Parameter
 
@@ -166,11 +166,18 @@ def joints_added(monkeypatch: pytest.MonkeyPatch, work: Started, evidence: float
 
 
 def test_a_fit_in_which_a_mass_is_adjusted_is_not_taken_for_one_in_which_it_is_found():
-    friction, mass = (SimpleNamespace(effect=SimpleNamespace(name=n), where="hip") for n in ("friction", "link_mass"))
-    assert key_of(Hypothesis((friction, mass))) != key_of(Hypothesis((friction,), (mass,)))
-    knee = SimpleNamespace(effect=friction.effect, where="knee")
+    friction, mass, knee = candidate("friction"), candidate("link_mass"), candidate("friction", joint=1)
+    zero = np.zeros(2)
+    assert key_of(Hypothesis((friction, mass)), zero) != key_of(Hypothesis((friction,), (mass,)), zero)
     others = [(friction,), (knee,), (mass,), (friction, knee), ()]
-    assert len({key_of(Hypothesis(terms)) for terms in others}) == len(others)
+    assert len({key_of(Hypothesis(terms), zero[: len(terms)]) for terms in others}) == len(others)
+
+
+def test_a_fit_that_begins_elsewhere_or_within_other_bounds_is_another_fit():
+    h, narrow = (Hypothesis((candidate("friction", high=high),)) for high in (10.0, 1.0))
+    keys = {key_of(h, np.array([0.5])), key_of(h, np.array([0.4])), key_of(narrow, np.array([0.5]))}
+    assert len(keys) == 3
+    assert key_of(h, np.array([0.5])) in keys
 
 
 def candidate(name, joint=0, low=0.0, high=10.0, nominal=0.0, excludes=()):
@@ -255,7 +262,7 @@ def test_all_combinations_are_fitted_beside_the_same_trims_and_what_the_drive_sh
     h = Hypothesis((drive, friction, spring))
     monkeypatch.setattr(stage, "_adjusted", lambda option: {option.best.fit.terms[0].candidate.effect.name})
     monkeypatch.setattr(
-        stage, "_hypothesis", lambda option, drive, adjusted: told.update(adjusted=adjusted) or (h, "x")
+        stage, "_hypothesis", lambda option, drive, adjusted: told.update(adjusted=adjusted) or (h, np.arange(3.0))
     )
     monkeypatch.setattr(stage, "fit", lambda *given: told.update(fit=given) or "fitted")
     monkeypatch.setattr(
@@ -273,7 +280,8 @@ def test_all_combinations_are_fitted_beside_the_same_trims_and_what_the_drive_sh
         trial = stage._trial(options[1], proposed, SimpleNamespace(checkpoint=checkpoint))
         assert trial == (options[1], ("fitted", idle))
     assert told["adjusted"] == {"friction", "spring"}
-    assert told["fit"] == (h, "takes", "x", "dice for fit")
+    assert told["fit"][:2] + told["fit"][3:] == (h, "takes", "dice for fit")
+    assert told["fit"][2].tolist() == [0.0, 1.0, 2.0]
     assert told["idle"] == ("fitted", "takes", "dice for idle")
 
 
@@ -290,14 +298,14 @@ def test_a_fit_that_was_kept_comes_back_as_it_was_with_the_bounds_of_its_hypothe
     h, kept = Hypothesis((candidate("friction"), candidate("spring"))), {}
     samples = np.arange(10.0).reshape(5, 2)
     monkeypatch.setattr(stage, "_adjusted", lambda option: set())
-    monkeypatch.setattr(stage, "_hypothesis", lambda option, drive, adjusted: (h, "x"))
+    monkeypatch.setattr(stage, "_hypothesis", lambda option, drive, adjusted: (h, np.zeros(2)))
     monkeypatch.setattr(stage, "fit", lambda *_: Fitted(h, np.array([1.0, 2.0]), samples, 0.75))
     monkeypatch.setattr(stage, "idle_terms", lambda *_: ())
     monkeypatch.setattr(stage, "scored", lambda proposal, fitted, ready: fitted)
     monkeypatch.setattr(stage, "_without_small", lambda fitted, given: fitted)
 
     def result(key, compute, encode, decode):
-        assert key == key_of(h)
+        assert key == key_of(h, np.zeros(2))
         kept.setdefault(key, json.dumps(encode(compute())))
         return decode(json.loads(kept[key]))
 
@@ -353,6 +361,18 @@ def test_the_standard_joints_need_time_a_first_trial_a_whole_chain_and_something
 
     monkeypatch.setattr(stage, "standard_joints_of", stopped)
     assert _with_joints(begun, run).stopped is (bool(added) or "kept" in change or "stopped" in change)
+
+
+@pytest.mark.parametrize(("left", "behind"), [(0.01, np.inf), (0.9, 1.0)])
+def test_the_standard_joints_lose_their_names_to_what_was_tried_after_them_and_explains(monkeypatch, left, behind):
+    joints, later = Proposal(None, None, 1.0, joints=True), Proposal(None, None, 2.0)
+    trials = tuple(Trial(p, None, {"train": x}, None, None) for p, x in ((joints, 0.02), (later, left)))
+    monkeypatch.setattr(stage, "open_share", lambda share: share)
+    monkeypatch.setattr(stage, "decided_by", lambda trials: (len(trials) - 1,))
+    told = stage._explained(Simulated(None, trials))
+    assert [t.proposal.behind for t in told.trials] == [behind, 2.0]
+    alone = Simulated(None, trials[1:])
+    assert stage._explained(alone) is alone
 
 
 def test_what_was_proposed_is_tried_first_then_the_standard_joints_and_then_each_effect_alone(monkeypatch):

@@ -53,14 +53,17 @@ def _searched(
     if noisy := noisy_joints(judge):
         judge = Judge(bank, noisy)
         found = search(judge, late=late)
-    return _options(judge, found)
+    return _options(judge, found, late)
 
 
-def _options(judge: Judge, found: Sequence[Scored]) -> list[Proposal]:
-    """What the simulation decides about: the best combination, a richer law that it gave up, what rivals it closely."""
+def _options(judge: Judge, found: Sequence[Scored], late: Callable[[], bool] = lambda: False) -> list[Proposal]:
+    """What the simulation decides about: the best combination, a richer law that it gave up, what rivals it closely.
+
+    In a hurry nobody asks for rivals beyond what the search has found.
+    """
     first, rich = found[0], richer(judge, found[0])
     out = [Proposal(judge, first)] + ([Proposal(judge, rich, 0.0, on_trial=True)] if rich is not None else [])
-    near = [Proposal(judge, s, behind) for s, behind in rivals(judge, first, DECISION.asked)]
+    near = [] if late() else [Proposal(judge, s, behind) for s, behind in rivals(judge, first, DECISION.asked)]
     near += [Proposal(judge, s, s.evidence - first.evidence) for s in found[1:]]
     for option in sorted(near, key=lambda e: e.behind):
         if all(keys(option.best.fit.terms) != keys(e.best.fit.terms) for e in out):

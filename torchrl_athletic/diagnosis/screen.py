@@ -185,6 +185,7 @@ class Bank:
         self._kept: dict[Atom, NDArray[np.float32]] = {}
         """Columns of shelved atoms that reach other joints: too dear to predict again."""
         self._shelved: set[Atom] = set()
+        self._coupled: set[Atom] = set()
         self._shelves: list[_Shelf] = []
         """Atoms of nonlinear grids, of which a search takes few."""
         self._near: dict[tuple[Candidate, frozenset[tuple[str, float]]], Atom] = {}
@@ -208,6 +209,7 @@ class Bank:
                         shelf.put(atom, columns[:, joint])
                         self._shelved.add(atom)
                         if _coupled(columns, joint):
+                            self._coupled.add(atom)
                             self._kept[atom] = columns.astype(np.float32)
                     else:
                         self._take(atom, columns)
@@ -251,6 +253,8 @@ class Bank:
         """Let fits use an atom. ``columns``: weighted, shape (rows, J, K)."""
         joint = atom.candidate.joint
         local = not _coupled(columns, joint)
+        if not local:
+            self._coupled.add(atom)
         self._numbers[atom] = tuple(
             self.products.add(columns[:, joint, k] if local else columns[:, :, k], joint if local else -1)
             for k in range(columns.shape[2])
@@ -363,6 +367,10 @@ class Bank:
             out.append(self._near.setdefault((candidate, frozenset(fixed.items())), moved))
         return tuple(out)
 
+    def is_coupled(self, atom: Atom) -> bool:
+        """Whether an atom predicts torques of other joints than its own."""
+        return atom in self._coupled
+
     def is_shelved(self, atom: Atom) -> bool:
         """Whether :meth:`gains` knows an atom."""
         return atom in self._shelved
@@ -396,9 +404,9 @@ class Bank:
             right = left.reshape(shape)[asked]
             cross = [shelf.cross(self.products, n).reshape(shape)[asked] for n in moving]
             beside = np.stack(cross, -1) if cross else np.zeros((*right.shape, 0))
-            low, high = (side[asked] for side in shelf.bounds)
+            least, most = (side[asked] for side in shelf.bounds)
             gram = shelf.gram[asked]
-            gained = gains(gram / level[j], beside / level[j], active, right / level[j], low, high, room)
+            gained = gains(gram / level[j], beside / level[j], active, right / level[j], least, most, room)
             out.update(zip((shelf.atoms[k] for k in asked), gained.tolist(), strict=True))
         return out
 

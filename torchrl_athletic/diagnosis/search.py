@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations, takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,7 +189,8 @@ def search(
     else:
         finished.extend(beam)
     best = sorted(finished, key=lambda s: s.evidence)[: SEARCH.beam]
-    polished = [s if late() else _polish(judge, s) for s in best]
+    in_time = takewhile(lambda _: not late(), best)  # what is not polished looks better than it is
+    polished = [_polish(judge, s) for s in in_time] or best
     unique = {keys(s.fit.terms): s for s in sorted(polished, key=lambda s: -s.evidence)}
     return sorted(unique.values(), key=lambda s: s.evidence)
 
@@ -481,7 +482,7 @@ def _exchange(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
             rest = [a for a in scored.fit.terms if a is not term]
             kept = judge.score(rest)
             near = {j for j in range(judge.bank.joints) if judge.bank.reaches(term, j)}
-            for atom in _promising(judge, kept, _shortlist(judge, kept, partial(_acts_on, near)), 6):
+            for atom in _promising(judge, kept, _shortlist(judge, kept, partial(_may_reach, judge.bank, near)), 6):
                 trial = judge.score([*rest, atom])
                 if trial.evidence < better.evidence - 1.0:
                     better = trial
@@ -494,9 +495,10 @@ def _exchange(judge: Judge, scored: Scored, rounds: int = 3) -> Scored:
     return scored
 
 
-def _acts_on(joints: Collection[int], atom: Atom) -> bool:
-    """Whether an effect is of one of these joints, or may act on any."""
-    return not atom.candidate.effect.own_joint or atom.candidate.joint in joints
+def _may_reach(bank: Bank, joints: Collection[int], atom: Atom) -> bool:
+    """Whether an effect is of one of these joints, or acts on others than its own."""
+    own = atom.candidate.effect.own_joint and not bank.is_coupled(atom)
+    return not own or atom.candidate.joint in joints
 
 
 def _merge(judge: Judge, scored: Scored) -> Scored:

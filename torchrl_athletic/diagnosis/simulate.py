@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any
@@ -27,10 +28,8 @@ Array = NDArray[np.float64]
 def simulate(proposed: Proposed, run: Run) -> Simulated:
     """Fit and score what was proposed, and more where that leaves most of the motion; Ctrl-C keeps what there is."""
     done = Simulated(proposed, untried=proposed.options)
-    done = _tried_all(done, run, SPENDING.to_try)
-    for stage in (_with_joints, _tried_all, _asked_alone):
-        done = stage(done, run)
-    return done
+    done = _with_joints(_tried_all(done, run, SPENDING.to_try), run)
+    return _asked_alone(_explained(_tried_all(done, run)), run)
 
 
 def _tried_all(done: Simulated, run: Run, share: float = SPENDING.to_fit) -> Simulated:
@@ -73,6 +72,19 @@ def _with_joints(done: Simulated, run: Run) -> Simulated:
     except KeyboardInterrupt:
         return replace(done, stopped=True)
     return replace(done, trials=(*done.trials, trial))
+
+
+def _explained(done: Simulated) -> Simulated:
+    """Take the names of the standard joints back where a combination explains the error that was tried after them."""
+    others = [t for t in done.trials if not t.proposal.joints]
+    if len(others) == len(done.trials):
+        return done
+    if open_share(others[decided_by(others)[0]].scores["train"]) > STATEMENT.explained:
+        return done
+    nameless = [
+        replace(t, proposal=replace(t.proposal, behind=np.inf)) if t.proposal.joints else t for t in done.trials
+    ]
+    return replace(done, trials=tuple(nameless))
 
 
 def _asked_alone(done: Simulated, run: Run) -> Simulated:
@@ -130,7 +142,7 @@ def _trial(proposal: Proposal, proposed: Proposed, run: Run) -> Trial:
         samples = np.array(content["samples"]).reshape(-1, len(content["values"]))
         return Fitted(hypothesis, np.array(content["values"]), samples, content["cost"])
 
-    fitted = run.checkpoint.result(key_of(hypothesis), compute, _encode, decode)
+    fitted = run.checkpoint.result(key_of(hypothesis, start), compute, _encode, decode)
     direct = keys(drive.best.fit.terms) if drive else ()  # two channels show it
     idle = [c for c in idle_terms(fitted, takes, given.rng("idle")) if c.key not in direct]
     return scored(proposal, _without_small(without(fitted, idle), given), ready)
@@ -211,10 +223,14 @@ def _moved(trim: Candidate, value: Array | None) -> bool:
     return bool((np.abs(value - [p.nominal for p in trim.parameters]) > DECISION.worth * reach).any())
 
 
-def key_of(hypothesis: Hypothesis) -> str:
-    """Key of a fit in the checkpoint; a mass that is found and one that is adjusted have other bounds."""
+def key_of(hypothesis: Hypothesis, start: Array) -> str:
+    """Key of a fit in the checkpoint; a mass that is found and one that is adjusted have other bounds.
+
+    A search that was hurried starts it elsewhere.
+    """
     terms, trims = ([f"{c.effect.name}/{c.where}" for c in part] for part in (hypothesis.terms, hypothesis.trims))
-    return " ".join(["fit", *terms, "|", *trims])
+    begun = hashlib.sha256(np.concatenate([*hypothesis.bounds, start]).tobytes()).hexdigest()
+    return " ".join(["fit", *terms, "|", *trims, "|", begun[:12]])
 
 
 def _encode(fitted: Fitted) -> dict[str, Any]:
