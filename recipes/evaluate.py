@@ -37,8 +37,8 @@ class Config:
     """Seed of robots, commands and pushes: other than in training."""
     commands: CommandName | None = None
     """Goals of the hand, as of ``pretrain_wbc.py``; None takes those that the policy was trained on."""
-    actuation: str = "uan"
-    """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
+    actuation: str | None = None
+    """Actuation of the arm, as of ``pretrain_wbc.py``; None takes that with which the policy was trained."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Device of the simulation."""
     video: bool = True
@@ -52,10 +52,18 @@ TRIES = 5
 
 
 def main(cfg: Config) -> None:
+    for name in ("episodes", "seconds", "batch"):
+        if not getattr(cfg, name) > 0:
+            raise SystemExit(f"{name} is {getattr(cfg, name)}. Give more than 0.")
     own = cfg.policy.endswith(".npz")
+    if own and not Path(cfg.policy).is_file():
+        raise SystemExit(f"there is no file {cfg.policy}. Give one that pretrain_wbc.py wrote, or a shipped name.")
     policy: Any = (read_network(cfg.policy) if own else pretrained(cfg.policy)).to(cfg.device)
     trained = read_metadata(cfg.policy if own else shipped_path(cfg.policy))
-    told: dict[str, Any] = {"seed": cfg.seed, "actuation": cfg.actuation, "history": trained.get("history", 10)}
+    if list(getattr(policy, "in_keys", ())) != ["observation"]:
+        raise SystemExit(f"{cfg.policy} is no controller: it does not act on 'observation'. Give a policy, as wbc.")
+    told: dict[str, Any] = {"seed": cfg.seed, "history": trained.get("history", 10)}
+    told["actuation"] = cfg.actuation or trained.get("actuation", "uan")
     told["commands"] = command_ranges(cfg.commands or training.commands_of(cfg.policy))
     known = training.wbc_conditions()
     if unknown := [name for name in cfg.conditions if name not in known]:

@@ -3,7 +3,7 @@
 python recipes/pretrain_wbc.py                                     # ten minutes of two cores: a curve that rises
 python recipes/pretrain_wbc.py --device cuda --logger wandb        # the paper's scale: 4,096 robots, 24 steps
 torchrun --nproc-per-node 2 recipes/pretrain_wbc.py --device cuda  # on two GPUs
-python recipes/pretrain_wbc.py --collectors ray --workers 64       # robots on the CPUs of many hosts
+RAY_ADDRESS=auto python recipes/pretrain_wbc.py --collectors ray --workers 64  # robots on the CPUs of many hosts
 python recipes/pretrain_wbc.py --start wbc                         # goes on from the shipped controller
 
 The same command goes on after Ctrl-C or a crash. What the shipped controller can do: docs/whole_body.md.
@@ -26,20 +26,20 @@ from torchrl_athletic.functional.commands import CommandName, command_ranges
 from torchrl_athletic.identification import with_actuation
 from torchrl_athletic.robots import Terrain, b2z1
 
-ONE_RUN = ("seed", "commands", "actuation", "randomize", "start", "without", "history", "hidden", "ppo", "collectors")
+TOLD = ("history", "commands", "actuation")
+ONE_RUN = (*TOLD, "seed", "randomize", "start", "without", "hidden", "ppo", "collectors")
 
 
 @dataclass(frozen=True)
 class Config:
     device: Literal["cpu", "cuda"] = "cpu"  # of simulation and nets
     minutes: float | None = None  # when to stop; None takes 10 on CPUs and 29 on a GPU
-    iterations: int | None = None  # when to stop; on a GPU 3,800 unless minutes are told, the divergence falling
+    iterations: int | None = None  # when to stop; None takes 3,800 on a GPU, until which the divergence falls
     seed: int = 0  # of weights, robots, commands and exploration
     commands: CommandName | None = None  # goals to behind the head, ahead, or in a box ahead; None: those of ``start``
     actuation: str = "uan"
     """Actuation of the arm: ``uan``, the shipped net; ``ideal``; or the folder of an identified simulator."""
-    randomize: bool = True
-    """Whether robots, ground, starts, delays differ, and pushes come."""
+    randomize: bool = True  # whether robots, starts and delays differ, and pushes come; the ground is always rough
     start: str | None = None
     """A shipped controller, or a file of this recipe, to go on from, at 1e-5 unless told another rate than 1e-3."""
     without: tuple[str, ...] = ()  # terms of the reward to leave out
@@ -65,7 +65,7 @@ def main(cfg: Config) -> None:
     ppo = replace(ppo, critic_minibatches=ppo.actor_minibatches if cfg.minibatches == "joint" else 1)
     if cfg.start is not None and ppo.actor_lr == training.PRE_TRAIN.actor_lr:
         ppo = replace(ppo, actor_lr=training.FINE_TUNE.actor_lr)  # that of the beginning would undo what was learnt
-    iterations = 3800 if on_gpu and cfg.iterations is None and cfg.minutes is None else cfg.iterations
+    iterations = 3800 if on_gpu and cfg.iterations is None else cfg.iterations
     ppo = ppo.annealed(iterations, last=0.006) if on_gpu and iterations else ppo  # below, the rate fell to 1e-6
     cfg = replace(cfg, ppo=ppo, iterations=iterations, commands=cfg.commands or training.commands_of(cfg.start))
     cfg = replace(cfg, hidden=cfg.hidden or ((512, 512, 512) if on_gpu else (128, 128)))
@@ -91,7 +91,7 @@ def main(cfg: Config) -> None:
         show=["reward", "tracking/position", "tracking/velocity"],
     )
     if processes.rank == 0:
-        told: dict[str, Any] = {"trained_as": str(cfg), "history": cfg.history, "commands": cfg.commands}
+        told: dict[str, Any] = {"trained_as": str(cfg)} | {n: getattr(cfg, n) for n in TOLD}
         print("policy:", training.save_wbc(learner, cfg.output, **told))
         if (table := cfg.output / "progress.csv").exists():
             print("curves:", training.draw_curves({"": table}, training.CURVES, cfg.output / "curves.png"))
@@ -111,7 +111,7 @@ def make_env(cfg: Config, num_envs: int, first_row: int = 0, device: str = "cpu"
 
 
 def collect_by_ray(cfg: Config, ppo: training.PPO, policy: Any, keys: Any) -> training.RayRollout:
-    make, rows = partial(make_env, cfg, staggered=True), ppo.num_envs // cfg.workers
+    make, rows = partial(make_env, cfg, staggered=True), training.rows_of_a_worker(ppo.num_envs, cfg.workers)
     return training.RayRollout(make, policy, ppo.horizon, rows=rows, workers=cfg.workers, keys=keys, seed=cfg.seed)
 
 

@@ -144,7 +144,10 @@ SAID = {
         f"at most {100 * T.explained:.0f} % of the error energy above the floor and {200 * T.explained:.0f} % of any",
         f"at most {100 * T.partly:.0f} % is left",
         f"predict more than {100 * S.predictable:.0f} % of the missing torque",
-        f"Once {100 * P.to_find:.0f} % is spent, whatever runs is stopped",
+        f"Once {100 * P.to_propose:.0f} % of `--time-budget` is spent, the search of the torques comes to an end",
+        f"From {100 * P.to_try:.0f} % on the standard joints come before further combinations",
+        f"none of which begins after {100 * P.to_fit:.0f} %",
+        f"At {100 * P.to_find:.0f} % what was found is stated",
         f"{SHARES[P.share]} of what is free], stretches of {P.stretch:.0f} s spread evenly",
     ],
     "fitting": [

@@ -97,6 +97,8 @@ def test_what_is_left_out_has_neither_term_nor_scale():
     assert TERMS.keys() == SCALES.keys() == WBC_SCALES.keys()
     terms, scales = whole_body_rewards(ROBOT, without=("gait",))
     assert terms.keys() == scales.keys() == WBC_SCALES.keys() - {"gait"}
+    with pytest.raises(ValueError, match=r"'gate', which is no term of the reward; there are .*'gait'"):
+        whole_body_rewards(ROBOT, without=("gait", "gate"))
 
 
 def test_an_action_that_changes_costs_and_more_where_its_change_changes():

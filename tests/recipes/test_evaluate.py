@@ -9,7 +9,7 @@ import torch
 from recipes.test_commands import load
 
 from torchrl_athletic.functional.commands import command_ranges
-from torchrl_athletic.networks import pretrained, shipped_path
+from torchrl_athletic.networks import pretrained, shipped_path, write_network
 from torchrl_athletic.training import examine, table_of, wbc_conditions
 from torchrl_athletic.training import wbc_evaluation as module
 
@@ -182,6 +182,37 @@ def test_a_policy_is_examined_on_the_goals_that_it_was_trained_on(tmp_path, monk
     monkeypatch.setattr(recipe.training, "draw_conditions", lambda results, path: path)
     recipe.main(recipe.Config(conditions=("nominal",), video=False, output=tmp_path, **told))
     assert asked["commands"] == command_ranges(expected)
+
+
+@pytest.mark.parametrize(
+    ("of_the_file", "told", "expected"), [({}, None, "uan"), ({"actuation": "ideal"}, None, "ideal"),
+     ({"actuation": "ideal"}, "uan", "uan")],
+)  # fmt: skip
+def test_a_policy_is_examined_on_the_arm_that_it_was_trained_with(tmp_path, monkeypatch, of_the_file, told, expected):
+    asked = {}
+    monkeypatch.setattr(recipe.training, "examine", lambda *args, **told: asked.update(told) or {"nominal": {}})
+    monkeypatch.setattr(recipe.training, "table_of", lambda results: "")
+    monkeypatch.setattr(recipe.training, "draw_conditions", lambda results, path: path)
+    write_network(tmp_path / "mine.npz", pretrained("wbc"), commands="box", **of_the_file)
+    own = recipe.Config(str(tmp_path / "mine.npz"), ("nominal",), actuation=told, video=False, output=tmp_path)
+    recipe.main(own)
+    assert asked["actuation"] == expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"policy": "wbc_critic"}, "wbc_critic is no controller"),
+        ({"policy": "uan"}, "uan is no controller"),
+        ({"policy": "/nowhere/mine.npz"}, "no file /nowhere/mine.npz"),
+        ({"batch": 0}, "batch is 0"),
+        ({"episodes": -1}, "episodes is -1"),
+        ({"seconds": 0.0}, "seconds is 0.0"),
+    ],
+)
+def test_what_cannot_be_examined_is_refused_in_a_sentence(tmp_path, changes, said):
+    with pytest.raises(SystemExit, match=said):
+        recipe.main(recipe.Config(**{"output": tmp_path, "conditions": ("nominal",), **changes}))
 
 
 def test_an_unknown_condition_is_named(tmp_path):

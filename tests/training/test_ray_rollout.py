@@ -11,7 +11,7 @@ from torchrl.envs.utils import ExplorationType
 from training.tasks import SEEN, Repeat, arm_env, repeat_learner
 
 from torchrl_athletic.networks import RunningNormalizer, actor
-from torchrl_athletic.training import PPO, Learner, RayRollout, Rollout, iterate
+from torchrl_athletic.training import PPO, Learner, RayRollout, Rollout, iterate, rows_of_a_worker
 from torchrl_athletic.training.ray_rollout import _made
 
 WORKERS, ROWS, HORIZON = 2, 16, 8
@@ -246,6 +246,24 @@ def started(monkeypatch, running=False, **told):
     rollout = RayRollout(repeat_env, repeat_learner(ROWS).actor, HORIZON, workers=3, rows=ROWS, **told)
     rollout._start()
     return rollout, ray
+
+
+def test_a_cluster_that_ray_s_own_variable_names_is_joined_unless_another_is_told(monkeypatch):
+    monkeypatch.setenv("RAY_ADDRESS", "10.0.0.1:6379")
+    _, ray = started(monkeypatch)
+    assert ray.asked["init"] == {"address": "10.0.0.1:6379", "log_to_driver": False, "logging_level": "warning"}
+    _, ray = started(monkeypatch, address="auto")
+    assert ray.asked["init"]["address"] == "auto"
+    monkeypatch.setenv("RAY_ADDRESS", "")
+    _, ray = started(monkeypatch)
+    assert ray.asked["init"]["address"] == "local"
+
+
+@pytest.mark.parametrize(("num_envs", "workers", "near"), [(8, 3, "num_envs=6"), (8, 0, "num_envs=8"), (2, 3, "=3")])
+def test_robots_are_dealt_out_evenly_or_the_next_fitting_number_is_named(num_envs, workers, near):
+    assert rows_of_a_worker(12, 3) == 4
+    with pytest.raises(ValueError, match=near):
+        rows_of_a_worker(num_envs, workers)
 
 
 def test_a_cluster_of_ones_own_is_as_large_as_needed_and_takes_what_else_is_told(monkeypatch):

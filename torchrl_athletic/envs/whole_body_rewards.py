@@ -34,6 +34,9 @@ def whole_body_rewards(
         without: Names of terms to leave out, for ablations.
         foot_radius: Height of the centre of a foot that stands: a B2's, unless told [m].
 
+    Raises:
+        ValueError: If there is no term of a name in ``without``.
+
     Source:
         Fey et al. 2025, appendix A, table of WBC rewards.
     """
@@ -57,6 +60,8 @@ def whole_body_rewards(
         "joint_limits": Term(rewards.beyond_limits, position_key, limits=limits),
         "contact_force": Term(rewards.square, "foot_force"),
     }
+    if unknown := sorted(set(without) - terms.keys()):
+        raise ValueError(f"without names {unknown[0]!r}, which is no term of the reward; there are {sorted(terms)}.")
     kept = {name: term for name, term in terms.items() if name not in without}
     return kept, {name: rewards.WBC_SCALES[name] for name in kept}
 

@@ -9,7 +9,7 @@ from torchrl_athletic.training.fine_tune import FineTune, controller_for, fine_t
 from torchrl_athletic.training.finite import NonFiniteError, check_finite
 from torchrl_athletic.training.logging import CSVTable, LoggerName, MetricLogger, make_logger
 from torchrl_athletic.training.ppo import FINE_TUNE, PPO, PRE_TRAIN, UAN, Learner, iterate, train
-from torchrl_athletic.training.ray_rollout import RayRollout
+from torchrl_athletic.training.ray_rollout import RayRollout, rows_of_a_worker
 from torchrl_athletic.training.remainder import learn_remainder
 from torchrl_athletic.training.rollout import Rollout, control_step
 from torchrl_athletic.training.uan import (
@@ -80,6 +80,7 @@ __all__ = [
     "play",
     "read_wbc",
     "record_video",
+    "rows_of_a_worker",
     "save_wbc",
     "set_aside",
     "standardized",

@@ -21,6 +21,25 @@ from torchrl.envs.utils import ExplorationType
 from torchrl_athletic.training.rollout import Policy, Rollout, check_horizon, kept_keys
 
 
+def rows_of_a_worker(num_envs: int, workers: int) -> int:
+    """How many robots each of some workers has.
+
+    Raises:
+        ValueError: If there are no workers, or the robots cannot be dealt out evenly.
+
+    Example:
+        >>> rows_of_a_worker(4096, 64)
+        64
+    """
+    if workers < 1 or num_envs % workers:
+        near = max(1, num_envs // max(workers, 1)) * max(workers, 1)
+        raise ValueError(
+            f"{num_envs} robots (num_envs) cannot be dealt out evenly to {workers} workers. "
+            f"Take 1 worker or more, and a multiple of their number, as num_envs={near}."
+        )
+    return num_envs // workers
+
+
 class RayRollout(Rollout):
     """A :class:`~.Rollout` whose rows are shared out among workers, each a process with an environment of its own.
 
@@ -43,8 +62,8 @@ class RayRollout(Rollout):
         keys: As of :class:`~.Rollout`. What is not asked for does not travel.
         seed: Of the workers' exploration.
         device: Where batches are put; None where the policy is.
-        address: Of a cluster that runs, ``"auto"`` for that of this machine; None starts one here, which needs no
-            network and reports to nobody.
+        address: Of a cluster that runs, ``"auto"`` for that of this machine; None takes Ray's own variable
+            ``RAY_ADDRESS``, and else starts one here, which needs no network and reports to nobody.
         init: Further arguments of ``ray.init``.
 
     Attributes:
@@ -86,7 +105,8 @@ class RayRollout(Rollout):
                 name="ray",
             )
         self.make_env, self.policy, self.horizon, self.keys = make_env, policy, horizon, keys
-        self.workers, self.seed, self.address, self.init = workers, seed, address, dict(init or {})
+        self.workers, self.seed, self.init = workers, seed, dict(init or {})
+        self.address = address or os.environ.get("RAY_ADDRESS") or None
         self.rows = rows
         self.env = make_env(1, 0)
         self.num_envs = workers * rows
