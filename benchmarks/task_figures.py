@@ -1,7 +1,7 @@
 """What the tuned policies can do, where they were tuned and elsewhere: 100 episodes in each condition.
 
     python -m benchmarks.task_figures                                     # the shipped ones: two hours of two cores
-    python -m benchmarks.task_figures --only throw --policy outputs/finetune_throw/throw.npz
+    python -m benchmarks.task_figures --only throw --policy outputs/finetune_throw/throw.npz --output outputs/figures
     python -m benchmarks.task_figures --untuned      # the controllers that they were tuned from: three minutes
 
 The same command goes on after a kill. Robots are randomised as in training, with other seeds. One condition differs
@@ -98,6 +98,8 @@ def main(cfg: Config) -> None:
         raise SystemExit(f"there is no task {unknown[0]!r}; there are {list(TASKS)}.")
     if cfg.policy is not None and len(cfg.only) != 1:
         raise SystemExit("--policy is of one task: name it with --only.")
+    if cfg.policy is not None and cfg.output == Config().output:
+        raise SystemExit(f"{cfg.output} holds the tables of the shipped policies: give those of --policy an --output.")
     if cfg.policy is not None and cfg.untuned:
         raise SystemExit("--untuned names the policy, and so does --policy: give one of them.")
     torch.set_grad_enabled(False)
@@ -113,7 +115,8 @@ def main(cfg: Config) -> None:
             *(f"| {name} | {' | '.join(f'{row[key]:.3g}' for key in SHOWN[task])} |" for name, row in rows.items()),
         ]
         made = (
-            f"`python -m benchmarks.task_figures --only {task}{' --untuned' * cfg.untuned}`, {cfg.episodes} episodes "
+            f"`python -m benchmarks.task_figures --only {task}{' --untuned' * cfg.untuned}"
+            f"{f' --policy {cfg.policy}' if cfg.policy else ''}`, {cfg.episodes} episodes "
             f"each, policy "
             f"{digest_of(policy)}, {platform.machine()}, MuJoCo {mujoco.__version__}, commit "
             f"{', '.join(dict.fromkeys(str(row['commit']) for row in rows.values()))}."

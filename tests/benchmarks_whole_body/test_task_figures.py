@@ -7,7 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from benchmarks.task_figures import ELSEWHERE, TASKS, conditions, slid, untuned
+from benchmarks.task_figures import ELSEWHERE, TASKS, Config, conditions, main, slid, untuned
 from torchrl_athletic.networks import digest_of, pretrained
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
@@ -34,3 +34,8 @@ def test_the_committed_tables_are_of_the_policies_that_are_shipped(task):
     assert tuned["policy"] == digest_of(pretrained(task))
     assert before["policy"] == digest_of(untuned(task))
     assert tuned["rows"].keys() == {name for name, _ in conditions(task)}
+
+
+def test_figures_of_a_policy_of_ones_own_do_not_take_the_place_of_the_shipped_ones():
+    with pytest.raises(SystemExit, match="holds the tables of the shipped policies"):
+        main(Config(only=("throw",), policy="mine.npz"))

@@ -21,8 +21,18 @@ from torchrl_athletic.envs import (
 from torchrl_athletic.envs.ball_throw import KNOWN
 from torchrl_athletic.envs.whole_body import phase_inputs
 from torchrl_athletic.functional.phase import sled_phases
-from torchrl_athletic.networks import pretrained, read_network, trunk_of
-from torchrl_athletic.training import FINE_TUNE, PPO, CSVTable, FineTune, fine_tune, iterate, save_wbc, task_learner
+from torchrl_athletic.networks import pretrained, read_metadata, read_network, trunk_of
+from torchrl_athletic.training import (
+    FINE_TUNE,
+    PPO,
+    CSVTable,
+    FineTune,
+    fine_tune,
+    iterate,
+    save_wbc,
+    task_learner,
+    train,
+)
 from torchrl_athletic.training.wbc import WATCHED
 
 module = sys.modules["torchrl_athletic.training.fine_tune"]  # beside which lies a function of its name
@@ -166,6 +176,7 @@ def test_it_leaves_policy_curves_and_figures_and_goes_on(tmp_path):
     assert len(seen) == 2
     assert (tmp_path / "curves.png").stat().st_size > 5000
     assert read_network(tmp_path / "throw.npz").in_keys == ["observation"]
+    assert read_metadata(tmp_path / "throw.npz")["actuation"] == cfg.actuation
     assert not (tmp_path / "throw.png").exists()  # no video was asked for
     fine_tune(replace(cfg, iterations=3), ball_throw_maker, judge=judge, **told)
     assert [row["step"] for row in CSVTable(tmp_path / "progress.csv").rows] == ["1", "2", "3"]
@@ -250,7 +261,7 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
         assert (world, look_at, steps) == ("world", ["reward", "hand"], 500)
         assert played is not policy  # which may be part of what a graph has recorded
     trained_as = str(replace(cfg, ppo=config, iterations=last))
-    assert told["save_wbc"][0][1] == {"name": "throw", "trained_as": trained_as, "history": 10}
+    assert told["save_wbc"][0][1] == {"name": "throw", "trained_as": trained_as, "history": 10, "actuation": cfg.actuation}
     assert told["draw_episode"] == [(("world", policy, 400), {"annotate": "ball", "follow": "base", "view": "far"})]
     assert told["write_video"][0][0][1:] == (tmp_path / "throw.mp4", 50.0)
     assert told["frame_strip"][0][0][1:] == (6, tmp_path / "throw.png")
@@ -304,11 +315,22 @@ def test_one_that_begins_anew_is_told_the_configuration_its_seed_and_where_to_re
     assert told["anew"] == [(("env", SMALL), {"watch": ["rope"], "seed": 6, "cuda_graph": True})]
 
 
+NOTHING = {"name": "throw", "known": {}, "curves": {}, "look_at": [], "judge": dict, "steps": 2}
+"""What a task is told that is not to be made."""
+
+
 @pytest.mark.parametrize("flag", ["episodes", "num_envs"])
 def test_no_episodes_and_no_robots_are_refused_before_anything_is_made(flag, tmp_path):
-    told = {"name": "throw", "known": {}, "curves": {}, "look_at": [], "judge": dict, "steps": 2}
     for count in (0, -1):
         with pytest.raises(ValueError, match=f"--{flag.replace('_', '-')} is {count}: .*Give 1 or more"):
-            fine_tune(FineTune(output=tmp_path, **{flag: count}), None, **told)
+            fine_tune(FineTune(output=tmp_path, **{flag: count}), None, **NOTHING)
     with pytest.raises(TypeError, match="not callable"):  # one is enough: it goes on to make the task
-        fine_tune(FineTune(output=tmp_path, **{flag: 1}), None, **told)
+        fine_tune(FineTune(output=tmp_path, **{flag: 1}), None, **NOTHING)
+
+
+@pytest.mark.parametrize(("flag", "most"), [("minutes", -1.0), ("iterations", -5), ("minutes", float("nan"))])
+def test_a_training_that_would_never_end_is_refused_before_anything_is_made(flag, most, tmp_path):
+    with pytest.raises(ValueError, match=f"--{flag} is {most}: .*Give 0 or more"):
+        fine_tune(FineTune(output=tmp_path, **{flag: most}), None, **NOTHING)
+    with pytest.raises(ValueError, match=f"{flag} is {most}"):
+        train(None, **{flag: most})

@@ -212,6 +212,9 @@ def fine_tune(
     for flag, count in {"episodes": cfg.episodes, "num-envs": cfg.num_envs, "epochs": cfg.epochs}.items():
         if count is not None and count < 1:
             raise ValueError(f"--{flag} is {count}: there would be nothing to look at. Give 1 or more.")
+    for flag, most in {"minutes": cfg.minutes, "iterations": cfg.iterations}.items():
+        if most is not None and not most >= 0:
+            raise ValueError(f"--{flag} is {most}: training would never end. Give 0 or more.")
     on_gpu = cfg.device == "cuda"
     torch.manual_seed(cfg.seed)
     torch.set_float32_matmul_precision("high")
@@ -235,7 +238,7 @@ def fine_tune(
         cuda_graph=on_gpu,
     )
     first = cfg.output / "figures_before.json"
-    if not first.exists():  # a run that goes on has its own
+    if not (first.exists() and any((cfg.output / "checkpoints").glob("*"))):  # a run that goes on has its own
         _examine(cfg, make_env, learner.actor, first, look_at, judge, steps)
     train(
         learner,
@@ -247,7 +250,8 @@ def fine_tune(
         show=["reward", "kl"],
     )
     trained_as = str(replace(cfg, ppo=ppo, iterations=iterations))
-    print("policy:", save_wbc(learner, cfg.output, name=name, trained_as=trained_as, history=10))
+    told = {"trained_as": trained_as, "history": 10, "actuation": cfg.actuation}
+    print("policy:", save_wbc(learner, cfg.output, name=name, **told))
     policy = learner.actor.to("cpu")
     if (progress := cfg.output / "progress.csv").exists():
         alone = (ppo.warm_up + ppo.critic_first) * ppo.horizon * ppo.num_envs if ppo.critic_first else 0

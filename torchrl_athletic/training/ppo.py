@@ -386,10 +386,13 @@ def train(
         The last numbers that were logged.
 
     Raises:
-        ValueError: If nothing says when to stop.
+        ValueError: If nothing says when to stop, or what says so is negative.
     """
     if iterations is None and minutes is None:
         raise ValueError("neither iterations nor minutes is given, so training would never end. Give one of them.")
+    for name, most in {"iterations": iterations, "minutes": minutes}.items():
+        if most is not None and not most >= 0:
+            raise ValueError(f"{name} is {most}, so that training would never end. Give 0 or more.")
     processes: Processes = getattr(learner, "processes", ALONE)
     logger, progress = (logger, progress) if processes.rank == 0 else (None, False)
     if checkpoints is not None and checkpoints.resume(learner, logger) and processes.rank == 0:
