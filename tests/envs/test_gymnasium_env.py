@@ -122,6 +122,15 @@ def test_what_cannot_be_is_refused():
         envs.step(np.zeros(19, np.float32))
 
 
+def test_an_episode_is_as_long_as_gymnasium_is_told_and_no_options_are_passed_over():
+    envs = gymnasium.make_vec("torchrl_athletic/WholeBody-v0", num_envs=2, max_episode_steps=2)
+    with pytest.raises(ValueError, match=r"no options, but was told \['reset_mask'\]"):
+        envs.reset(options={"reset_mask": np.array([True, False])})
+    envs.reset(seed=0, options={})
+    ends = [envs.step(np.zeros((2, 19), dtype=np.float32))[3].tolist() for _ in range(2)]
+    assert ends == [[False, False], [True, True]]
+
+
 def test_an_unknown_task_and_a_step_before_the_start_are_refused():
     with pytest.raises(ValueError, match=r"no task is called 'Jump'.*'SledPull'"):
         GymnasiumVectorEnv("Jump")

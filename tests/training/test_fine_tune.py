@@ -261,7 +261,12 @@ def test_what_the_command_line_says_reaches_the_task_the_training_and_the_examin
         assert (world, look_at, steps) == ("world", ["reward", "hand"], 500)
         assert played is not policy  # which may be part of what a graph has recorded
     trained_as = str(replace(cfg, ppo=config, iterations=last))
-    assert told["save_wbc"][0][1] == {"name": "throw", "trained_as": trained_as, "history": 10, "actuation": cfg.actuation}
+    assert told["save_wbc"][0][1] == {
+        "name": "throw",
+        "trained_as": trained_as,
+        "history": 10,
+        "actuation": cfg.actuation,
+    }
     assert told["draw_episode"] == [(("world", policy, 400), {"annotate": "ball", "follow": "base", "view": "far"})]
     assert told["write_video"][0][0][1:] == (tmp_path / "throw.mp4", 50.0)
     assert told["frame_strip"][0][0][1:] == (6, tmp_path / "throw.png")

@@ -58,12 +58,20 @@ class GymnasiumVectorEnv(VectorEnv[Array, Array, Any]):
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
 
     def __init__(
-        self, task: str, num_envs: int = 1, *, autoreset: bool = True, render_mode: None = None, **told: Any
+        self,
+        task: str,
+        num_envs: int = 1,
+        *,
+        autoreset: bool = True,
+        render_mode: None = None,
+        max_episode_steps: int | None = None,
+        **told: Any,
     ) -> None:
         if task not in TASKS:
             raise ValueError(f"no task is called {task!r}; there are {sorted(TASKS)}.")
         if render_mode is not None:
             raise ValueError(f"render_mode is {render_mode!r}, but only None is known: training.record_video draws.")
+        told |= {} if max_episode_steps is None else {"max_steps": max_episode_steps}  # gymnasium's name for it
         self.env = TASKS[task](num_envs=num_envs, **told)
         self.num_envs, self.autoreset = num_envs, autoreset
         self.single_observation_space = _box(self.env.full_observation_spec["observation"].shape[-1])
@@ -80,7 +88,12 @@ class GymnasiumVectorEnv(VectorEnv[Array, Array, Any]):
         """Start all rows anew. A seed opens the streams of all draws again; of a list, the first one counts.
 
         Without a seed they go on, and where the task was told none either, the first reset takes one by chance.
+
+        Raises:
+            ValueError: If options are told: there are none.
         """
+        if options:
+            raise ValueError(f"reset takes no options, but was told {sorted(options)}: all rows start anew.")
         first = seed[0] if isinstance(seed, list) else seed
         super().reset(seed=first, options=options)
         if first is None and not self._seeded:
