@@ -133,9 +133,8 @@ def main(cfg: Config) -> None:
     if CLONES not in os.environ:
         print(f"Without {CLONES}, the arms {', '.join(ARMS)} are left out.")
         wanted = [c for c in wanted if c.bench not in ARMS]
-    todo = (
-        [] if cfg.table else [c for c in wanted if _again(c, cfg) or not _is_done(cfg.answers / f"{c.name}.json", cfg)]
-    )
+    undone = [c for c in wanted if _again(c, cfg) or not _is_done(cfg.answers / f"{c.name}.json", cfg)]
+    todo = [] if cfg.table else undone
     print(f"{len(wanted)} cases, {len(wanted) - len(todo)} of them not to be run")
     todo.sort(key=lambda c: DEAREST.index(c.bench))
     for bench in {c.bench for c in todo}:  # said now, and once
@@ -191,10 +190,9 @@ def in_own_process(name: str, cfg: Config) -> str:
     return f"{name}  {seconds:.0f} s  {said or error[-200:] or 'nothing named'}"
 
 
-def _begun(name: str, time_budget: float | None = None) -> dict[str, Any]:
-    digest = program_digest("diagnosis")
-    machine = platform.machine()
-    return {"case": name, "commit": _commit(), "program": digest, "machine": machine, "time_budget": time_budget}
+def _begun(name: str, time_budget: float | None) -> dict[str, Any]:
+    made = {"commit": _commit(), "program": program_digest("diagnosis"), "machine": platform.machine()}
+    return {"case": name, "time_budget": time_budget, **made}
 
 
 def run(name: str, folder: Path, time_budget: float | None = None) -> None:

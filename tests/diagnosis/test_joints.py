@@ -121,9 +121,7 @@ def test_a_fit_is_a_trial_where_the_catalogue_has_names_for_all_that_it_keeps(mo
         return value
 
     given = Given(None, "<xml/>", "", ("takes",), (), (laws["drag"].effect,), drive="measured", seed=7)
-    run = SimpleNamespace(
-        checkpoint=SimpleNamespace(result=result), time_budget=None, left=lambda share: None if share < 0.8 else 9.0
-    )
+    run = SimpleNamespace(checkpoint=SimpleNamespace(result=result), time_budget=None, left=lambda share: None)
     first = standard_joints_of(given, run)
     assert (first is not None) is is_trial
     assert asked == [(("<xml/>", ("takes",)), {"drive": "measured", "seed": 7, "time_budget": None})]

@@ -335,7 +335,7 @@ def test_no_episodes_and_no_robots_are_refused_before_anything_is_made(flag, tmp
 
 @pytest.mark.parametrize(("flag", "most"), [("minutes", -1.0), ("iterations", -5), ("minutes", float("nan"))])
 def test_a_training_that_would_never_end_is_refused_before_anything_is_made(flag, most, tmp_path):
-    with pytest.raises(ValueError, match=f"--{flag} is {most}: .*Give 0 or more"):
+    with pytest.raises(ValueError, match=f"{flag} is {most}, .*Give 0 or more"):
         fine_tune(FineTune(output=tmp_path, **{flag: most}), None, **NOTHING)
     with pytest.raises(ValueError, match=f"{flag} is {most}"):
         train(None, **{flag: most})

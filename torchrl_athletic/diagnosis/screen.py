@@ -397,15 +397,16 @@ class Bank:
             asked = [k for k, atom in enumerate(shelf.atoms) if among(atom)]
             if not asked:
                 continue
+            rows = slice(None) if len(asked) == len(shelf.atoms) else asked  # a slice copies nothing
             j, shape = shelf.joint, (len(shelf.atoms), -1)
             left = shelf.cross(self.products, 0)
             for n, coefficient in zip(numbers, fit.coefficients, strict=True):
                 left = left - coefficient * shelf.cross(self.products, n)
-            right = left.reshape(shape)[asked]
-            cross = [shelf.cross(self.products, n).reshape(shape)[asked] for n in moving]
+            right = left.reshape(shape)[rows]
+            cross = [shelf.cross(self.products, n).reshape(shape)[rows] for n in moving]
             beside = np.stack(cross, -1) if cross else np.zeros((*right.shape, 0))
-            least, most = (side[asked] for side in shelf.bounds)
-            gram = shelf.gram[asked]
+            least, most = (side[rows] for side in shelf.bounds)
+            gram = shelf.gram[rows]
             gained = gains(gram / level[j], beside / level[j], active, right / level[j], least, most, room)
             out.update(zip((shelf.atoms[k] for k in asked), gained.tolist(), strict=True))
         return out

@@ -21,7 +21,7 @@ from torchrl_athletic.training.checkpoint import Checkpoints
 from torchrl_athletic.training.curves import draw_curves
 from torchrl_athletic.training.evaluation import whole_rollout
 from torchrl_athletic.training.logging import LoggerName, make_logger
-from torchrl_athletic.training.ppo import FINE_TUNE, PPO, Learner, train
+from torchrl_athletic.training.ppo import FINE_TUNE, PPO, Learner, check_end, train
 from torchrl_athletic.training.video import View, draw_episode, frame_strip, write_video
 from torchrl_athletic.training.wbc import WATCHED, check_sizes, read_wbc, save_wbc, wbc_learner
 from torchrl_athletic.transforms import RewardTerms
@@ -212,9 +212,7 @@ def fine_tune(
     for flag, count in {"episodes": cfg.episodes, "num-envs": cfg.num_envs, "epochs": cfg.epochs}.items():
         if count is not None and count < 1:
             raise ValueError(f"--{flag} is {count}: there would be nothing to look at. Give 1 or more.")
-    for flag, most in {"minutes": cfg.minutes, "iterations": cfg.iterations}.items():
-        if most is not None and not most >= 0:
-            raise ValueError(f"--{flag} is {most}: training would never end. Give 0 or more.")
+    check_end(minutes=cfg.minutes, iterations=cfg.iterations)
     on_gpu = cfg.device == "cuda"
     torch.manual_seed(cfg.seed)
     torch.set_float32_matmul_precision("high")

@@ -347,6 +347,20 @@ def _learn_scale(learner: Learner, batch: TensorDictBase) -> None:
         normalizer.update(batch.get(key), learner.processes.moments)
 
 
+def check_end(**most: float | None) -> None:
+    """Make sure that a training ends, by its name and value what says when.
+
+    Raises:
+        ValueError: If one is negative or no number.
+
+    Example:
+        >>> check_end(minutes=9.0, iterations=None)
+    """
+    for name, value in most.items():
+        if value is not None and not value >= 0:
+            raise ValueError(f"{name} is {value}, so that training would never end. Give 0 or more.")
+
+
 def train(
     learner: Any,
     *,
@@ -390,9 +404,7 @@ def train(
     """
     if iterations is None and minutes is None:
         raise ValueError("neither iterations nor minutes is given, so training would never end. Give one of them.")
-    for name, most in {"iterations": iterations, "minutes": minutes}.items():
-        if most is not None and not most >= 0:
-            raise ValueError(f"{name} is {most}, so that training would never end. Give 0 or more.")
+    check_end(iterations=iterations, minutes=minutes)
     processes: Processes = getattr(learner, "processes", ALONE)
     logger, progress = (logger, progress) if processes.rank == 0 else (None, False)
     if checkpoints is not None and checkpoints.resume(learner, logger) and processes.rank == 0:
