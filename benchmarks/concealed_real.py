@@ -601,12 +601,14 @@ def graded(case: Case, answered: Mapping[str, Any], control: Mapping[str, Any] |
         "bench": case.bench, "kind": case.kind, "what": case.what, "size": case.size, "truths": case.truths,
         "commit": answered["commit"], "seconds": answered.get("seconds"),
     }  # fmt: skip
-    if before is not None and "moved" in answered:
+    if before is not None and "moved" in answered and before["fit"]:
         own = before["fit"]["train"]["per_joint"]
         row["over_noise"] = max(m / own[joint]["floor"] for joint, m in answered["moved"].items())
         row["over_misfit"] = max(m / own[joint]["before"] for joint, m in answered["moved"].items())
     if answer is None:
         return row | {"grade": "failed", "error": answered.get("error", "not finished")}
+    if not answer["fit"]:
+        return row | {"grade": "failed", "error": "nothing simulated within its time budget"}
     row |= {
         "verdict": answer["verdict"],
         "findings": [

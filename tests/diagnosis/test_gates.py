@@ -469,9 +469,9 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
         for c, share in ((rival, 0.3), (one, 0.6), (faint, 0.02))
     ]
     term = SimpleNamespace(candidate=one)
-    found = gates._finding(part, term, fitted, one, rated, 0.3, {beside.key}, frozenset({"wrist"}))
+    found = gates._finding(part, term, fitted, one, rated, 0.3, {beside.key}, frozenset({"wrist"}), 0.85)
     (g,) = grounds
-    assert (g.sure, g.plain) == (7.0, True)
+    assert (g.sure, g.plain, g.closes) == (7.0, True, 0.85)
     assert asked[:2] == [(bank, best.fit, term), (part, term)]
     for c, values, drawn in asked[2:]:
         assert c is one
@@ -489,7 +489,7 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
         ("stribeck_friction", "elbow", pytest.approx(0.2))
     ]
     assert found.sentence == "{'torque': 0.9}"
-    assert of_class == [(0.4, pytest.approx(0.6), pytest.approx(0.7), 0.6, 0.11)]
+    assert of_class == [(0.4, pytest.approx(0.6), pytest.approx(0.7), 0.6, 0.11, 0.85)]
     assert found.class_probability == pytest.approx(0.4 + 0.2)  # with what is of its class, not with the spring
     assert found.law_probability == pytest.approx(0.4 / 0.6)
     assert found.regime == "True, torque of coulomb_friction of 1"
@@ -498,12 +498,12 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
     beside_it = gates._finding(
         part, SimpleNamespace(candidate=beside), fitted, beside,
         [SimpleNamespace(atom=SimpleNamespace(candidate=c), share=0.5) for c in (beside, alike)], 0.3, {beside.key},
-        frozenset({"elbow"}),
+        frozenset({"elbow"}), 1.0,
     )  # fmt: skip
     assert (grounds[1].senseless, grounds[1].leans, grounds[1].far) == (True, False, True)
     assert beside_it.class_probability == beside_it.probability  # nonsense speaks for no class
     monkeypatch.setattr(gates, "probability", lambda g, effect: 0.0)
-    assert gates._finding(part, term, fitted, one, rated[1:2], 0.3, (), frozenset()).law_probability == 0.0
+    assert gates._finding(part, term, fitted, one, rated[1:2], 0.3, (), frozenset(), 1.0).law_probability == 0.0
 
 
 @pytest.mark.parametrize(
@@ -536,7 +536,7 @@ def test_terms_beside_a_finding_are_those_of_its_own_joint_and_of_the_robot_all(
     monkeypatch.setattr(gates, "probability", lambda g, effect: grounds.append(g) or 0.4)
     rated = [SimpleNamespace(atom=SimpleNamespace(candidate=c), share=1.0)]
     without = {h.terms[k].key for k in senseless}
-    gates._finding(part, SimpleNamespace(candidate=c), fitted, c, rated, 0.0, without, frozenset(far))
+    gates._finding(part, SimpleNamespace(candidate=c), fitted, c, rated, 0.0, without, frozenset(far), 1.0)
     (g,) = grounds
     assert (g.terms, g.leans, g.far) == expected
 
@@ -549,7 +549,7 @@ def test_the_worst_of_the_scores_says_how_much_is_open(monkeypatch):
     monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a[5]) or FINDING)
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
     for scores in ([score(0.2), score(0.7)], []):
-        gates.judge_findings([part], fitted, scores, {one.key: ()})
+        gates.judge_findings([part], fitted, scores, {one.key: ()}, {})
     assert told == [pytest.approx(0.7), 1.0]
 
 
@@ -564,13 +564,14 @@ def test_each_term_of_each_part_is_stated_with_its_own_number_stand_ins_and_far_
     monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a) or FINDING)
     monkeypatch.setattr(gates, "far_joints", lambda scores: frozenset({f"far in {len(scores)}"}))
     sets = {c.key: f"beside {c.effect.name} of {c.joint_name}" for c in kept}
-    gates.judge_findings([drive, mechanics], fitted, [score(0.2, 4.0)], sets)
+    gates.judge_findings([drive, mechanics], fitted, [score(0.2, 4.0)], sets, {kept[0].key: 0.25})
     expected = [(drive, soft, kept[1]), (mechanics, elsewhere, kept[2]), (mechanics, dry, kept[0])]
-    for (part, term, own, chosen, rated, _, _, far), (its_part, c, its_own) in zip(told, expected, strict=True):
+    for (part, term, own, chosen, rated, _, _, far, closes), (its_part, c, its_own) in zip(told, expected, strict=True):
         assert part is its_part
         assert (term.candidate, chosen) == (c, its_own)
         assert chosen is its_own
         assert (own, rated, far) == (fitted, sets[c.key], {"far in 1"})
+        assert closes == (0.25 if chosen is kept[0] else 1.0)
 
 
 @pytest.mark.parametrize(("gear", "friction", "before", "senseless"),
@@ -585,7 +586,7 @@ def test_what_no_robot_has_and_a_gear_in_the_noise_make_no_sense_each_alone(
     monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a[6]) or FINDING)
     part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=dry)])))
     fitted = Fitted(Hypothesis((dry, soft)), np.array([friction, gear]), np.zeros((3, 2)), 0.0)
-    gates.judge_findings([part], fitted, [score(0.2, before)], {dry.key: ()})
+    gates.judge_findings([part], fitted, [score(0.2, before)], {dry.key: ()}, {})
     assert told == [{(name, "elbow") for name in senseless}]
 
 
@@ -598,7 +599,7 @@ def test_findings_are_told_by_whole_per_cent_and_then_by_what_they_account_for(m
     monkeypatch.setattr(gates, "_finding", lambda *_: left.pop(0))
     part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)] * 3)))
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
-    found = gates.judge_findings([part], fitted, [score(0.2)], {one.key: ()})
+    found = gates.judge_findings([part], fitted, [score(0.2)], {one.key: ()}, {})
     assert found == (told[2], told[1], told[0])
 
 
@@ -607,7 +608,7 @@ def test_a_term_that_the_fit_does_not_have_is_not_stated(monkeypatch):
     monkeypatch.setattr(gates, "_finding", lambda *_: FINDING)
     part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)])))
     nothing = Fitted(Hypothesis(()), np.zeros(0), np.zeros((3, 0)), 0.0)
-    assert gates.judge_findings([part], nothing, [score(0.2)], {one.key: ()}) == ()
+    assert gates.judge_findings([part], nothing, [score(0.2)], {one.key: ()}, {}) == ()
 
 
 def test_a_refused_name_is_held_back_with_its_class_and_its_rivals_and_says_so():

@@ -262,10 +262,11 @@ def test_another_name_is_that_of_an_effect_that_acts_in_every_take(monkeypatch):
     ]
     asked = []
 
-    def judged(evidence, fitted, scores, sets):
-        asked.append((evidence, fitted, list(scores), sets))
+    def judged(evidence, fitted, scores, sets, closes):
+        asked.append((evidence, fitted, list(scores), sets, closes))
         return "findings"
 
+    monkeypatch.setattr(stating, "_closes", lambda decided, own: f"what each closes of {own.scores['train'].after}")
     monkeypatch.setattr(stating, "judge_findings", judged)
     monkeypatch.setattr(stating, "with_alternatives", lambda *given: given)
     given = SimpleNamespace(
@@ -276,10 +277,25 @@ def test_another_name_is_that_of_an_effect_that_acts_in_every_take(monkeypatch):
     found, names, applying, damped = stating._findings(Decided(located, "drive", own, sets={"term": "stand-ins"}))
     (of_evidence, *of_fit) = asked[0]
     assert of_evidence == ("drive", own.proposal)
-    assert of_fit == [own.fitted, list(own.scores.values()), {"term": "stand-ins"}]
+    assert of_fit == [own.fitted, list(own.scores.values()), {"term": "stand-ins"}, "what each closes of 2.0"]
     assert (found, names, damped) == ("findings", given.joint_names, ["hip", "foot"])
     assert [effect.name for effect in applying] == ["everywhere"]
     assert stating._findings(Decided(located)) == ()
+
+
+def test_what_a_term_closes_is_asked_of_the_simulation_unless_two_torque_channels_show_it(monkeypatch):
+    asked = []
+    monkeypatch.setattr(stating, "shares_closed", lambda *given: asked.append(given) or {"friction": 0.2, "scale": 0.1})
+    monkeypatch.setattr(stating, "keys", lambda terms: frozenset(terms))
+    own = SimpleNamespace(fitted="fitted", scores={"train": SimpleNamespace(per_joint={"hip": {"floor": 0.5}})})
+    train = SimpleNamespace(takes="takes")
+    ready = SimpleNamespace(train=train, given=SimpleNamespace(rng=lambda purpose: purpose))
+    located = SimpleNamespace(ready=ready)
+    drive = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=("scale",))))
+    assert stating._closes(SimpleNamespace(located=located, drive=None), own) == {"friction": 0.2, "scale": 0.1}
+    assert stating._closes(SimpleNamespace(located=located, drive=drive), own) == {"friction": 0.2}
+    fitted, takes, near, rng = asked[0]
+    assert (fitted, takes, near.tolist(), rng) == ("fitted", "takes", [STATEMENT.near_floor * 0.5], "closes")
 
 
 @pytest.mark.parametrize("own", [True, False])

@@ -44,13 +44,16 @@ class Grounds:
     """Whether another finding on its joint is senseless, so that the two may be halves of something else."""
     far: bool = False
     """Whether the simulation with it is still far from the recordings on its joint, so that the law may be another."""
+    closes: float = 1.0
+    """Share of the simulation's error beside the other findings that it closes, 0..1
+    (see :func:`~torchrl_athletic.diagnosis.fit.shares_closed`)."""
     refused: bool = False
     """Whether recordings kept aside are followed worse with what was found at its joint than by the given model."""
 
     @property
     def most(self) -> float:
         """The probability that it may have at most."""
-        most = STATEMENT.senseless if self.senseless else self.share
+        most = min(STATEMENT.senseless if self.senseless else self.share, self.closes)
         return min(most, STATEMENT.refused) if self.refused else most
 
     def features(self) -> dict[str, float]:
@@ -87,7 +90,8 @@ def learnt(part: str) -> Mapping[str, float]:
 def probability(grounds: Grounds, effect: str = "") -> float:
     """That a finding with these grounds is true: a logistic regression's answer.
 
-    It is at most what :attr:`Grounds.most` allows: no name is more probable than its share of the evidence.
+    It is at most what :attr:`Grounds.most` allows: no name is more probable than its share of the evidence, nor than
+    the share that it closes of the simulation's error beside the other findings.
 
     Args:
         grounds: Of the finding.
@@ -111,12 +115,14 @@ def class_probability(
     closed: float,
     energy: float = 1.0,
     left: float = 0.0,
+    closes: float = 1.0,
     weights: Mapping[str, float] | None = None,
 ) -> float:
     """That physics of a finding's class is missing at its joint, whatever the law: learnt on real benches.
 
     What the correction leaves open may be of another class: the probability is no larger than what is closed of the
-    simulation's error, nor than what is explained of the joint's missing torque. What accounts for hardly any of that
+    simulation's error, by all findings and by this one beside them, nor than what is explained of the joint's missing
+    torque. What accounts for hardly any of that
     torque may stand in for a little of another one's: the probability is at most one half at a share of
     ``STATEMENT.faint``, and less in proportion below it.
 
@@ -126,6 +132,7 @@ def class_probability(
         closed: Share of the simulation's error energy above the floor that the correction closes, 0..1.
         energy: Share of the joint's missing torque that the finding accounts for, 0..1.
         left: Share of it that stays unexplained, 0..1.
+        closes: Share of the error beside the other findings that this one closes, 0..1.
         weights: Level and steepness of the logistic; None takes those in force.
 
     Example:
@@ -141,7 +148,7 @@ def class_probability(
     weights, p = weights or learnt("class"), float(np.clip(alike, 1e-3, 1 - 1e-3))
     odds = weights["level"] + weights["steepness"] * np.log(p / (1 - p))
     seen = STATEMENT.likely * energy / STATEMENT.faint
-    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, 1.0 - left, seen)))
+    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, 1.0 - left, seen, closes)))
 
 
 def rival_probability(likely: float, own: float, share: float) -> float:

@@ -11,7 +11,7 @@ from mujoco import minimize
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.replay import Take, Windows, simulate, window_rmse, windows_of
-from torchrl_athletic.diagnosis.screen import Candidate, bounded_least_squares
+from torchrl_athletic.diagnosis.screen import Candidate, Key, bounded_least_squares
 from torchrl_athletic.diagnosis.thresholds import SIMULATION
 from torchrl_athletic.effects import Parameter, Plant
 
@@ -214,6 +214,38 @@ def idle_terms(
     )  # a push comes once; no accident explains so much
     needed = ((helps.sum(1) >= np.where(once, 1, 2)) & (helps.sum(1) >= 0.5 * acts.sum(1))).any(1)
     return tuple(t for t, n in zip(h.terms, needed, strict=True) if not n)
+
+
+def shares_closed(
+    fitted: Fitted, takes: Sequence[Take], near: Array, rng: np.random.Generator, most: int = SIMULATION.looked_at
+) -> dict[Key, float]:
+    """Share of the simulation's error that each term closes, where the other terms are right, 0..1.
+
+    What stays with all terms may be of another cause: a term that closes a tenth of what is open beside it is as likely
+    to stand in for that cause. Joints count by how far the term moves them; of all windows and of the typical window
+    the larger share is taken, since a push comes once, and since a fall counts more than all else.
+
+    Args:
+        fitted: All terms together.
+        takes: Recordings.
+        near: Error below which nothing stays [rad, m], shape (J,).
+        rng: Draws the windows when there are more than ``most``.
+        most: Windows to look at.
+    """
+    h = fitted.hypothesis
+    if not h.terms:
+        return {}
+    moved, error, error_without = _actions(h, draw_windows(takes, WINDOW, most, rng), fitted.values)
+    unit = near**2
+    acts = moved.mean(1) / unit
+    acts /= np.maximum(acts.sum(1, keepdims=True), 1e-30)
+    stays = np.maximum(error.mean(0) / unit - 1.0, 0.0)
+    closes = np.maximum((error_without - error).mean(1) / unit, 0.0).sum(1)
+    left = (acts * stays).sum(1)
+    of_all = np.where(left > 0.0, closes / np.maximum(closes + left, 1e-30), 1.0)
+    typical = 1.0 - np.exp(np.log(np.maximum(error, unit) / np.maximum(error_without, unit)).mean(1))
+    shares = np.maximum(of_all, (acts * np.maximum(typical, 0.0)).sum(1))
+    return {c.key: float(share) for c, share in zip(h.terms, shares, strict=True)}
 
 
 def _actions(h: Hypothesis, windows: Sequence[Windows], values: Array) -> tuple[Array, Array, Array]:

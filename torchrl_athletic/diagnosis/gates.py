@@ -36,6 +36,7 @@ def judge_findings(
     fitted: Fitted,
     scores: Collection[Score],
     sets: Mapping[Key, Sequence[StandIn]],
+    closes: Mapping[Key, float],
 ) -> tuple[Finding, ...]:
     """State every term of the fitted hypothesis, most probable first.
 
@@ -44,6 +45,7 @@ def judge_findings(
         fitted: The same in the simulation.
         scores: Of that fit.
         sets: Term -> who could stand in its place.
+        closes: Term -> share of the error that it closes; what the simulation was not asked about is missing.
     """
     still_open = max((open_share(s) for s in scores), default=1.0)
     stated = {c.key: c for c in fitted.hypothesis.terms}
@@ -55,10 +57,10 @@ def judge_findings(
         if not c.effect.is_physical(c.parameters, h.values_of(c, fitted.values)) or _is_noise(c, above)
     }
     out = [
-        _finding(part, term, fitted, stated[term.candidate.key], sets[term.candidate.key], still_open, senseless, far)
+        _finding(part, term, fitted, stated[key], sets[key], still_open, senseless, far, closes.get(key, 1.0))
         for part in evidence
         for term in part.best.fit.terms
-        if term.candidate.key in stated
+        if (key := term.candidate.key) in stated
     ]
     return tuple(sorted(out, key=lambda f: (-round(f.probability, 2), -f.energy_share)))
 
@@ -190,6 +192,7 @@ def _finding(
     still_open: float,
     senseless: Collection[Key],
     far: Collection[str],
+    closes: float,
 ) -> Finding:
     bank, candidate, h = part.judge.bank, term.candidate, fitted.hypothesis
     values, samples = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.samples)
@@ -209,6 +212,7 @@ def _finding(
         senseless=chosen.key in senseless,
         leans=any(c.key in senseless and c.joint_name == chosen.joint_name for c in h.terms if c.key != chosen.key),
         far=bool(far) if candidate.joint_name is None else candidate.joint_name in far,
+        closes=closes,
     )
     likely = probability(grounds, candidate.effect.name)
     effect, joint = candidate.effect, candidate.where
@@ -227,7 +231,7 @@ def _finding(
     alike = sum(rival_probability(likely, own, o.share) for o in others if _is_alike(o.atom.candidate, candidate))
     of_class = likely
     if not grounds.senseless:
-        of_class = class_probability(likely, likely + alike, 1.0 - still_open, grounds.energy, grounds.left)
+        of_class = class_probability(likely, likely + alike, 1.0 - still_open, grounds.energy, grounds.left, closes)
     explained = bank.prediction(part.best.fit, term)
     return Finding(
         effect=effect.name,

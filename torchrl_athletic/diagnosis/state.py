@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.compare import harms, uncorrected
 from torchrl_athletic.diagnosis.corrected import Simulation
-from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, without
+from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, shares_closed, without
 from torchrl_athletic.diagnosis.gates import judge_findings, refused, summarise, verdict_of
 from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.locate import regime_maps
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.remainder import remarks_on
 from torchrl_athletic.diagnosis.result import Answer, Finding, RegimeMap, Score
-from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.diagnosis.screen import Candidate, Key
+from torchrl_athletic.diagnosis.search import keys
 from torchrl_athletic.diagnosis.simulate import scores_of
-from torchrl_athletic.diagnosis.stages import Decided, Given, Ready
+from torchrl_athletic.diagnosis.stages import Decided, Given, Ready, Trial
 from torchrl_athletic.diagnosis.thresholds import STATEMENT
 from torchrl_athletic.diagnosis.veto import NOISE, WORSE, veto_sentence, vetoed
 from torchrl_athletic.effects.effect import is_slide
@@ -115,9 +116,21 @@ def _findings(decided: Decided) -> tuple[Finding, ...]:
     if trial is None:
         return ()
     given = ready.given
-    findings = judge_findings(decided.evidence, trial.fitted, trial.scores.values(), decided.sets)
+    findings = judge_findings(
+        decided.evidence, trial.fitted, trial.scores.values(), decided.sets, _closes(decided, trial)
+    )
     applying = [e for e in given.catalogue if all(e.applies(s) for s in ready.train.signals)]
     return with_alternatives(findings, given.joint_names, applying, _damped(given.recordings))
+
+
+def _closes(decided: Decided, trial: Trial) -> dict[Key, float]:
+    """Share of the error that each term closes; what two torque channels show of a drive asks no simulation."""
+    ready = decided.located.ready
+    floor = np.array([joint["floor"] for joint in trial.scores["train"].per_joint.values()])
+    near = STATEMENT.near_floor * np.maximum(floor, 1e-12)
+    shares = shares_closed(trial.fitted, ready.train.takes, near, ready.given.rng("closes"))
+    direct = keys(decided.drive.best.fit.terms) if decided.drive else frozenset()
+    return {key: share for key, share in shares.items() if key not in direct}
 
 
 def _best_followed(decided: Decided) -> Correction:
