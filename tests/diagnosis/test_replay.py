@@ -6,17 +6,17 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from diagnosis.plants import RATE, STEP, double_pendulum, pendulum, record, slider, smooth_torque, take
+from diagnosis.plants import RATE, STEP, candidate, double_pendulum, pendulum, record, slider, smooth_torque, take
 from hypothesis import given
 from hypothesis import strategies as st
 
 from torchrl_athletic.diagnosis import replay
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.replay import join, simulate, take_of, window_rmse, windows_of
+from torchrl_athletic.diagnosis.replay import _stiffness, join, simulate, take_of, window_rmse, windows_of
 from torchrl_athletic.effects import Backlash, Compliance, Hysteresis, LoadDependentFriction, ThermalDrift
 from torchrl_athletic.effects.base import BaseMotion
-from torchrl_athletic.effects.plant import Law
+from torchrl_athletic.effects.plant import Law, Plant
 from torchrl_athletic.recordings import Recording, sensor_noise
 from torchrl_athletic.recordings.recording import BEGAN
 
@@ -685,6 +685,63 @@ def test_the_step_is_short_for_the_derivative_gain_whatever_the_proportional_one
         t = take(pendulum(), replace(r, torque_command=None, position_target=r.position, kp=np.array([kp]), kd=kd))
         assert 0.15 < kd[0] * t.model.opt.timestep / inertia[0, 0] <= 0.3
         assert t.period == pytest.approx(1 / r.rate)
+
+
+@pytest.mark.parametrize(("integrator", "implicit"), [("implicitfast", True), ("Euler", True), ("RK4", False)])
+def test_a_joint_that_stops_in_microseconds_asks_for_no_steps_as_short(integrator, implicit):
+    """A wrist without a rotor in its model: explicit steps as short are the oracle."""
+    light = wrist().replace("implicitfast", integrator)
+    r = record(light, smooth_torque(1.0))
+    gains = {"kp": np.array([2.0]), "kd": np.array([0.2])}
+    r = replace(r, torque_command=None, position_target=0.3 * np.sin(4 * r.time)[:, None], **gains)
+    t = take(light, r, period=0.02)
+    assert t.substeps == (20 if implicit else t.explicit.substeps)
+    assert t.explicit.model.opt.timestep <= 0.3 * t.inertia[0] / 0.2
+    w = windows_of(t, 0.5)
+    exact = simulate(replace(w, take=t.explicit), as_given, np.zeros((1, 0)))
+    found = simulate(w, as_given, np.zeros((1, 0)))
+    moved = np.abs(exact - exact[:, :, :1]).max()
+    assert moved > 0.05
+    assert np.abs(found - exact).max() < 0.01 * moved
+
+
+def wrist() -> str:
+    """1e-4 kg·m² and no rotor."""
+    return """
+<mujoco><option timestep="0.002" integrator="implicitfast"/>
+  <worldbody><body><joint name="wrist" axis="0 0 1"/>
+    <inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body></worldbody>
+  <actuator><motor joint="wrist"/></actuator>
+</mujoco>"""
+
+
+def test_a_stiff_joint_with_a_rotor_is_stepped_explicitly_and_one_behind_a_gear_in_finer_steps():
+    r = record(wrist(), smooth_torque(1.0))
+    gains = {"kp": np.array([2.0]), "kd": np.array([0.2])}
+    r = replace(r, torque_command=None, position_target=r.position, **gains)
+    t = take(wrist(), r, period=0.02)
+
+    def stiff(armature, kd_scale=1.0):
+        plant = Plant(t.model, t.address, 1)
+        plant.of("dof_armature")[:, 0] = armature
+        plant.kd_scale[:] = kd_scale
+        return _stiffness(t, plant)[0, 0]
+
+    step = t.model.opt.timestep
+    assert stiff(0.0) == pytest.approx(0.2 - 0.3 * 1e-4 / step)
+    assert stiff(2e-4) == pytest.approx(0.2 - 0.3 * 3e-4 / step)
+    assert stiff(0.0, kd_scale=0.1) == 0.0
+    assert stiff(0.01) == 0.0
+    seen = []
+
+    def soft(plant, values):
+        seen.append(plant.model.opt.timestep)
+        candidate(Compliance(), r, wrist()).effect.apply(plant, 0, values)
+
+    values = np.array([[50.0, 0.5]])
+    out = simulate(windows_of(t, 0.2), soft, values)
+    assert np.isfinite(out).all()
+    assert seen == [step, t.explicit.model.opt.timestep]
 
 
 def test_half_the_step_is_that_of_every_piece():

@@ -44,6 +44,10 @@ CHUNK = 3_000_000
 """Rows times physics steps times joints simulated in one go: bounds the memory to some 100 MB."""
 FARTHEST = 1e4
 """Way from its start beyond which a simulation has diverged [rad, m]; a wheel that turns may be anywhere."""
+EXPLICIT = 0.3
+"""Share of its velocity that a controller's damping may take from a joint in one explicit step [1]."""
+EXPLICIT_STEPS = 20
+"""Steps a sample from which on that damping is integrated implicitly, instead of in ever finer steps [1]."""
 SHORTEST = 1.0
 """Pieces that are joined; shorter ones may not hold a whole window of a fit [s]."""
 
@@ -126,6 +130,19 @@ class Take:
         velocity = self.base.velocity + self.base_noise * rng.standard_normal(self.base.velocity.shape)
         return replace(self, base=replace(self.base, velocity=velocity))
 
+    @cached_property
+    def inertia(self) -> Array:
+        """That each joint turns in the given model where the take begins [kg·m², kg]. Shape (J,)."""
+        return np.diag(inertia_matrix(self.model, self.address, self.position[:1])[0]).copy()
+
+    @cached_property
+    def explicit(self) -> Take:
+        """A copy with steps in which a controller's damping needs no implicit integration, or this one."""
+        kd = self.recording.kd
+        if kd is None or self.model.opt.timestep <= _explicit_step(self.inertia, kd):
+            return self
+        return self.halved().explicit
+
     def halved(self) -> Take:
         """A copy at half the physics step."""
         model = self.model.__copy__()
@@ -145,14 +162,17 @@ def take_of(
     """Put a recording on the grid of the simulation.
 
     A sampling period is a whole number of physics steps: of the model's time step, or of a slightly shorter one, or of
-    a much shorter one where the derivative gain would make it unstable. It is the recording's own if it is None.
+    a shorter one where the derivative gain would make it unstable; no more than :data:`EXPLICIT_STEPS` a sample for
+    that, since :func:`_stiffness` takes care of what is still too stiff. It is the recording's own if it is None.
     """
     address = JointAddress.of(model, recording.joint_names, recording.source)
     period = 1.0 / recording.rate if period is None else period
     step = float(model.opt.timestep)
     if recording.kd is not None:
         inertia = np.diag(inertia_matrix(model, address, recording.position[:1])[0])
-        step = min(step, float(np.min(0.3 * inertia / np.maximum(recording.kd, 1e-12))))
+        step = min(
+            step, max(_explicit_step(inertia, recording.kd), period / EXPLICIT_STEPS if _is_implicit(model) else 0.0)
+        )
     substeps = int(np.ceil(period / step - 1e-3))
     step = period / substeps
     driven = carried(model).__copy__()
@@ -177,6 +197,18 @@ def take_of(
     noise = np.stack([position_sigma, velocity_sigma])
     base, base_noise = _base_of(recording, driven, time, longest, late)
     return Take(recording, driven, address, substeps, time, measured, position, velocity, noise, base, base_noise)
+
+
+def _explicit_step(inertia: Array, kd: Array) -> float:
+    """Longest step in which no joint loses more than its share of velocity to a controller's damping [s]."""
+    return float(np.min(EXPLICIT * inertia / np.maximum(kd, 1e-12)))
+
+
+def _is_implicit(model: mujoco.MjModel) -> bool:
+    """Whether MuJoCo integrates a joint's damping implicitly."""
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER:
+        return not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+    return model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
 
 
 def _base_of(
@@ -312,6 +344,11 @@ def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array,
     rows, joints = sets * count, len(take.address.dof)
     plant = Plant(take.model, take.address, rows)
     build(plant, np.repeat(values, count, axis=0))
+    stiff = _stiffness(take, plant)
+    if take.explicit is not take and any(stiff[:, gear.joint].any() for gear in plant.gears):
+        return _simulate(replace(windows, take=take.explicit), build, values, start)  # damped before the gear
+    if stiff.any():
+        plant.of("dof_damping")[:, take.address.dof] += stiff
     measured = (take.position[windows.start], take.velocity[windows.start]) if start is None else start
     position = (np.tile(measured[0], (sets, 1)) - plant.encoder_offset) / plant.encoder_scale
     velocity = np.tile(measured[1], (sets, 1)) / plant.encoder_scale
@@ -351,7 +388,7 @@ def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array,
         out = q[:, :, take.address.qpos] - _lead(take.model) * (v[:, :, take.address.dof] - velocity[:, None])
     else:
         with np.errstate(all="ignore"):  # of rows that diverge
-            out = _closed_loop(physics, command, carry, plant, windows, sets)
+            out = _closed_loop(physics, command, carry, plant, stiff, windows, sets)
     out = _hold_finite(
         out * plant.encoder_scale[:, None] + plant.encoder_offset[:, None], np.tile(measured[0], (sets, 1))
     )
@@ -368,9 +405,13 @@ def _lead(model: mujoco.MjModel) -> float:
 
 
 def _closed_loop(
-    physics: BatchPhysics, command: Array, carry: Array, plant: Plant, windows: Windows, sets: int
+    physics: BatchPhysics, command: Array, carry: Array, plant: Plant, stiff: Array, windows: Windows, sets: int
 ) -> Array:
-    """Step by step, for torques that depend on the state. Returns true positions where the encoders sit."""
+    """Step by step, for torques that depend on the state. Returns true positions where the encoders sit.
+
+    What the model was damped by for the sake of stability, ``stiff``, is given back with the velocity that a step
+    begins with, so that only the change of the damping within the step remains: a linearly implicit step.
+    """
     take, step = windows.take, float(windows.take.model.opt.timestep)
     r = take.recording
     qpos, qvel, applied = physics.qpos.numpy(), physics.qvel.numpy(), physics.qfrc_applied.numpy()
@@ -406,7 +447,7 @@ def _closed_loop(
         now.position, now.velocity, now.torque = q, v, torque
         for law in plant.laws:
             torque = torque + law(now)
-        applied[:, dof], applied[:, base] = torque, carry[:, i]
+        applied[:, dof], applied[:, base] = torque + stiff * v, carry[:, i]
         physics.step()
         if (i + 1) % take.substeps == 0:
             read, rate = _motor_side(plant, qpos[:, at], qvel[:, dof])
@@ -441,6 +482,22 @@ def _servo(r: Recording, plant: Plant) -> Callable[[Array, Array, Array], Array]
     kp, kd = r.kp * plant.kp_scale, r.kd * plant.kd_scale * plant.encoder_scale
     per_target, per_position, constant = kp, kp * plant.encoder_scale, kp * plant.encoder_offset
     return lambda target, q, v: per_target * target - per_position * q - constant - kd * v
+
+
+def _stiffness(take: Take, plant: Plant) -> Array:
+    """Part of a controller's damping that the step is too long for [N·m·s/rad]. Shape (rows, J).
+
+    A joint without much inertia, as the wrist of a model without rotors, comes to rest against it in microseconds.
+    """
+    r, step = take.recording, float(take.model.opt.timestep)
+    if r.position_target is None or r.kd is None or not _is_implicit(take.model):
+        return np.zeros((plant.rows, len(take.address.dof)))
+    inertia = take.inertia
+    if "dof_armature" in plant.fields:
+        dof = take.address.dof
+        inertia = inertia + plant.fields["dof_armature"][:, dof] - take.model.dof_armature[dof]
+    damping = r.kd * plant.kd_scale * plant.encoder_scale
+    return np.maximum(damping - EXPLICIT * inertia / step, 0.0)
 
 
 def _motor_side(plant: Plant, q: Array, v: Array) -> tuple[Array, Array]:
