@@ -67,6 +67,8 @@ class Statement:
     """Share of the joint's missing torque that the finding accounts for."""
     left: float
     """Share of it that stays unexplained."""
+    closes: float
+    """Share of the simulation's error beside the other findings that it closes."""
     senseless: bool
     """Whether its values are none that a robot has: then the class is no likelier than the law."""
     right: bool
@@ -111,6 +113,7 @@ def statements(cases: Sequence[Mapping[str, Any]], of_control: Mapping[str, set[
             closed=1.0 - f["grounds"]["open"],
             energy=f["grounds"]["energy"],
             left=f["grounds"].get("left", 0.0),
+            closes=f["grounds"].get("closes", 1.0),
             senseless=f["grounds"]["senseless"],
             right=_place(f) in _hidden(case),
             known=_place(f) in of_control[case["bench"]],
@@ -155,7 +158,8 @@ def probability(stated: Statement, weights: Mapping[str, float]) -> float:
     """Of its class, by these weights."""
     if stated.senseless:
         return stated.law
-    return class_probability(stated.law, stated.alike, stated.closed, stated.energy, stated.left, weights)
+    s = stated
+    return class_probability(s.law, s.alike, s.closed, s.energy, s.left, s.closes, weights)
 
 
 def learn(stated: Sequence[Statement]) -> dict[str, float]:

@@ -59,13 +59,22 @@ def test_an_interval_is_widened_on_each_side_by_what_it_has_there_and_by_a_share
 
 
 @pytest.mark.parametrize(
-    ("closed", "energy", "left"), [(0.3, 1.0, 0.0), (1.0, 0.6 * STATEMENT.faint, 0.0), (1.0, 1.0, 0.7)]
+    ("closed", "energy", "left", "closes"),
+    [(0.3, 1.0, 0.0, 1.0), (1.0, 0.6 * STATEMENT.faint, 0.0, 1.0), (1.0, 1.0, 0.7, 1.0), (1.0, 1.0, 0.0, 0.3)],
 )
-def test_a_class_is_no_likelier_than_what_it_explains_but_as_likely_as_its_law(closed, energy, left):
+def test_a_class_is_no_likelier_than_what_it_explains_but_as_likely_as_its_law(closed, energy, left, closes):
     assert class_probability(0.1, 0.99, 1.0, 1.0) > 0.5
     assert class_probability(0.1, 0.99, 1.0, 1.0) > class_probability(0.1, 0.11, 1.0, 1.0) + 0.1
-    assert class_probability(0.1, 0.99, closed, energy, left) == pytest.approx(0.3)
-    assert class_probability(0.6, 0.99, closed, energy, left) == 0.6
+    assert class_probability(0.1, 0.99, closed, energy, left, closes) == pytest.approx(0.3)
+    assert class_probability(0.6, 0.99, closed, energy, left, closes) == 0.6
+
+
+def test_a_law_is_no_likelier_than_what_it_closes_of_the_simulations_error():
+    sure = replace(GROUNDS, share=0.99, left=0.0, excess=0.0, scatter=0.01, open=0.0, energy=1.0, terms=1, sure=30)
+    assert probability(sure) > 0.8
+    assert probability(replace(sure, closes=0.04)) == 0.04
+    assert probability(replace(sure, closes=0.04, senseless=True)) == 0.04
+    assert probability(replace(sure, closes=0.99)) == probability(sure)
 
 
 @pytest.mark.parametrize("doubt", ["plain", "leans", "far"])

@@ -507,6 +507,29 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
 
 
 @pytest.mark.parametrize(
+    ("doubts", "said"),
+    [
+        ({}, None),
+        ({"closes": 0.03}, "closes only 3 % of the simulation's error"),
+        ({"closes": 0.51}, None),
+        ({"far": True}, "some law is another"),
+        ({"closes": 0.03, "far": True}, "closes only"),
+        ({"plain": True, "closes": 0.03}, "nothing is seen"),
+        ({"senseless": True, "closes": 0.03}, "stands in for something else"),
+    ],
+)
+def test_a_sentence_says_the_first_doubt(doubts, said):
+    effect = SimpleNamespace(
+        name="drag", sentence=lambda joint, named, parameters: f"Drag {named['torque']} at {joint}."
+    )
+    drag = SimpleNamespace(effect=effect, where="elbow", parameters=())
+    sure = Grounds(share=1, left=0, excess=0, scatter=0, open=0, energy=1, terms=1, strain=0, sure=9)
+    sentence = gates._sentence(drag, {"torque": 0.5}, dataclasses.replace(sure, **doubts))
+    assert sentence.startswith("Drag 0.5 at elbow.")
+    assert (sentence == "Drag 0.5 at elbow.") if said is None else (said in sentence)
+
+
+@pytest.mark.parametrize(
     ("chosen", "senseless", "far", "expected"),
     [
         (0, (1,), ("wrist",), (2, True, False)),  # what makes no sense on the same joint leans on it

@@ -87,6 +87,8 @@ def test_grounds_are_those_that_were_kept_about_the_joint_that_counts(joint, whe
     assert f"of {joint or 'some joint'} is still far" in far
     [refused] = grounds_words(replace(told, grounds={"refused": 1.0, "far": 0.0}))
     assert "kept aside" in refused
+    [closes] = grounds_words(replace(told, grounds={"closes": 0.04}))
+    assert "closes 4 % of the simulation's error" in closes
     assert grounds_words(FRICTION) == []
 
 

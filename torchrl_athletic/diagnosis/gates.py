@@ -317,6 +317,9 @@ def _sentence(candidate: Candidate, named: Mapping[str, float], grounds: Grounds
         return f"{said} No robot is likely to have that: it stands in for something else."
     if grounds.plain:
         return f"{said} Of what makes it more than a simpler law nothing is seen."
+    if grounds.closes < STATEMENT.likely:
+        share = f"{100 * grounds.closes:.0f} % of the simulation's error"
+        return f"{said} The torques ask for it, but it closes only {share} beside what else is named."
     return (
         f"{said} With it the simulation is still far from the recordings: some law is another, perhaps this one."
         if grounds.far
