@@ -11,7 +11,7 @@ from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.stages import Decided, Trial
 from torchrl_athletic.diagnosis.state import _best_followed, _damped, _quality, _trimmed, model_changes
-from torchrl_athletic.diagnosis.thresholds import STATEMENT
+from torchrl_athletic.diagnosis.thresholds import DECISION, STATEMENT
 from torchrl_athletic.effects import Parameter
 
 
@@ -295,7 +295,7 @@ def test_what_a_term_closes_is_asked_of_the_simulation_unless_two_torque_channel
     assert stating._closes(SimpleNamespace(located=located, drive=None), own) == {"friction": 0.2, "scale": 0.1}
     assert stating._closes(SimpleNamespace(located=located, drive=drive), own) == {"friction": 0.2}
     fitted, takes, near, rng = asked[0]
-    assert (fitted, takes, near.tolist(), rng) == ("fitted", "takes", [STATEMENT.near_floor * 0.5], "closes")
+    assert (fitted, takes, near.tolist(), rng) == ("fitted", "takes", [DECISION.follows * 0.5], "closes")
 
 
 @pytest.mark.parametrize("own", [True, False])

@@ -23,7 +23,7 @@ from torchrl_athletic.diagnosis.screen import Candidate, Key
 from torchrl_athletic.diagnosis.search import keys
 from torchrl_athletic.diagnosis.simulate import scores_of
 from torchrl_athletic.diagnosis.stages import Decided, Given, Ready, Trial
-from torchrl_athletic.diagnosis.thresholds import STATEMENT
+from torchrl_athletic.diagnosis.thresholds import DECISION, STATEMENT
 from torchrl_athletic.diagnosis.veto import NOISE, WORSE, veto_sentence, vetoed
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.recordings import Recording
@@ -127,7 +127,7 @@ def _closes(decided: Decided, trial: Trial) -> dict[Key, float]:
     """Share of the error that each term closes; what two torque channels show of a drive asks no simulation."""
     ready = decided.located.ready
     floor = np.array([joint["floor"] for joint in trial.scores["train"].per_joint.values()])
-    near = STATEMENT.near_floor * np.maximum(floor, 1e-12)
+    near = DECISION.follows * np.maximum(floor, 1e-12)
     shares = shares_closed(trial.fitted, ready.train.takes, near, ready.given.rng("closes"))
     direct = keys(decided.drive.best.fit.terms) if decided.drive else frozenset()
     return {key: share for key, share in shares.items() if key not in direct}
