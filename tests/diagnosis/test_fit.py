@@ -296,19 +296,26 @@ def shares(moved, error, error_without, monkeypatch, near=(1.0, 1.0)):
     """Of terms on two joints, of mean squares over windows."""
     told = lambda h, drawn, values: tuple(np.array(x, dtype=float) for x in (moved, error, error_without))  # noqa: E731
     monkeypatch.setitem(shares_closed.__globals__, "_actions", told)
-    monkeypatch.setitem(shares_closed.__globals__, "draw_windows", lambda *_: [])
     terms = tuple(SimpleNamespace(key=("term", str(k))) for k in range(len(moved)))
     fitted = Fitted(SimpleNamespace(terms=terms), np.zeros(1), np.zeros((0, 1)), 0.0)
-    return list(shares_closed(fitted, [], np.array(near), np.random.default_rng(0)).values())
+    return list(shares_closed(fitted, [], np.array(near)).values())
 
 
 def test_a_term_closes_its_part_of_what_is_open_beside_it_at_the_joints_that_it_moves(monkeypatch):
     error = [[5.0, 101.0], [5.0, 101.0]]  # four and a hundred over what counts as followed
     first, second, nowhere = ([[17.0, 101.0]] * 2, [[5.0, 126.0]] * 2, error)
-    moved = [[[12.0, 0.0]] * 2, [[0.0, 25.0]] * 2, [[0.0, 9.0]] * 2]
+    moved = [[[12.0, 0.0]] * 2, [[0.0, 25.0]] * 2, [[0.0, 0.0]] * 2]
     found = shares(moved, error, [first, second, nowhere], monkeypatch)
     assert found == [pytest.approx(12 / 16), pytest.approx(25 / 125), 0.0]
     assert shares(moved, error, [first, second, nowhere], monkeypatch, near=(100.0, 100.0)) == [1.0, 1.0, 1.0]
+
+
+def test_a_term_of_the_whole_robot_closes_what_it_closes_of_one_joint_and_its_harm_elsewhere_counts(monkeypatch):
+    alike = shares([[[10.0, 10.0]] * 2], [[91.0, 91.0]] * 2, [[[101.0, 101.0]] * 2], monkeypatch)
+    alone = shares([[[10.0, 0.0]] * 2], [[91.0, 91.0]] * 2, [[[101.0, 91.0]] * 2], monkeypatch)
+    assert alike == alone == [pytest.approx(0.1)]
+    assert shares([[[9.0, 9.0]] * 2], [[2.0, 20.0]] * 2, [[[12.0, 9.0]] * 2], monkeypatch)[0] < 0.5
+    assert shares([[[9.0, 9.0]] * 2], [[2.0, 2.0]] * 2, [[[12.0, 9.0]] * 2], monkeypatch)[0] > 0.8
 
 
 def test_a_term_that_does_harm_closes_nothing_and_without_terms_nothing_is_asked(monkeypatch):
@@ -328,12 +335,12 @@ def test_of_all_windows_and_the_typical_one_the_larger_share_counts(monkeypatch)
 def test_what_is_true_closes_what_a_stand_in_beside_it_does_not():
     r = record(pendulum(joint='damping="0.25"'), smooth_torque(6.0), noise=1e-4)
     damping, offset = (candidate(e, r, pendulum()) for e in (ViscousFriction(), TorqueOffset()))
-    t, near = take(pendulum(), r, 1e-4), np.array([1e-3])
+    drawn = draw_windows([take(pendulum(), r, 1e-4)], 0.5, 100, np.random.default_rng(0))
     both = Fitted(Hypothesis((damping, offset)), np.array([0.24, 0.01]), np.zeros((1, 2)), 0.0)
-    found = shares_closed(both, [t], near, np.random.default_rng(0))
+    found = shares_closed(both, drawn, np.array([1e-3]))
     assert found[damping.key] > 0.9
     assert found[offset.key] < 0.3
-    assert shares_closed(Fitted(Hypothesis(()), np.zeros(0), np.zeros((1, 0)), 0.0), [t], near, None) == {}
+    assert shares_closed(Fitted(Hypothesis(()), np.zeros(0), np.zeros((1, 0)), 0.0), drawn, np.array([1e-3])) == {}
 
 
 def test_windows_in_which_a_term_acts_are_always_fitted():

@@ -705,14 +705,58 @@ def test_a_joint_that_stops_in_microseconds_asks_for_no_steps_as_short(integrato
     assert np.abs(found - exact).max() < 0.01 * moved
 
 
-def wrist() -> str:
-    """1e-4 kg·m² and no rotor."""
-    return """
+def wrist(inertia: float = 1e-4) -> str:
+    """No rotor."""
+    return f"""
 <mujoco><option timestep="0.002" integrator="implicitfast"/>
   <worldbody><body><joint name="wrist" axis="0 0 1"/>
-    <inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body></worldbody>
+    <inertial pos="0 0 0" mass="0.1" diaginertia="{inertia} {inertia} {inertia}"/></body></worldbody>
   <actuator><motor joint="wrist"/></actuator>
 </mujoco>"""
+
+
+@pytest.mark.parametrize("target", ["sine", "square"])
+@pytest.mark.parametrize(
+    ("inertia", "drive", "within"),
+    [
+        (1e-4, {"torque_limit": 0.3}, 0.01),
+        (1e-4, {"torque_limit": 0.05}, 0.01),
+        (1e-4, {"torque_limit": 0.01}, 0.01),
+        (1e-4, {"lag": 0.02}, 0.05),
+        (1e-4, {"lag": 0.005}, 0.05),
+        (2e-5, {"torque_scale": 3.0}, 0.03),
+        (2e-5, {"torque_scale": 0.3}, 0.03),
+        (1e-4, {"kd_scale": 30.0}, 0.03),
+    ],
+)
+def test_what_a_drive_does_to_the_damping_of_a_light_joint_is_simulated_as_in_steps_of_microseconds(
+    inertia, drive, within, target
+):
+    xml = wrist(inertia)
+    r = record(xml, smooth_torque(1.0))
+    path = 0.3 * np.sin(4 * r.time) if target == "sine" else 0.15 * np.sign(np.sin(4 * np.pi * r.time))
+    gains = {"kp": np.array([2.0]), "kd": np.array([0.2])}
+    t = take(xml, replace(r, torque_command=None, position_target=path[:, None], **gains), period=0.02)
+
+    def driven(plant, values):
+        for name, value in drive.items():
+            getattr(plant, name)[:] = value
+
+    fine = t.explicit
+    while fine.model.opt.timestep > 0.3 * inertia / (0.2 * drive.get("kd_scale", 1.0)):
+        fine = fine.halved()
+    w = windows_of(t, 0.5)
+    exact, found = (simulate(each, driven, np.zeros((1, 0))) for each in (replace(w, take=fine), w))
+    assert np.abs(found - exact).max() < within * np.abs(exact - exact[:, :, :1]).max()
+
+
+def test_a_model_whose_dampers_are_off_is_stepped_explicitly():
+    xml = wrist().replace("/>", '><flag damper="disable"/></option>', 1)
+    r = record(xml, smooth_torque(0.2))
+    gains = {"kp": np.array([2.0]), "kd": np.array([0.2])}
+    t = take(xml, replace(r, torque_command=None, position_target=r.position, **gains), period=0.02)
+    assert t.explicit is t
+    assert t.substeps > 20
 
 
 def test_a_stiff_joint_with_a_rotor_is_stepped_explicitly_and_one_behind_a_gear_in_finer_steps():
@@ -732,16 +776,27 @@ def test_a_stiff_joint_with_a_rotor_is_stepped_explicitly_and_one_behind_a_gear_
     assert stiff(2e-4) == pytest.approx(0.2 - 0.3 * 3e-4 / step)
     assert stiff(0.0, kd_scale=0.1) == 0.0
     assert stiff(0.01) == 0.0
+
+
+def test_a_motor_before_a_gear_is_stepped_finer_where_its_controller_damps_it_and_the_step_still_shows():
+    xml = wrist().replace('axis="0 0 1"', 'axis="0 0 1" armature="2e-4"')
+    r, gains = record(xml, smooth_torque(1.0)), {"kp": np.array([2.0]), "kd": np.array([0.2])}
+    path = 0.3 * np.sin(4 * r.time)[:, None]
+    r = replace(r, position=path, velocity=None, torque_command=None, position_target=path, **gains)
+    t = take(xml, r, period=0.02)
     seen = []
 
     def soft(plant, values):
         seen.append(plant.model.opt.timestep)
-        candidate(Compliance(), r, wrist()).effect.apply(plant, 0, values)
+        candidate(Compliance(), r, xml).effect.apply(plant, 0, values)
 
-    values = np.array([[50.0, 0.5]])
-    out = simulate(windows_of(t, 0.2), soft, values)
-    assert np.isfinite(out).all()
-    assert seen == [step, t.explicit.model.opt.timestep]
+    values, w = np.array([[5.0, 0.01]]), windows_of(t, 0.2)
+    out = simulate(w, soft, values)
+    assert seen == [t.model.opt.timestep, t.explicit.model.opt.timestep]
+    half = simulate(replace(w, take=t.halved()), soft, values)
+    assert seen[-1] == t.explicit.model.opt.timestep / 2 < t.model.opt.timestep / 2
+    assert np.abs(out).max() < 1.0
+    assert 0.0 < np.abs(half - out).max() < 1e-2
 
 
 def test_half_the_step_is_that_of_every_piece():

@@ -14,7 +14,7 @@ from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.simulate import _asked_alone, _with_joints, key_of
 from torchrl_athletic.diagnosis.stages import Simulated, Trial
-from torchrl_athletic.diagnosis.thresholds import DECISION
+from torchrl_athletic.diagnosis.thresholds import DECISION, SIMULATION
 from torchrl_athletic.effects import Parameter
 
 stage = importlib.import_module("torchrl_athletic.diagnosis.simulate")
@@ -24,9 +24,27 @@ def test_combinations_are_chosen_by_the_windows_of_the_recordings_that_were_fitt
     """Those kept aside score the answer; to choose by them would make their score too good."""
     results = {"train": ("a", 0, "errors", "began"), "heldout": ("b", 1, "others", "else")}
     monkeypatch.setattr(stage, "_results", lambda fitted, ready: results)
-    trial = stage.scored(None, None, None)
-    assert (trial.window_errors, trial.began) == ("errors", "began")
+    monkeypatch.setattr(stage, "_closes", lambda fitted, score, ready: f"{score} closes")
+    trial = stage.scored(SimpleNamespace(behind=2.0), None, None)
+    assert (trial.window_errors, trial.began, trial.closes) == ("errors", "began", "a closes")
     assert trial.scores == {"train": "a", "heldout": "b"}
+    assert stage.scored(SimpleNamespace(behind=np.inf), None, None).closes == {}  # it gives no names
+
+
+def test_what_terms_close_is_asked_over_windows_as_the_scores_fewer_where_there_are_many_terms(monkeypatch):
+    asked = []
+    monkeypatch.setattr(stage, "draw_windows", lambda *given: asked.append(given) or ["first", "second"])
+    monkeypatch.setattr(stage, "well_started", lambda w: f"{w}, well started")
+    monkeypatch.setattr(stage, "shares_closed", lambda *given: asked.append(given) or "shares")
+    score = SimpleNamespace(per_joint={"hip": {"floor": 0.5}, "knee": {"floor": 0.0}})
+    ready = SimpleNamespace(train=SimpleNamespace(takes="takes"), given=SimpleNamespace(rng=lambda purpose: purpose))
+    for count, most in ((1, SIMULATION.windows), (49, SIMULATION.weighed // 50)):
+        fitted = SimpleNamespace(hypothesis=SimpleNamespace(terms=(None,) * count))
+        assert stage._closes(fitted, score, ready) == "shares"
+        assert asked[-2] == ("takes", SIMULATION.window, most, "closes")
+        own, windows, near = asked[-1]
+        assert (own, windows) == (fitted, ["first, well started", "second, well started"])
+        assert near.tolist() == [DECISION.follows * 0.5, DECISION.follows * 1e-12]
 
 
 class Started:

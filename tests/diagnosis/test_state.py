@@ -11,7 +11,7 @@ from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.stages import Decided, Trial
 from torchrl_athletic.diagnosis.state import _best_followed, _damped, _quality, _trimmed, model_changes
-from torchrl_athletic.diagnosis.thresholds import DECISION, STATEMENT
+from torchrl_athletic.diagnosis.thresholds import STATEMENT
 from torchrl_athletic.effects import Parameter
 
 
@@ -283,19 +283,12 @@ def test_another_name_is_that_of_an_effect_that_acts_in_every_take(monkeypatch):
     assert stating._findings(Decided(located)) == ()
 
 
-def test_what_a_term_closes_is_asked_of_the_simulation_unless_two_torque_channels_show_it(monkeypatch):
-    asked = []
-    monkeypatch.setattr(stating, "shares_closed", lambda *given: asked.append(given) or {"friction": 0.2, "scale": 0.1})
+def test_what_a_term_closes_counts_unless_two_torque_channels_show_it(monkeypatch):
     monkeypatch.setattr(stating, "keys", lambda terms: frozenset(terms))
-    own = SimpleNamespace(fitted="fitted", scores={"train": SimpleNamespace(per_joint={"hip": {"floor": 0.5}})})
-    train = SimpleNamespace(takes="takes")
-    ready = SimpleNamespace(train=train, given=SimpleNamespace(rng=lambda purpose: purpose))
-    located = SimpleNamespace(ready=ready)
+    own = SimpleNamespace(closes={"friction": 0.2, "scale": 0.1})
     drive = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=("scale",))))
-    assert stating._closes(SimpleNamespace(located=located, drive=None), own) == {"friction": 0.2, "scale": 0.1}
-    assert stating._closes(SimpleNamespace(located=located, drive=drive), own) == {"friction": 0.2}
-    fitted, takes, near, rng = asked[0]
-    assert (fitted, takes, near.tolist(), rng) == ("fitted", "takes", [DECISION.follows * 0.5], "closes")
+    assert stating._closes(SimpleNamespace(drive=None), own) == own.closes
+    assert stating._closes(SimpleNamespace(drive=drive), own) == {"friction": 0.2}
 
 
 @pytest.mark.parametrize("own", [True, False])

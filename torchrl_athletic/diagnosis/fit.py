@@ -216,9 +216,7 @@ def idle_terms(
     return tuple(t for t, n in zip(h.terms, needed, strict=True) if not n)
 
 
-def shares_closed(
-    fitted: Fitted, takes: Sequence[Take], near: Array, rng: np.random.Generator, most: int = SIMULATION.looked_at
-) -> dict[Key, float]:
+def shares_closed(fitted: Fitted, windows: Sequence[Windows], near: Array) -> dict[Key, float]:
     """Share of the simulation's error that each term closes, where the other terms are right, 0..1.
 
     What stays with all terms may be of another cause: a term that closes a tenth of what is open beside it is as likely
@@ -227,22 +225,19 @@ def shares_closed(
 
     Args:
         fitted: All terms together.
-        takes: Recordings.
+        windows: Of the recordings.
         near: Error below which nothing stays [rad, m], shape (J,).
-        rng: Draws the windows when there are more than ``most``.
-        most: Windows to look at.
     """
-    h = fitted.hypothesis
+    h, unit = fitted.hypothesis, near**2
     if not h.terms:
         return {}
-    moved, error, error_without = _actions(h, draw_windows(takes, WINDOW, most, rng), fitted.values)
-    unit = near**2
-    acts = moved.mean(1) / unit
-    acts /= np.maximum(acts.sum(1, keepdims=True), 1e-30)
-    stays = np.maximum(error.mean(0) / unit - 1.0, 0.0)
-    closes = np.maximum((error_without - error).mean(1) / unit, 0.0).sum(1)
-    left = (acts * stays).sum(1)
-    of_all = np.where(left > 0.0, closes / np.maximum(closes + left, 1e-30), 1.0)
+    moved, error, error_without = _actions(h, windows, fitted.values)
+    moves = moved.mean(1) / unit
+    far = moves.sum(1, keepdims=True)
+    acts = np.where(far > 0.0, moves / np.maximum(far, 1e-300), 1.0 / len(near))
+    left = (acts * np.maximum(error.mean(0) / unit - 1.0, 0.0)).sum(1)
+    closes = np.maximum((acts * (error_without - error).mean(1) / unit).sum(1), 0.0)
+    of_all = np.where(left > 0.0, closes / np.maximum(closes + left, 1e-300), 1.0)
     typical = 1.0 - np.exp(np.log(np.maximum(error, unit) / np.maximum(error_without, unit)).mean(1))
     shares = np.maximum(of_all, (acts * np.maximum(typical, 0.0)).sum(1))
     return {c.key: float(share) for c, share in zip(h.terms, shares, strict=True)}

@@ -319,7 +319,7 @@ def _sentence(candidate: Candidate, named: Mapping[str, float], grounds: Grounds
         return f"{said} Of what makes it more than a simpler law nothing is seen."
     if grounds.closes < STATEMENT.likely:
         share = f"{100 * grounds.closes:.0f} % of the simulation's error"
-        return f"{said} The torques ask for it, but it closes only {share} beside what else is named."
+        return f"{said} It closes only {share} where the rest stays: it may stand in for something else."
     return (
         f"{said} With it the simulation is still far from the recordings: some law is another, perhaps this one."
         if grounds.far

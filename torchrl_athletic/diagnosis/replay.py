@@ -48,6 +48,8 @@ EXPLICIT = 0.3
 """Share of its velocity that a controller's damping may take from a joint in one explicit step [1]."""
 EXPLICIT_STEPS = 20
 """Steps a sample from which on that damping is integrated implicitly, instead of in ever finer steps [1]."""
+AT_LIMIT = 0.5
+"""Share of the torque that was asked for, below which a motor is at its limit and damps nothing [1]."""
 SHORTEST = 1.0
 """Pieces that are joined; shorter ones may not hold a whole window of a fit [s]."""
 
@@ -76,6 +78,8 @@ class Take:
     """How the base of a floating robot moved, fitted likewise. S samples."""
     base_noise: Array = field(default_factory=lambda: np.zeros((1, 6)))
     """Standard deviation of its velocity. Shape (S, 6), or (1, 6) without one."""
+    halvings: int = 0
+    """How often its step was halved to see what the step does."""
     pieces: tuple[Take, ...] = ()
     """What it was joined from, one after the other; empty if it is one gap-free recording."""
 
@@ -138,17 +142,18 @@ class Take:
     @cached_property
     def explicit(self) -> Take:
         """A copy with steps in which a controller's damping needs no implicit integration, or this one."""
-        kd = self.recording.kd
-        if kd is None or self.model.opt.timestep <= _explicit_step(self.inertia, kd):
-            return self
-        return self.halved().explicit
+        take, kd = self, self.recording.kd
+        longest = np.inf if kd is None else _explicit_step(self.inertia, kd) / 2**self.halvings
+        while take.model.opt.timestep > longest:
+            take = replace(take.halved(), halvings=self.halvings)
+        return take
 
     def halved(self) -> Take:
         """A copy at half the physics step."""
         model = self.model.__copy__()
         model.opt.timestep /= 2
         pieces = tuple(piece.halved() for piece in self.pieces)
-        return replace(self, model=model, substeps=2 * self.substeps, pieces=pieces)
+        return replace(self, model=model, substeps=2 * self.substeps, halvings=self.halvings + 1, pieces=pieces)
 
 
 def take_of(
@@ -206,6 +211,8 @@ def _explicit_step(inertia: Array, kd: Array) -> float:
 
 def _is_implicit(model: mujoco.MjModel) -> bool:
     """Whether MuJoCo integrates a joint's damping implicitly."""
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER:
+        return False
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER:
         return not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP
     return model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
@@ -311,12 +318,22 @@ def simulate(windows: Windows, build: Build, values: Array, start: tuple[Array, 
     Returns:
         What the encoders would read. Shape (K, W, length, J). A simulation that diverges keeps its last finite values.
     """
-    take, sets = windows.take, len(values)
+    take, sets = _replayed(windows.take, build, values), len(values)
+    windows = replace(windows, take=take)
     cost = max(1, len(windows.start) * windows.length * take.substeps * len(take.address.dof))
     per_chunk = max(1, CHUNK // cost)
     with _silent_divergence():
         parts = [_simulate(windows, build, values[k : k + per_chunk], start) for k in range(0, sets, per_chunk)]
     return np.concatenate(parts) if parts else np.zeros((0, *windows.index.shape, len(take.address.dof)))
+
+
+def _replayed(take: Take, build: Build, values: Array) -> Take:
+    """The take, in finer steps if a controller damps a motor that a gear holds too loosely for implicit steps."""
+    if take.recording.position_target is None or take.explicit is take:
+        return take
+    plant = Plant(take.model, take.address, len(values))
+    build(plant, values)
+    return take.explicit if plant.gears else take
 
 
 @contextmanager
@@ -345,8 +362,6 @@ def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array,
     plant = Plant(take.model, take.address, rows)
     build(plant, np.repeat(values, count, axis=0))
     stiff = _stiffness(take, plant)
-    if take.explicit is not take and any(stiff[:, gear.joint].any() for gear in plant.gears):
-        return _simulate(replace(windows, take=take.explicit), build, values, start)  # damped before the gear
     if stiff.any():
         plant.of("dof_damping")[:, take.address.dof] += stiff
     measured = (take.position[windows.start], take.velocity[windows.start]) if start is None else start
@@ -410,7 +425,8 @@ def _closed_loop(
     """Step by step, for torques that depend on the state. Returns true positions where the encoders sit.
 
     What the model was damped by for the sake of stability, ``stiff``, is given back with the velocity that a step
-    begins with, so that only the change of the damping within the step remains: a linearly implicit step.
+    begins with, so that only the change of the damping within the step remains: a linearly implicit step. A motor at
+    its limit damps nothing.
     """
     take, step = windows.take, float(windows.take.model.opt.timestep)
     r = take.recording
@@ -424,6 +440,8 @@ def _closed_loop(
     limited = bool(np.isfinite(plant.torque_limit).any())
     stamp = np.tile(take.time[windows.start], sets)
     lead, first_rate = _lead(take.model), _motor_side(plant, qpos[:, at], qvel[:, dof])[1].copy()
+    own, damped = stiff, physics.field("dof_damping").numpy() if stiff.any() else None
+    still = 0.0 if damped is None else damped[:, dof] - stiff
     out = np.empty((len(qpos), windows.length, len(dof)))
     for i in range(windows.length * take.substeps):
         q, v = qpos[:, at], qvel[:, dof]
@@ -434,12 +452,16 @@ def _closed_loop(
             if state is not None:
                 state = torque + (state - torque) * keep
                 torque = state
+        asked = torque
         if limited:
             torque = np.minimum(np.maximum(torque, -plant.torque_limit), plant.torque_limit)
         now = Now(motor_q, motor_v, torque, stamp + i * step, step)
         for law in plant.motor:
             now.torque = law(now)
         torque = np.minimum(np.maximum(now.torque * plant.torque_scale + plant.torque_offset, low), high)
+        if damped is not None:
+            own = stiff * _passed(torque - plant.torque_offset, asked * plant.torque_scale)
+            damped[:, dof] = still + own
         if plant.gears:
             torque = torque.copy()
             for gear in plant.gears:
@@ -447,7 +469,7 @@ def _closed_loop(
         now.position, now.velocity, now.torque = q, v, torque
         for law in plant.laws:
             torque = torque + law(now)
-        applied[:, dof], applied[:, base] = torque + stiff * v, carry[:, i]
+        applied[:, dof], applied[:, base] = torque + own * v, carry[:, i]
         physics.step()
         if (i + 1) % take.substeps == 0:
             read, rate = _motor_side(plant, qpos[:, at], qvel[:, dof])
@@ -484,6 +506,12 @@ def _servo(r: Recording, plant: Plant) -> Callable[[Array, Array, Array], Array]
     return lambda target, q, v: per_target * target - per_position * q - constant - kd * v
 
 
+def _passed(torque: Array, asked: Array) -> Array:
+    """Share of the torque that was asked for which the motor gives, 0..1; zero at its limits. Shape (rows, J)."""
+    share = np.divide(torque, asked, out=np.ones_like(torque), where=np.abs(asked) > 1e-12)
+    return np.where(share < AT_LIMIT, 0.0, np.minimum(share, 1.0))
+
+
 def _stiffness(take: Take, plant: Plant) -> Array:
     """Part of a controller's damping that the step is too long for [N·m·s/rad]. Shape (rows, J).
 
@@ -496,8 +524,11 @@ def _stiffness(take: Take, plant: Plant) -> Array:
     if "dof_armature" in plant.fields:
         dof = take.address.dof
         inertia = inertia + plant.fields["dof_armature"][:, dof] - take.model.dof_armature[dof]
-    damping = r.kd * plant.kd_scale * plant.encoder_scale
-    return np.maximum(damping - EXPLICIT * inertia / step, 0.0)
+    at_once = -np.expm1(-step / np.maximum(plant.lag, 1e-9))  # share that passes the lag within the step
+    damping = r.kd * plant.kd_scale * plant.encoder_scale * plant.torque_scale * at_once
+    stiff = np.maximum(damping - EXPLICIT * inertia / step, 0.0)
+    stiff[:, [gear.joint for gear in plant.gears]] = 0.0  # the motor is damped, see _replayed
+    return stiff
 
 
 def _motor_side(plant: Plant, q: Array, v: Array) -> tuple[Array, Array]:

@@ -10,16 +10,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.compare import follows, open_share, score
+from torchrl_athletic.diagnosis.compare import follows, open_share, score, well_started
 from torchrl_athletic.diagnosis.decide import decided_by, torque_is_open
-from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims, fit, idle_terms, without
+from torchrl_athletic.diagnosis.fit import (
+    Fitted,
+    Hypothesis,
+    as_trims,
+    draw_windows,
+    fit,
+    idle_terms,
+    shares_closed,
+    without,
+)
 from torchrl_athletic.diagnosis.joints import in_torques, standard_joints_of
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate, Key, is_trim, trims_for
 from torchrl_athletic.diagnosis.search import keys, singles
 from torchrl_athletic.diagnosis.stages import Given, Proposed, Ready, Run, Simulated, Trial
-from torchrl_athletic.diagnosis.thresholds import DECISION, SPENDING, STATEMENT
+from torchrl_athletic.diagnosis.thresholds import DECISION, SIMULATION, SPENDING, STATEMENT
 from torchrl_athletic.effects import FIT_TRIMS, TRIMS
 
 Array = NDArray[np.float64]
@@ -158,8 +167,17 @@ def _without_small(fitted: Fitted, given: Given) -> Fitted:
 def scored(proposal: Proposal, fitted: Fitted, ready: Ready) -> Trial:
     """A fit with its errors; to choose by them, the windows of the fitted recordings are kept."""
     results = _results(fitted, ready)
-    _, _, errors, began = results["train"]  # what was kept aside scores the answer, it does not choose it
-    return Trial(proposal, fitted, {split: r[0] for split, r in results.items()}, errors, began)
+    train, _, errors, began = results["train"]  # what was kept aside scores the answer, it does not choose it
+    closes = _closes(fitted, train, ready) if np.isfinite(proposal.behind) else {}
+    return Trial(proposal, fitted, {split: r[0] for split, r in results.items()}, errors, began, closes)
+
+
+def _closes(fitted: Fitted, score: Score, ready: Ready) -> dict[Key, float]:
+    """What each term closes down to what counts as followed, over windows that start as those of the score do."""
+    floor = np.array([joint["floor"] for joint in score.per_joint.values()])
+    most = min(SIMULATION.windows, SIMULATION.weighed // (len(fitted.hypothesis.terms) + 1))
+    drawn = draw_windows(ready.train.takes, SIMULATION.window, most, ready.given.rng("closes"))
+    return shares_closed(fitted, [well_started(w) for w in drawn], DECISION.follows * np.maximum(floor, 1e-12))
 
 
 def scores_of(fitted: Fitted, ready: Ready) -> dict[str, Score]:

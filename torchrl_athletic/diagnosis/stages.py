@@ -126,6 +126,8 @@ class Trial:
     """Error of every window of the fitted recordings [rad, m]. Shape (W, J)."""
     began: Array
     """When these windows start, the same for all trials [s]. Shape (W,)."""
+    closes: Mapping[Key, float] = field(default_factory=dict)
+    """Share of the error beside the other terms that each closes, 0..1; none of a trial that gives no names."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.compare import harms, uncorrected
 from torchrl_athletic.diagnosis.corrected import Simulation
-from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, shares_closed, without
+from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, without
 from torchrl_athletic.diagnosis.gates import judge_findings, refused, summarise, verdict_of
 from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.locate import regime_maps
@@ -23,7 +23,7 @@ from torchrl_athletic.diagnosis.screen import Candidate, Key
 from torchrl_athletic.diagnosis.search import keys
 from torchrl_athletic.diagnosis.simulate import scores_of
 from torchrl_athletic.diagnosis.stages import Decided, Given, Ready, Trial
-from torchrl_athletic.diagnosis.thresholds import DECISION, STATEMENT
+from torchrl_athletic.diagnosis.thresholds import STATEMENT
 from torchrl_athletic.diagnosis.veto import NOISE, WORSE, veto_sentence, vetoed
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.recordings import Recording
@@ -125,12 +125,8 @@ def _findings(decided: Decided) -> tuple[Finding, ...]:
 
 def _closes(decided: Decided, trial: Trial) -> dict[Key, float]:
     """Share of the error that each term closes; what two torque channels show of a drive asks no simulation."""
-    ready = decided.located.ready
-    floor = np.array([joint["floor"] for joint in trial.scores["train"].per_joint.values()])
-    near = DECISION.follows * np.maximum(floor, 1e-12)
-    shares = shares_closed(trial.fitted, ready.train.takes, near, ready.given.rng("closes"))
     direct = keys(decided.drive.best.fit.terms) if decided.drive else frozenset()
-    return {key: share for key, share in shares.items() if key not in direct}
+    return {key: share for key, share in trial.closes.items() if key not in direct}
 
 
 def _best_followed(decided: Decided) -> Correction:

@@ -121,6 +121,8 @@ class Simulation:
     """Windows that are simulated at a time: bounds the memory [1; budget]."""
     windows: int = 400
     """Windows that a score is stated over, as many as 200 s have; more are thinned at random [1; budget]."""
+    weighed: int = 4000
+    """Simulated windows by which is weighed what each term closes: of many terms, each in fewer windows [1; budget]."""
     between: float = 60.0
     """Time that is put between recordings, and between the pieces of one that drop-outs have cut [s; physical]."""
     samples: int = 200

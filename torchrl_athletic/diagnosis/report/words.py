@@ -91,7 +91,7 @@ def grounds_words(finding: Finding) -> list[str]:
         "left": f"With everything named, {{}} of the missing torque of {where} stays.",
         "scatter": "Its strength differs by {} from take to take; physics has one value on all of them.",
         "open": "Of the simulation's error above the noise floor {} stays.",
-        "closes": "Beside what else is named it closes {} of the simulation's error.",
+        "closes": "Where the rest stays, it closes {} of the simulation's error.",
     }
     words = [text.format(percent(g[name])) for name, text in said.items() if name in g]
     if "sure" in g:
