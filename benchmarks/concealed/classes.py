@@ -102,24 +102,25 @@ def known(cases: Sequence[Mapping[str, Any]]) -> dict[str, set[Place]]:
 
 
 def statements(cases: Sequence[Mapping[str, Any]], of_control: Mapping[str, set[Place]]) -> list[Statement]:
-    """Every finding of these cases."""
+    """Every finding of these cases; answers from before laws were bounded by what they close are bounded here."""
     return [
         Statement(
             case=number,
             bench=case["bench"],
             place=_place(f),
-            law=f["probability"],
-            alike=f["probability"] + sum(p for e, j, p in f["rivals"] if (CLASS[e], j) == _place(f)),
+            law=min(f["probability"], closes),
+            alike=min(f["probability"] + sum(p for e, j, p in f["rivals"] if (CLASS[e], j) == _place(f)), closes),
             closed=1.0 - f["grounds"]["open"],
             energy=f["grounds"]["energy"],
             left=f["grounds"].get("left", 0.0),
-            closes=f["grounds"].get("closes", 1.0),
+            closes=closes,
             senseless=f["grounds"]["senseless"],
             right=_place(f) in _hidden(case),
             known=_place(f) in of_control[case["bench"]],
         )
         for number, case in enumerate(cases)
         for f in case.get("findings", ())
+        for closes in (f["grounds"].get("closes", 1.0),)
     ]
 
 

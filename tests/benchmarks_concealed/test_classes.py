@@ -23,6 +23,15 @@ def graded(*cases):
     return statements(cases, known([CONTROL]))
 
 
+def test_an_answer_from_before_laws_were_bounded_is_bounded_by_what_each_closes():
+    old = finding("stribeck_friction", "elbow", 0.7, rivals=[("coulomb_friction", "elbow", 0.2)])
+    [free] = graded(case(old))
+    assert (free.law, free.alike, free.closes) == (0.7, pytest.approx(0.9), 1.0)
+    old["grounds"]["closes"] = 0.05
+    [bounded] = graded(case(old))
+    assert (bounded.law, bounded.alike, bounded.closes) == (0.05, 0.05, 0.05)
+
+
 def test_a_class_is_right_by_its_joint_and_known_where_the_complete_model_says_it_too():
     said = graded(
         case(

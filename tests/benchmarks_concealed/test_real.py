@@ -200,6 +200,15 @@ def test_a_case_that_fails_is_counted_among_those_that_the_noise_allows():
     assert "| failed | `c0ffee` |" in concealed_real.report([row])
 
 
+def test_a_case_whose_time_ended_before_anything_was_simulated_has_failed():
+    ended = {**answered(), "answer": {**answered()["answer"], "fit": {}, "complete": False}}
+    ended["moved"] = {"elbow": 0.5, "hip": 0.01}
+    row = graded(FRICTION, ended, answered())
+    assert (row["grade"], row["error"]) == ("failed", "nothing simulated within its time budget")
+    assert row["over_noise"] > 0
+    assert "over_noise" not in graded(FRICTION, ended, ended)  # nothing is known of the bench's own error
+
+
 def test_a_name_stated_above_one_half_is_counted_where_it_is_the_truths():
     likely, unlikely, wrong = (
         graded(FRICTION, answered(finding(name, "elbow", p)), answered())
