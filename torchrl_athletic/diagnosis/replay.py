@@ -48,8 +48,6 @@ EXPLICIT = 0.3
 """Share of its velocity that a controller's damping may take from a joint in one explicit step [1]."""
 EXPLICIT_STEPS = 20
 """Steps a sample from which on that damping is integrated implicitly, instead of in ever finer steps [1]."""
-AT_LIMIT = 0.5
-"""Share of the torque that was asked for, below which a motor is at its limit and damps nothing [1]."""
 SHORTEST = 1.0
 """Pieces that are joined; shorter ones may not hold a whole window of a fit [s]."""
 
@@ -426,7 +424,7 @@ def _closed_loop(
 
     What the model was damped by for the sake of stability, ``stiff``, is given back with the velocity that a step
     begins with, so that only the change of the damping within the step remains: a linearly implicit step. A motor at
-    its limit damps nothing.
+    its limit damps by what it gives of what was asked for.
     """
     take, step = windows.take, float(windows.take.model.opt.timestep)
     r = take.recording
@@ -507,9 +505,12 @@ def _servo(r: Recording, plant: Plant) -> Callable[[Array, Array, Array], Array]
 
 
 def _passed(torque: Array, asked: Array) -> Array:
-    """Share of the torque that was asked for which the motor gives, 0..1; zero at its limits. Shape (rows, J)."""
+    """Share of the torque that was asked for which the motor gives, 0..1. Shape (rows, J).
+
+    With so much of the damping, a motor at its limit takes a light joint to the speed that was asked for, never beyond.
+    """
     share = np.divide(torque, asked, out=np.ones_like(torque), where=np.abs(asked) > 1e-12)
-    return np.where(share < AT_LIMIT, 0.0, np.minimum(share, 1.0))
+    return np.clip(share, 0.0, 1.0)
 
 
 def _stiffness(take: Take, plant: Plant) -> Array:
