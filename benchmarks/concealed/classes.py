@@ -155,11 +155,10 @@ def table(cases: Sequence[Mapping[str, Any]], by: Mapping[str, Mapping[Statement
     return lines
 
 
-def probability(stated: Statement, weights: Mapping[str, float]) -> float:
+def probability(s: Statement, weights: Mapping[str, float]) -> float:
     """Of its class, by these weights."""
-    if stated.senseless:
-        return stated.law
-    s = stated
+    if s.senseless:
+        return s.law
     return class_probability(s.law, s.alike, s.closed, s.energy, s.left, s.closes, weights)
 
 

@@ -770,7 +770,7 @@ def test_a_stiff_joint_with_a_rotor_is_stepped_explicitly_and_one_behind_a_gear_
         plant = Plant(t.model, t.address, 1)
         plant.of("dof_armature")[:, 0] = armature
         plant.kd_scale[:] = kd_scale
-        return _stiffness(t, plant)[0, 0]
+        return _stiffness(t, plant, step)[0, 0]
 
     step = t.model.opt.timestep
     assert stiff(0.0) == pytest.approx(0.2 - 0.3 * 1e-4 / step)
@@ -796,6 +796,9 @@ def test_a_motor_before_a_gear_is_stepped_finer_where_its_controller_damps_it_an
     assert seen == [t.model.opt.timestep, t.explicit.model.opt.timestep]
     half = simulate(replace(w, take=t.halved()), soft, values)
     assert seen[-1] == t.explicit.model.opt.timestep / 2 < t.model.opt.timestep / 2
+    heavy = take(xml.replace("1e-4", "1e-2").replace("0.0001", "0.01"), r, period=0.02)
+    simulate(windows_of(heavy, 0.2), soft, values)
+    assert seen[-1] == heavy.model.opt.timestep  # a gear on a joint that is heavy enough asks for nothing finer
     assert np.abs(out).max() < 1.0
     assert 0.0 < np.abs(half - out).max() < 1e-2
 

@@ -122,9 +122,8 @@ def class_probability(
 
     What the correction leaves open may be of another class: the probability is no larger than what is closed of the
     simulation's error, by all findings and by this one beside them, nor than what is explained of the joint's missing
-    torque. What accounts for hardly any of that
-    torque may stand in for a little of another one's: the probability is at most one half at a share of
-    ``STATEMENT.faint``, and less in proportion below it.
+    torque. What accounts for hardly any of that torque may stand in for a little of another one's: the probability is
+    at most one half at a share of ``STATEMENT.faint``, and less in proportion below it.
 
     Args:
         law: Probability of the finding.

@@ -327,11 +327,12 @@ def simulate(windows: Windows, build: Build, values: Array, start: tuple[Array, 
 
 def _replayed(take: Take, build: Build, values: Array) -> Take:
     """The take, in finer steps if a controller damps a motor that a gear holds too loosely for implicit steps."""
-    if take.recording.position_target is None or take.explicit is take:
+    if take.recording.position_target is None:
         return take
     plant = Plant(take.model, take.address, len(values))
     build(plant, values)
-    return take.explicit if plant.gears else take
+    stiff = _stiffness(take, plant, float(take.model.opt.timestep) * 2**take.halvings)
+    return take.explicit if any(stiff[:, gear.joint].any() for gear in plant.gears) else take
 
 
 @contextmanager
@@ -359,7 +360,8 @@ def _simulate(windows: Windows, build: Build, values: Array, start: tuple[Array,
     rows, joints = sets * count, len(take.address.dof)
     plant = Plant(take.model, take.address, rows)
     build(plant, np.repeat(values, count, axis=0))
-    stiff = _stiffness(take, plant)
+    stiff = _stiffness(take, plant, float(take.model.opt.timestep))
+    stiff[:, [gear.joint for gear in plant.gears]] = 0.0  # the motor is damped, see _replayed
     if stiff.any():
         plant.of("dof_damping")[:, take.address.dof] += stiff
     measured = (take.position[windows.start], take.velocity[windows.start]) if start is None else start
@@ -438,7 +440,7 @@ def _closed_loop(
     limited = bool(np.isfinite(plant.torque_limit).any())
     stamp = np.tile(take.time[windows.start], sets)
     lead, first_rate = _lead(take.model), _motor_side(plant, qpos[:, at], qvel[:, dof])[1].copy()
-    own, damped = stiff, physics.field("dof_damping").numpy() if stiff.any() else None
+    damped = physics.field("dof_damping").numpy() if stiff.any() else None
     still = 0.0 if damped is None else damped[:, dof] - stiff
     out = np.empty((len(qpos), windows.length, len(dof)))
     for i in range(windows.length * take.substeps):
@@ -467,7 +469,9 @@ def _closed_loop(
         now.position, now.velocity, now.torque = q, v, torque
         for law in plant.laws:
             torque = torque + law(now)
-        applied[:, dof], applied[:, base] = torque + own * v, carry[:, i]
+        if damped is not None:
+            torque = torque + own * v
+        applied[:, dof], applied[:, base] = torque, carry[:, i]
         physics.step()
         if (i + 1) % take.substeps == 0:
             read, rate = _motor_side(plant, qpos[:, at], qvel[:, dof])
@@ -513,12 +517,12 @@ def _passed(torque: Array, asked: Array) -> Array:
     return np.clip(share, 0.0, 1.0)
 
 
-def _stiffness(take: Take, plant: Plant) -> Array:
-    """Part of a controller's damping that the step is too long for [N·m·s/rad]. Shape (rows, J).
+def _stiffness(take: Take, plant: Plant, step: float) -> Array:
+    """Part of a controller's damping that a step [s] is too long for [N·m·s/rad]. Shape (rows, J).
 
     A joint without much inertia, as the wrist of a model without rotors, comes to rest against it in microseconds.
     """
-    r, step = take.recording, float(take.model.opt.timestep)
+    r = take.recording
     if r.position_target is None or r.kd is None or not _is_implicit(take.model):
         return np.zeros((plant.rows, len(take.address.dof)))
     inertia = take.inertia
@@ -527,9 +531,7 @@ def _stiffness(take: Take, plant: Plant) -> Array:
         inertia = inertia + plant.fields["dof_armature"][:, dof] - take.model.dof_armature[dof]
     at_once = -np.expm1(-step / np.maximum(plant.lag, 1e-9))  # share that passes the lag within the step
     damping = r.kd * plant.kd_scale * plant.encoder_scale * plant.torque_scale * at_once
-    stiff = np.maximum(damping - EXPLICIT * inertia / step, 0.0)
-    stiff[:, [gear.joint for gear in plant.gears]] = 0.0  # the motor is damped, see _replayed
-    return stiff
+    return np.maximum(damping - EXPLICIT * inertia / step, 0.0)
 
 
 def _motor_side(plant: Plant, q: Array, v: Array) -> tuple[Array, Array]:
