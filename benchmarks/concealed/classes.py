@@ -39,7 +39,7 @@ CLASS = {e.name: e.family for e in CATALOGUE}
 VISIBLE = 3.0
 """What concealing moves the takes by, over their noise."""
 RIDGE = 0.5
-"""Pull of the steepness towards one."""
+"""Pull towards a class that is as likely as its laws together: level zero, steepness one."""
 
 
 @dataclass(frozen=True)
@@ -163,16 +163,19 @@ def probability(s: Statement, weights: Mapping[str, float]) -> float:
 
 
 def learn(stated: Sequence[Statement]) -> dict[str, float]:
-    """Level and steepness of a logistic function of the log odds (Platt 1999)."""
-    alike = np.clip([s.alike for s in stated], 1e-3, 1 - 1e-3)
-    odds, right = np.log(alike / (1 - alike)), np.array([s.right for s in stated])
+    """Level and steepness of a logistic function of the log odds (Platt 1999), as it is used: under its bounds.
+
+    A wrong statement that a bound has cut teaches no more than what is left of it.
+    """
+    right = np.array([s.right for s in stated])
 
     def loss(w: Array) -> float:
-        z = w[0] + w[1] * odds
-        return float(np.logaddexp(0.0, np.where(right, -z, z)).sum() + RIDGE * (w[1] - 1.0) ** 2)
+        weights = {"level": float(w[0]), "steepness": float(w[1])}
+        p = np.clip([probability(s, weights) for s in stated], 1e-3, 1 - 1e-3)
+        return float(-np.log(np.where(right, p, 1 - p)).sum() + RIDGE * (w[0] ** 2 + (w[1] - 1.0) ** 2))
 
-    level, steepness = minimize(loss, np.array([0.0, 1.0]), bounds=[(None, None), (0, None)]).x
-    return {"level": float(level), "steepness": float(steepness)}
+    best = minimize(loss, np.array([0.0, 1.0]), method="Nelder-Mead", bounds=[(None, None), (0, None)])
+    return dict(zip(("level", "steepness"), map(float, best.x), strict=True))
 
 
 if __name__ == "__main__":

@@ -87,3 +87,13 @@ def test_what_is_right_more_often_is_learnt_to_be_likelier():
     assert weights["steepness"] > 0
     high, low = (probability(s, weights) for s in (said[0], said[-1]))
     assert high > 0.5 > low
+
+
+def test_what_a_bound_has_cut_teaches_no_more():
+    """Wrong classes that explain nothing of the motion do not speak against those that do."""
+    right = graded(*[case(finding("coulomb_friction", "elbow", 0.3))] * 9)
+    wrong = graded(*[case(finding("backlash", "elbow", 0.3, left=0.9))] * 30)
+    bounded, alone = (probability(right[0], learn(said)) for said in ([*right, *wrong], right))
+    assert bounded == pytest.approx(alone, abs=0.02)
+    free = graded(*[case(finding("backlash", "elbow", 0.3))] * 30)
+    assert probability(right[0], learn([*right, *free])) < 0.5 < bounded

@@ -21,6 +21,7 @@ from torchrl_athletic.diagnosis.fit import (
     draw_windows,
     fit,
     idle_terms,
+    set_back_together,
     shares_closed,
     without,
 )
@@ -292,11 +293,16 @@ def test_a_term_that_moves_the_simulation_away_from_the_recording_is_idle():
     assert idle_terms(worse, [take(pendulum(), r, 1e-4)], np.random.default_rng(0)) == (friction,)
 
 
-def shares(moved, error, error_without, monkeypatch, near=(1.0, 1.0)):
-    """Of terms on two joints, of mean squares over windows."""
-    told = lambda h, drawn, values: tuple(np.array(x, dtype=float) for x in (moved, error, error_without))  # noqa: E731
+def shares(moved, error, error_without, monkeypatch, near=(1.0, 1.0), joints=None, together=None):
+    """Of terms on two joints, of mean squares over windows; what several together do is no less if it is not said."""
+    terms = tuple(
+        SimpleNamespace(key=("term", str(k)), joint_name=joint)
+        for k, joint in enumerate(joints or [str(k) for k in range(len(moved))])
+    )
+    whole = together or ([np.max(error_without, axis=0) * 1e12] if len(moved) > 1 else [])
+    without = [*error_without, *whole]
+    told = lambda h, drawn, values, sets: tuple(np.array(x, dtype=float) for x in (moved, error, without))  # noqa: E731
     monkeypatch.setitem(shares_closed.__globals__, "_actions", told)
-    terms = tuple(SimpleNamespace(key=("term", str(k))) for k in range(len(moved)))
     fitted = Fitted(SimpleNamespace(terms=terms), np.zeros(1), np.zeros((0, 1)), 0.0)
     return list(shares_closed(fitted, [], np.array(near)).values())
 
@@ -330,6 +336,42 @@ def test_of_all_windows_and_the_typical_one_the_larger_share_counts(monkeypatch)
     assert shares(moved, lost, [without], monkeypatch) == [pytest.approx(1 - 0.25**0.75)]
     pushed = [[2.0, 0.0], [2.0, 0.0], [2.0, 0.0], [86.0, 0.0]]  # a push comes once
     assert shares(moved, [[2.0, 0.0]] * 4, [pushed], monkeypatch) == [pytest.approx(21 / 22)]
+
+
+def test_halves_that_undo_each_other_close_no_more_than_both_together(monkeypatch):
+    """Each alone is far off without the other; the given model was hardly worse than both."""
+    moved, error, alone = [[[90.0, 0.0]] * 2] * 2, [[2.0, 0.0]] * 2, [[[92.0, 0.0]] * 2] * 2
+    given = [[2.5, 0.0]] * 2
+    assert shares(moved, error, alone, monkeypatch) == [pytest.approx(90 / 91)] * 2
+    at_one_joint = shares(moved, error, alone, monkeypatch, joints=["hip", "hip"], together=[given])
+    assert at_one_joint == [pytest.approx(0.5 / 1.5)] * 2
+    # what is beside them at another joint is as it was: there nothing of the given model's error is closed with them
+    far, beside = [[[90.0, 0.0]] * 2] * 2 + [[[0.0, 9.0]] * 2], [[2.0, 2.0]] * 2
+    alone = [[[92.0, 2.0]] * 2] * 2 + [[[2.0, 11.0]] * 2]
+    of_three = shares(
+        far, beside, alone, monkeypatch, joints=["hip", "hip", "knee"],
+        together=[[[2.5, 2.0]] * 2, [[2.5, 11.0]] * 2],
+    )  # fmt: skip
+    assert of_three == [pytest.approx(0.5 / 1.5)] * 2 + [pytest.approx(0.9)]
+
+
+def test_terms_are_set_back_alone_by_joints_and_all():
+    on = lambda *joints: SimpleNamespace(terms=[SimpleNamespace(joint_name=j) for j in joints])  # noqa: E731
+    assert set_back_together(on("hip")) == [[0]]
+    assert set_back_together(on("hip", "knee")) == [[0], [1], [0, 1]]
+    assert set_back_together(on("hip", "hip")) == [[0], [1], [0, 1]]
+    assert set_back_together(on("hip", None, "hip", None)) == [[0], [1], [2], [3], [0, 2], [1, 3], [0, 1, 2, 3]]
+    assert set_back_together(on()) == []
+
+
+def test_a_strong_drive_and_much_damping_beside_a_model_that_is_right_close_nothing():
+    """Either closes what the other does; the given model needs neither."""
+    xml = pendulum(joint='damping="0.25" frictionloss="0.2" armature="0.001"')
+    r = record(xml, smooth_torque(6.0), noise=1e-4)
+    damping, scale = (candidate(e, r, xml) for e in (ViscousFriction(), TorqueScale()))
+    drawn = draw_windows([take(xml, r, 1e-4)], 0.5, 100, np.random.default_rng(0))
+    both = Fitted(Hypothesis((damping, scale)), np.array([0.3, 1.05]), np.zeros((1, 2)), 0.0)
+    assert max(shares_closed(both, drawn, np.array([1e-3])).values()) < 0.05
 
 
 def test_what_is_true_closes_what_a_stand_in_beside_it_does_not():

@@ -38,8 +38,9 @@ def test_what_terms_close_is_asked_over_windows_as_the_scores_fewer_where_there_
     monkeypatch.setattr(stage, "shares_closed", lambda *given: asked.append(given) or "shares")
     score = SimpleNamespace(per_joint={"hip": {"floor": 0.5}, "knee": {"floor": 0.0}})
     ready = SimpleNamespace(train=SimpleNamespace(takes="takes"), given=SimpleNamespace(rng=lambda purpose: purpose))
-    for count, most in ((1, SIMULATION.windows), (49, SIMULATION.weighed // 50)):
-        fitted = SimpleNamespace(hypothesis=SimpleNamespace(terms=(None,) * count))
+    term = SimpleNamespace(joint_name="hip")
+    for count, most in ((1, SIMULATION.windows), (48, SIMULATION.weighed // 50)):  # as it is, each alone, and all
+        fitted = SimpleNamespace(hypothesis=SimpleNamespace(terms=(term,) * count))
         assert stage._closes(fitted, score, ready) == "shares"
         assert asked[-2] == ("takes", SIMULATION.window, most, "closes")
         own, windows, near = asked[-1]

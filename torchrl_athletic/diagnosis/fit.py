@@ -217,11 +217,15 @@ def idle_terms(
 
 
 def shares_closed(fitted: Fitted, windows: Sequence[Windows], near: Array) -> dict[Key, float]:
-    """Share of the simulation's error that each term closes, where the other terms are right, 0..1.
+    """Share of the simulation's error that each term closes, 0..1: of three, the least.
 
-    What stays with all terms may be of another cause: a term that closes a tenth of what is open beside it is as likely
-    to stand in for that cause. Joints count by how far the term moves them; of all windows and of the typical window
-    the larger share is taken, since a push comes once, and since a fall counts more than all else.
+    Each term is set back to the given model's numbers alone, with all terms at its joint, and with all terms. Alone, it
+    closes its part of what is open where the others are right: what stays may be of another cause. With the others, it
+    closes no more than they do together: two halves that only undo each other, such as a weak gain and a low friction,
+    close nothing of what the given model left open.
+
+    Joints count by how far the term moves them; of all windows and of the typical window the larger share is taken,
+    since a push comes once, and since a fall counts more than all else.
 
     Args:
         fitted: All terms together.
@@ -231,33 +235,50 @@ def shares_closed(fitted: Fitted, windows: Sequence[Windows], near: Array) -> di
     h, unit = fitted.hypothesis, near**2
     if not h.terms:
         return {}
-    moved, error, error_without = _actions(h, windows, fitted.values)
+    together = set_back_together(h)
+    moved, error, error_without = _actions(h, windows, fitted.values, together)
     moves = moved.mean(1) / unit
     far = moves.sum(1, keepdims=True)
     acts = np.where(far > 0.0, moves / np.maximum(far, 1e-300), 1.0 / len(near))
     left = (acts * np.maximum(error.mean(0) / unit - 1.0, 0.0)).sum(1)
-    closes = np.maximum((acts * (error_without - error).mean(1) / unit).sum(1), 0.0)
-    of_all = np.where(left > 0.0, closes / np.maximum(closes + left, 1e-300), 1.0)
-    typical = 1.0 - np.exp(np.log(np.maximum(error, unit) / np.maximum(error_without, unit)).mean(1))
-    shares = np.maximum(of_all, (acts * np.maximum(typical, 0.0)).sum(1))
-    return {c.key: float(share) for c, share in zip(h.terms, shares, strict=True)}
+    least = np.ones(len(h.terms))
+    for terms, without in zip(together, error_without, strict=True):
+        closes = np.maximum((acts * ((without - error).mean(0) / unit)).sum(1), 0.0)
+        of_all = np.where(left > 0.0, closes / np.maximum(closes + left, 1e-300), 1.0)
+        typical = 1.0 - np.exp(np.log(np.maximum(error, unit) / np.maximum(without, unit)).mean(0))
+        shares = np.maximum(of_all, (acts * np.maximum(typical, 0.0)).sum(1))
+        least[terms] = np.minimum(least, shares)[terms]
+    return {c.key: float(share) for c, share in zip(h.terms, least, strict=True)}
 
 
-def _actions(h: Hypothesis, windows: Sequence[Windows], values: Array) -> tuple[Array, Array, Array]:
-    """What setting each term back to the given model's numbers does to every window.
+def set_back_together(h: Hypothesis) -> list[list[int]]:
+    """Which terms :func:`shares_closed` sets back at once: each alone, those of each joint, and all."""
+    alone = [[k] for k in range(len(h.terms))]
+    joints = dict.fromkeys(c.joint_name for c in h.terms)
+    of_joints = [[k for k, c in enumerate(h.terms) if c.joint_name == joint] for joint in joints]
+    several = [terms for terms in of_joints if 1 < len(terms) < len(h.terms)]
+    return alone + several + ([list(range(len(h.terms)))] if len(h.terms) > 1 else [])
+
+
+def _actions(
+    h: Hypothesis, windows: Sequence[Windows], values: Array, together: Sequence[Sequence[int]]
+) -> tuple[Array, Array, Array]:
+    """What setting terms back to the given model's numbers does to every window.
 
     Returns:
-        Mean square of the motion that the term makes, shape (terms, W, J); mean square error with all terms, shape
-        (W, J); and without the term, shape (terms, W, J).
+        Mean square of the motion that each term alone makes, shape (terms, W, J); mean square error with all terms,
+        shape (W, J); and without those that are set back together, shape (len(together), W, J).
     """
     sets = [values]
-    for term in h.terms:
+    for terms in together:
         sets.append(values.copy())
-        h.values_of(term, sets[-1])[:] = [p.nominal for p in term.parameters]
+        for term in (h.terms[k] for k in terms):
+            h.values_of(term, sets[-1])[:] = [p.nominal for p in term.parameters]
     moved, error = [], []
     for w in _in_blocks(windows):
         predicted = simulate(w, h.build, np.stack(sets))
-        moved.append(((predicted[1:] - predicted[:1]) ** 2).mean(2))
+        alone = predicted[1 : 1 + len(h.terms)]
+        moved.append(((alone - predicted[:1]) ** 2).mean(2))
         error.append(((predicted - w.measured) ** 2).mean(2))
     errors = np.concatenate(error, axis=1)
     return np.concatenate(moved, axis=1), errors[0], errors[1:]

@@ -19,6 +19,7 @@ from torchrl_athletic.diagnosis.fit import (
     draw_windows,
     fit,
     idle_terms,
+    set_back_together,
     shares_closed,
     without,
 )
@@ -175,7 +176,7 @@ def scored(proposal: Proposal, fitted: Fitted, ready: Ready) -> Trial:
 def _closes(fitted: Fitted, score: Score, ready: Ready) -> dict[Key, float]:
     """What each term closes down to what counts as followed, over windows that start as those of the score do."""
     floor = np.array([joint["floor"] for joint in score.per_joint.values()])
-    most = min(SIMULATION.windows, SIMULATION.weighed // (len(fitted.hypothesis.terms) + 1))
+    most = min(SIMULATION.windows, SIMULATION.weighed // (len(set_back_together(fitted.hypothesis)) + 1))
     drawn = draw_windows(ready.train.takes, SIMULATION.window, most, ready.given.rng("closes"))
     return shares_closed(fitted, [well_started(w) for w in drawn], DECISION.follows * np.maximum(floor, 1e-12))
 
