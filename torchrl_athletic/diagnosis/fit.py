@@ -261,16 +261,16 @@ def set_back_together(h: Hypothesis) -> list[list[int]]:
 
 
 def _actions(
-    h: Hypothesis, windows: Sequence[Windows], values: Array, together: Sequence[Sequence[int]]
+    h: Hypothesis, windows: Sequence[Windows], values: Array, together: Sequence[Sequence[int]] | None = None
 ) -> tuple[Array, Array, Array]:
-    """What setting terms back to the given model's numbers does to every window.
+    """What setting terms back to the given model's numbers does to every window: each alone, or those told together.
 
     Returns:
         Mean square of the motion that each term alone makes, shape (terms, W, J); mean square error with all terms,
         shape (W, J); and without those that are set back together, shape (len(together), W, J).
     """
     sets = [values]
-    for terms in together:
+    for terms in together or [[k] for k in range(len(h.terms))]:
         sets.append(values.copy())
         for term in (h.terms[k] for k in terms):
             h.values_of(term, sets[-1])[:] = [p.nominal for p in term.parameters]
