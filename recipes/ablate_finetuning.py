@@ -43,7 +43,7 @@ class Config:
     minutes: float | None = None
     """Duration of each training [min]; None takes 9 on CPUs and 15 on a GPU."""
     iterations: int | None = None
-    """When to stop in any case, the divergence falling from 0.02 to 0.003 until then; None takes 1,950 on a GPU."""
+    """When to stop, the divergence falling from 0.02 to 0.003 until then; None takes 1,950 on a GPU without minutes."""
     num_envs: int | None = None
     """Robots; None takes 256 on CPUs and 4,096 on a GPU."""
     seeds: tuple[int, ...] = (0, 1, 2)
@@ -59,6 +59,8 @@ class Config:
 def main(cfg: Config) -> None:
     if unknown := [way for way in cfg.ways if way not in WAYS]:
         raise SystemExit(f"there is no way {unknown[0]!r}; there are {list(WAYS)}.")
+    if not cfg.ways or not cfg.seeds:
+        raise SystemExit(f"nothing to train: --ways {cfg.ways}, --seeds {cfg.seeds}. Name one of each at least.")
     found = {way: [thrown(way, seed, cfg) for seed in cfg.seeds] for way in cfg.ways}
     (cfg.output / "figures.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
     lines = ["| | " + " | ".join(FIGURES.values()) + " | failed |", "|---" * (len(FIGURES) + 2) + "|"]
@@ -75,7 +77,8 @@ def main(cfg: Config) -> None:
 def thrown(way: str, seed: int, cfg: Config) -> dict[str, float]:
     """Train one way, and throw."""
     same: dict[str, Any] = {key: getattr(cfg, key) for key in ("device", "minutes", "num_envs", "episodes")}
-    same["iterations"] = 1950 if cfg.device == "cuda" and cfg.iterations is None else cfg.iterations
+    whole = cfg.device == "cuda" and cfg.iterations is None and cfg.minutes is None
+    same["iterations"] = 1950 if whole else cfg.iterations
     tune = training.FineTune(seed=seed, start=START, video=False, output=cfg.output / f"{way}_{seed}", **same)
 
     def make(num_envs: int, **told: Any) -> TransformedEnv:

@@ -79,6 +79,25 @@ def test_ways_to_a_throw_are_set_side_by_side(tmp_path, capsys):
         ablation.main(ablation.Config(ways=("Theirs",)))
 
 
+@pytest.mark.parametrize("nothing", ["ways", "seeds"])
+def test_an_ablation_of_nothing_says_so(nothing, tmp_path):
+    ablation = importlib.import_module("ablate_finetuning")
+    with pytest.raises(SystemExit, match=rf"--{nothing} \(\)"):
+        ablation.main(ablation.Config(**{nothing: ()}, output=tmp_path))
+
+
+def test_an_ablation_on_a_gpu_stops_by_its_minutes_where_they_are_said(monkeypatch, tmp_path):
+    ablation = importlib.import_module("ablate_finetuning")
+    tunings = []
+    monkeypatch.setattr(ablation.training, "fine_tune", lambda tune, *_, **__: tunings.append(tune))
+    for minutes in (None, 3.0):
+        ablation.thrown("Ours", 0, ablation.Config(device="cuda", minutes=minutes, output=tmp_path))
+    assert [(t.iterations, t.ppo.anneal) for t in tunings] == [
+        (1950, 1950),
+        (None, ablation.WAYS["Ours"]["ppo"].anneal),
+    ]
+
+
 def test_a_led_controller_acts_as_in_its_training_whatever_phase_it_is_told():
     ablation = importlib.import_module("ablate_finetuning")
     env = ablation.led(throw.make_env("ideal", 2))
