@@ -165,8 +165,12 @@ def read_wbc(name: str | Path, *, trainable: bool = False) -> tuple[Any, Any]:
     beside = path.with_name(f"{path.stem}_critic{path.suffix}")
     for file in (path, beside):
         if not file.exists():
+            complete = sorted(
+                f.name.removesuffix("_critic.npz") for f in shipped_path("wbc").parent.glob("*_critic.npz")
+            )
             raise FileNotFoundError(
-                f"{file} is missing: a policy goes on with its critic, {path.name} and {beside.name}."
+                f"{file} is missing: a policy goes on with its critic, {path.name} and {beside.name}. "
+                f"Of the shipped ones {', '.join(complete)} have theirs."
             )
     return read_network(path, trainable=trainable), read_network(beside, trainable=trainable)
 
