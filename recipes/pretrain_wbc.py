@@ -23,7 +23,7 @@ from torchrl.envs import TransformedEnv
 from torchrl_athletic import training
 from torchrl_athletic.envs import NO_DISTURBANCES, Disturbances, draw_command, whole_body_env, whole_body_rewards
 from torchrl_athletic.functional.commands import CommandName, command_ranges
-from torchrl_athletic.identification import with_actuation
+from torchrl_athletic.identification import actuation_identity, with_actuation
 from torchrl_athletic.robots import Terrain, b2z1
 
 TOLD = ("history", "commands", "actuation")
@@ -69,7 +69,7 @@ def main(cfg: Config) -> None:
     ppo = ppo.annealed(iterations, last=0.006) if on_gpu and iterations else ppo  # below, the rate fell to 1e-6
     cfg = replace(cfg, ppo=ppo, iterations=iterations, commands=cfg.commands or training.commands_of(cfg.start))
     cfg = replace(cfg, hidden=cfg.hidden or ((512, 512, 512) if on_gpu else (128, 128)))
-    same = {name: str(getattr(cfg, name)) for name in ONE_RUN}
+    same = {n: str(getattr(cfg, n)) for n in ONE_RUN} | {"actuation": actuation_identity(cfg.actuation)}
     rows, first_row = processes.share(ppo.num_envs), processes.first_row(ppo.num_envs)
     learner = training.wbc_learner(
         make_env(cfg, 1 if cfg.collectors == "ray" else rows, first_row, processes.device, staggered=True),

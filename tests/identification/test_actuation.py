@@ -6,7 +6,7 @@ from tensordict.nn import TensorDictModule
 from torchrl.envs import Compose, TransformedEnv
 
 from torchrl_athletic.envs import TorqueEnv
-from torchrl_athletic.identification import Simulator, with_actuation
+from torchrl_athletic.identification import Simulator, actuation_identity, with_actuation
 from torchrl_athletic.networks import digest_of, pretrained, uan
 from torchrl_athletic.robots import with_options, z1
 from torchrl_athletic.transforms import ActionDelay, CorrectedActuation, PowerClip, UANCorrection
@@ -63,6 +63,20 @@ def test_every_kind_has_the_power_and_the_delays_that_it_is_told(actuation, fold
     assert whole.unique().tolist() == [2, 3, 4, 5]
     assert torch.equal(delays(4, first_row=60), whole[60:])
     assert not torch.equal(delays(64, seed=4), whole)
+
+
+def test_what_is_identified_anew_in_the_same_folder_is_another_simulator(tmp_path):
+    def identified(net, found=FOUND):
+        return actuation_identity(str(Simulator("diagnosed", ARM, found, net, "correction").save(tmp_path / "found")))
+
+    torch.manual_seed(0)
+    one, other = uan(), uan()
+    first = identified(one)
+    assert first.startswith(str(tmp_path / "found"))
+    assert identified(one) == first != identified(other)
+    later = {**FOUND["effects"][1], "parameters": {"delay": {"value": 0.02}}}
+    assert identified(one, {**FOUND, "effects": [FOUND["effects"][0], later]}) != first
+    assert [actuation_identity(name) for name in ("ideal", "uan", "nowhere")] == ["ideal", "uan", "nowhere"]
 
 
 def test_a_name_that_is_neither_is_refused_with_what_to_name():

@@ -116,7 +116,10 @@ def test_what_was_saved_is_gone_on_with(tmp_path):
     assert digest_of(second.critic) == digest_of(first.critic)
     assert collect(second)["action"].isfinite().all()
     (tmp_path / "wbc_critic.npz").unlink()
-    with pytest.raises(FileNotFoundError, match=r"wbc_critic\.npz is missing: a policy goes on with its critic.*Of the shipped ones .*wbc, wbc_wide"):
+    with pytest.raises(
+        FileNotFoundError,
+        match=r"wbc_critic\.npz is missing: a policy goes on with its critic.*Of the shipped ones .*wbc, wbc_wide",
+    ):
         wbc_learner(still_env(history=1), FEW, start=path)
 
 

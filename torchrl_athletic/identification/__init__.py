@@ -3,7 +3,7 @@
 They explain a mismatch by numbers alone, which is what ``diagnosis`` is measured against.
 """
 
-from torchrl_athletic.identification.actuation import with_actuation
+from torchrl_athletic.identification.actuation import actuation_identity, with_actuation
 from torchrl_athletic.identification.actuator_net import ActuatorNetTraining, identify_actuator_net
 from torchrl_athletic.identification.cem import CEM, identify_cem
 from torchrl_athletic.identification.comparison import Result, compare, every_seed, figure, name_of_uan, table
@@ -21,6 +21,7 @@ __all__ = [
     "Replay",
     "Result",
     "Simulator",
+    "actuation_identity",
     "compare",
     "digest_of",
     "every_seed",

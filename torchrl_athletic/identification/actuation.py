@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from pathlib import Path
 from typing import Any
 
 from torchrl.envs import Transform
@@ -49,3 +51,19 @@ def with_actuation(
         return robot, actuation_chain(robot, net=net, arm_power=arm_power, **told)
     simulator = Simulator.load(actuation, robot)
     return simulator.robot, simulator.chain(arm_power=arm_power, substeps=substeps, **told)
+
+
+def actuation_identity(actuation: str) -> str:
+    """What tells one actuation from another: its name and, of a simulator's folder, a digest of what lies there.
+
+    A run is gone on with in the simulator that it began in. One that was identified anew in the same folder is another.
+
+    Example:
+        >>> actuation_identity("ideal")
+        'ideal'
+    """
+    files = [Path(actuation) / name for name in ("simulator.json", "corrected.json", "net.pt")]
+    if actuation in ("ideal", "uan") or not files[0].exists():
+        return actuation
+    content = hashlib.sha256(b"".join(f.read_bytes() for f in files if f.exists()))
+    return f"{actuation} ({content.hexdigest()[:12]})"

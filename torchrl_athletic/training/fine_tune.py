@@ -15,6 +15,7 @@ from tensordict import TensorDict
 from torchrl.envs import EnvBase, TransformedEnv
 
 from torchrl_athletic.envs.whole_body import phase_inputs
+from torchrl_athletic.identification import actuation_identity
 from torchrl_athletic.networks import RunningNormalizer, open_inputs, pretrained, trunk_of
 from torchrl_athletic.recordings.whole_file import whole_file
 from torchrl_athletic.training.checkpoint import Checkpoints
@@ -224,7 +225,7 @@ def fine_tune(
         why = f"the critic learns alone in the first {ppo.critic_first}; --ppo.critic-first 0 lets both learn"
         print(f"--iterations {iterations}: the policy will stay as it is, since {why}.")
     env = make_env(ppo.num_envs, device=cfg.device, seed=cfg.seed, staggered=True)
-    same = {key: str(getattr(cfg, key)) for key in ("seed", "start", "actuation")}
+    same = {"seed": str(cfg.seed), "start": str(cfg.start), "actuation": actuation_identity(cfg.actuation)}
     same |= {"task": name, "ppo": str(ppo), **_task_of(env)}
     learner = task_learner(
         env,
