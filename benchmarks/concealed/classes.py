@@ -7,7 +7,7 @@ or put into its recordings, by more than three times the noise. A class is right
 it, on that joint. Nobody knows whether classes are true that the complete model's own diagnosis names: probabilities
 are neither learnt from them nor judged by them, and cases in which only they are right are counted apart.
 
-Prints the two numbers that ``calibration.json`` holds, learnt from all benches, and writes what they are worth on a
+Prints the numbers that ``calibration.json`` holds, learnt from all benches, and writes what they are worth on a
 bench that they were not learnt on.
 """
 
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import tyro
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, differential_evolution
 
 sys.path.append(str(Path(__file__).parents[2]))
 
@@ -38,8 +38,11 @@ Place = tuple[str, str | None]
 CLASS = {e.name: e.family for e in CATALOGUE}
 VISIBLE = 3.0
 """What concealing moves the takes by, over their noise."""
+PRIOR = np.array([0.0, 1.0, 0.0])
+"""A class that is as likely as its laws together, whatever it closes."""
+BOUNDS = Bounds([-4.0, 0.0, 0.0], [4.0, 2.0, 2.0])
 RIDGE = 0.5
-"""Pull towards a class that is as likely as its laws together: level zero, steepness one."""
+"""Pull towards it."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +66,8 @@ class Statement:
     """The same with its rivals of the same class and joint."""
     closed: float
     """Share of the error that the correction closes."""
-    energy: float
-    """Share of the joint's missing torque that the finding accounts for."""
-    left: float
-    """Share of it that stays unexplained."""
     closes: float
-    """Share of the simulation's error beside the other findings that it closes."""
+    """Share of the simulation's error that it closes."""
     senseless: bool
     """Whether its values are none that a robot has: then the class is no likelier than the law."""
     right: bool
@@ -82,7 +81,7 @@ def main(cfg: Config) -> None:
     stated = statements(cases, known(content["cases"]))
     learning = [s for s in stated if not s.known]
     weights = learn(learning)
-    print(f"level {weights['level']:.3f}, steepness {weights['steepness']:.3f}, from {len(learning)} findings")
+    print(", ".join(f"{name} {value:.3f}" for name, value in weights.items()), f"from {len(learning)} findings")
     crossed: dict[Statement, float] = {}
     for bench in {s.bench for s in stated}:
         others = learn([s for s in learning if s.bench != bench])
@@ -111,8 +110,6 @@ def statements(cases: Sequence[Mapping[str, Any]], of_control: Mapping[str, set[
             law=min(f["probability"], closes),
             alike=min(f["probability"] + sum(p for e, j, p in f["rivals"] if (CLASS[e], j) == _place(f)), closes),
             closed=1.0 - f["grounds"]["open"],
-            energy=f["grounds"]["energy"],
-            left=f["grounds"].get("left", 0.0),
             closes=closes,
             senseless=f["grounds"]["senseless"],
             right=_place(f) in _hidden(case),
@@ -159,23 +156,25 @@ def probability(s: Statement, weights: Mapping[str, float]) -> float:
     """Of its class, by these weights."""
     if s.senseless:
         return s.law
-    return class_probability(s.law, s.alike, s.closed, s.energy, s.left, s.closes, weights)
+    return class_probability(s.law, s.alike, s.closed, s.closes, weights)
 
 
 def learn(stated: Sequence[Statement]) -> dict[str, float]:
-    """Level and steepness of a logistic function of the log odds (Platt 1999), as it is used: under its bounds.
+    """Weights of :func:`class_probability`, as it is used: under its bounds.
 
     A wrong statement that a bound has cut teaches no more than what is left of it.
     """
     right = np.array([s.right for s in stated])
 
     def loss(w: Array) -> float:
-        weights = {"level": float(w[0]), "steepness": float(w[1])}
-        p = np.clip([probability(s, weights) for s in stated], 1e-3, 1 - 1e-3)
-        return float(-np.log(np.where(right, p, 1 - p)).sum() + RIDGE * (w[0] ** 2 + (w[1] - 1.0) ** 2))
+        p = np.clip([probability(s, _weights(w)) for s in stated], 1e-3, 1 - 1e-3)
+        return float(-np.log(np.where(right, p, 1 - p)).sum() + RIDGE * ((w - PRIOR) ** 2).sum())
 
-    best = minimize(loss, np.array([0.0, 1.0]), method="Nelder-Mead", bounds=[(None, None), (0, None)])
-    return dict(zip(("level", "steepness"), map(float, best.x), strict=True))
+    return _weights(differential_evolution(loss, BOUNDS, popsize=8, tol=1e-3, seed=0).x)  # the bounds make it kink
+
+
+def _weights(w: Array) -> dict[str, float]:
+    return dict(zip(("level", "alike", "closes"), map(float, w), strict=True))
 
 
 if __name__ == "__main__":

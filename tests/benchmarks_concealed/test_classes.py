@@ -3,11 +3,10 @@
 import pytest
 
 from benchmarks.concealed.classes import known, learn, probability, statements, table
-from torchrl_athletic.diagnosis.thresholds import STATEMENT
 
 
-def finding(effect, joint, p=0.4, rivals=(), left=0.1, energy=0.9, senseless=False):
-    grounds = {"open": left, "energy": energy, "senseless": senseless}
+def finding(effect, joint, p=0.4, rivals=(), left=0.1, closes=1.0, senseless=False):
+    grounds = {"open": left, "closes": closes, "senseless": senseless}
     rivals = [list(r) for r in rivals]
     return {"effect": effect, "joint": joint, "probability": p, "grounds": grounds, "rivals": rivals}
 
@@ -25,6 +24,7 @@ def graded(*cases):
 
 def test_an_answer_from_before_laws_were_bounded_is_bounded_by_what_each_closes():
     old = finding("stribeck_friction", "elbow", 0.7, rivals=[("coulomb_friction", "elbow", 0.2)])
+    del old["grounds"]["closes"]
     [free] = graded(case(old))
     assert (free.law, free.alike, free.closes) == (0.7, pytest.approx(0.9), 1.0)
     old["grounds"]["closes"] = 0.05
@@ -50,13 +50,9 @@ def test_rivals_of_the_same_class_and_joint_are_on_its_side():
     assert said.alike == pytest.approx(0.6)
 
 
-def test_a_class_is_no_likelier_than_what_is_closed_and_accounted_for_unless_its_law_is():
-    likely = {"level": 9.0, "steepness": 1.0}
-    for told, most in (
-        ({"left": 0.7}, 0.3),
-        ({"energy": 0.4 * STATEMENT.faint}, 0.2),
-        ({"senseless": True, "p": 0.1}, 0.1),
-    ):
+def test_a_class_is_no_likelier_than_what_is_closed_unless_its_law_is():
+    likely = {"level": 9.0, "alike": 1.0, "closes": 0.0}
+    for told, most in (({"left": 0.7}, 0.3), ({"closes": 0.4}, 0.4), ({"senseless": True, "p": 0.1}, 0.1)):
         [said] = graded(case(finding("coulomb_friction", "elbow", **{"p": 0.1} | told)))
         assert probability(said, likely) == pytest.approx(most)
     [sure] = graded(case(finding("coulomb_friction", "elbow", 0.8, left=0.9)))
@@ -84,7 +80,7 @@ def test_what_is_right_more_often_is_learnt_to_be_likelier():
         *graded(*[case(finding("backlash", "elbow", 0.1))] * 9),
     ]
     weights = learn(said)
-    assert weights["steepness"] > 0
+    assert weights["alike"] > 0
     high, low = (probability(s, weights) for s in (said[0], said[-1]))
     assert high > 0.5 > low
 
@@ -97,3 +93,11 @@ def test_what_a_bound_has_cut_teaches_no_more():
     assert bounded == pytest.approx(alone, abs=0.02)
     free = graded(*[case(finding("backlash", "elbow", 0.3))] * 30)
     assert probability(right[0], learn([*right, *free])) < 0.5 < bounded
+
+
+def test_what_closes_more_is_learnt_to_be_likelier_where_the_laws_do_not_tell():
+    right = graded(*[case(finding("coulomb_friction", "elbow", 0.1, closes=0.95))] * 9)
+    wrong = graded(*[case(finding("backlash", "elbow", 0.1, closes=0.6))] * 9)
+    weights = learn([*right, *wrong])
+    assert weights["closes"] > 0
+    assert probability(right[0], weights) > 0.5 > probability(wrong[0], weights)

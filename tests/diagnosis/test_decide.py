@@ -338,3 +338,19 @@ def test_only_what_is_stated_is_asked_who_could_stand_in_its_place(monkeypatch):
     assert found.is_open
     nothing = deciding.decide(SimpleNamespace(proposed=proposed, trials=(), untried=()))
     assert (nothing.located, nothing.trial) == ("where", None)
+
+
+def test_of_the_standard_joints_only_what_the_motion_asks_for_is_a_finding(monkeypatch):
+    """All joints have eight numbers each; of another combination every term is one, whatever it closes."""
+    much, little = atom("much"), atom("little")
+    best = SimpleNamespace(fit=SimpleNamespace(terms=[much, little]))
+    closes = {much.candidate.key: DECISION.asked_for, little.candidate.key: 0.9 * DECISION.asked_for}
+    monkeypatch.setattr(deciding, "decided_by", lambda trials: (0, np.array([0.0]), [True]))
+    monkeypatch.setattr(deciding, "others_than", lambda *_: ())
+    monkeypatch.setattr(deciding, "torque_is_open", lambda trial: True)
+    monkeypatch.setattr(deciding, "answer_set", lambda part, term: "set")
+    proposed, h = SimpleNamespace(located="where", drive=None), hypothesis([much.candidate, little.candidate])
+    for joints, stated in ((True, [much]), (False, [much, little])):
+        trial = Trial(Proposal(None, best, joints=joints), h, {}, np.zeros((1, 1)), np.zeros(1), closes)
+        found = deciding.decide(SimpleNamespace(proposed=proposed, trials=(trial,), untried=()))
+        assert list(found.sets) == [a.candidate.key for a in stated]

@@ -489,7 +489,7 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
         ("stribeck_friction", "elbow", pytest.approx(0.2))
     ]
     assert found.sentence == "{'torque': 0.9}"
-    assert of_class == [(0.4, pytest.approx(0.6), pytest.approx(0.7), 0.6, 0.11, 0.85)]
+    assert of_class == [(0.4, pytest.approx(0.6), pytest.approx(0.7), 0.85)]
     assert found.class_probability == pytest.approx(0.4 + 0.2)  # with what is of its class, not with the spring
     assert found.law_probability == pytest.approx(0.4 / 0.6)
     assert found.regime == "True, torque of coulomb_friction of 1"
@@ -624,6 +624,10 @@ def test_findings_are_told_by_whole_per_cent_and_then_by_what_they_account_for(m
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
     found = gates.judge_findings([part], fitted, [score(0.2)], {one.key: ()}, {})
     assert found == (told[2], told[1], told[0])
+    # of laws that are alike by whole per cent, what is likelier of its class
+    left[:] = [dataclasses.replace(told[1], class_probability=c) for c in (0.3, 0.7, 0.5)]
+    of_class = [f.class_probability for f in gates.judge_findings([part], fitted, [score(0.2)], {one.key: ()}, {})]
+    assert of_class == [0.7, 0.5, 0.3]
 
 
 def test_a_term_that_the_fit_does_not_have_is_not_stated(monkeypatch):
@@ -632,6 +636,9 @@ def test_a_term_that_the_fit_does_not_have_is_not_stated(monkeypatch):
     part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)])))
     nothing = Fitted(Hypothesis(()), np.zeros(0), np.zeros((3, 0)), 0.0)
     assert gates.judge_findings([part], nothing, [score(0.2)], {one.key: ()}, {}) == ()
+    fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
+    assert gates.judge_findings([part], fitted, [score(0.2)], {}, {}) == ()  # nor what is not to be stated
+    assert gates.judge_findings([part], fitted, [score(0.2)], {one.key: ()}, {}) == (FINDING,)
 
 
 def test_a_refused_name_is_held_back_with_its_class_and_its_rivals_and_says_so():

@@ -147,9 +147,35 @@ def test_in_the_torques_a_fit_is_its_laws_at_their_fitted_values_where_all_takes
         return None if c is unseen else c.effect.name
 
     bank = SimpleNamespace(takes=("one", "two"), add=add)
-    judge = SimpleNamespace(bank=bank, score=lambda atoms: scored.append(atoms) or "scored")
+    free = SimpleNamespace(fit=SimpleNamespace(stand_ins=[]))
+    judge = SimpleNamespace(bank=bank, score=lambda atoms: scored.append(atoms) or free)
     h = Hypothesis((seldom, late, hidden, unseen))
     fitted = Fitted(h, np.array([5.0, 6.0, 7.0, 8.0]), np.zeros((0, 4)), 0.0)
-    assert joints.in_torques(judge, fitted) == "scored"
+    assert joints.in_torques(judge, fitted) is free
     assert asked == [("late", {"p1": 7.0, "shape": 3.0}), ("unseen", {"takes": ("one", "two"), "joint": 1})]
     assert scored == [["late"]]
+
+
+@pytest.mark.parametrize(
+    ("stops", "named"),
+    [
+        ([], ["hip a", "hip b", "knee a", "robot c"]),
+        (["hip b"], ["knee a", "robot c"]),  # what stands beside a stand-in is bent by it
+        (["hip b", "knee a"], ["robot c"]),  # the second stops when the first has gone
+        (["robot c"], []),  # it is on every joint
+    ],
+)
+def test_a_joint_of_which_a_number_stops_at_a_bound_has_no_names(monkeypatch, stops, named):
+    atoms = {
+        name: SimpleNamespace(name=name, candidate=SimpleNamespace(joint_name=joint))
+        for name, joint in (("hip a", "hip"), ("hip b", "hip"), ("knee a", "knee"), ("robot c", None))
+    }
+
+    def score(of):
+        stuck = next(([a] for name in stops for a in of if a.name == name), [])
+        return SimpleNamespace(fit=SimpleNamespace(terms=tuple(of), stand_ins=stuck))
+
+    monkeypatch.setattr(joints, "_atom", lambda judge, c, values: atoms[c])
+    h = SimpleNamespace(terms=tuple(atoms), values_of=lambda c, values: None)
+    found = joints.in_torques(SimpleNamespace(score=score), SimpleNamespace(hypothesis=h, values=None))
+    assert [a.name for a in found.fit.terms] == named

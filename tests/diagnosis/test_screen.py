@@ -439,6 +439,7 @@ def test_the_second_of_two_terms_may_be_the_one_at_its_bound():
     for last, stops in ((4.0, True), (2.0, False)):
         fit = Fit(atoms, 2, np.array([2.0, 3.0, last]), (low, high), 0.0, nothing, nothing)
         assert fit.at_bound is stops
+        assert fit.stand_ins == [atoms[1]] * stops
 
 
 def test_numbers_that_make_no_sense_together_are_no_estimate(monkeypatch):

@@ -149,18 +149,18 @@ def test_ctrl_c_keeps_the_trials_that_were_made(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("left", "over", "evidence", "behind"),
+    ("left", "over", "named", "behind"),
     [
-        (0.5, 9.0, 3.0, DECISION.behind),  # it may be the names if the simulation is decisively better
-        (0.01, 9.0, 3.0, np.inf),  # nothing is left to be named
-        (0.5, 9.0, np.inf, np.inf),  # a number of it stops at a bound
-        (0.5, 2.0, 3.0, None),  # what follows needs no other
-        (0.009, 9.0, 3.0, None),  # the error has fallen to a tenth
+        (0.5, 9.0, ["term"], DECISION.behind),  # it may be the names if the simulation is decisively better
+        (0.01, 9.0, ["term"], np.inf),  # nothing is left to be named
+        (0.5, 9.0, [], np.inf),  # on each joint a number stops at a bound
+        (0.5, 2.0, ["term"], None),  # what follows needs no other
+        (0.009, 9.0, ["term"], None),  # the error has fallen to a tenth
     ],
 )
-def test_the_standard_joints_are_tried_where_nothing_follows(monkeypatch, left, over, evidence, behind):
+def test_the_standard_joints_are_tried_where_nothing_follows(monkeypatch, left, over, named, behind):
     work = Started(monkeypatch, left, True, True, over)
-    added = joints_added(monkeypatch, work, evidence)
+    added = joints_added(monkeypatch, work, named)
     assert [p.behind for p in added] == ([] if behind is None else [behind])
     assert all(p.joints and p.on_trial for p in added)
 
@@ -170,13 +170,13 @@ def test_the_standard_joints_are_tried_where_only_what_was_fitted_follows(monkey
     work = Started(monkeypatch, 0.009, True, True, 9.0)
     scores = work.begun.trials[0].scores
     scores["heldout"] = replace(scores["train"], before=aside)
-    assert bool(joints_added(monkeypatch, work, 3.0)) == asked
+    assert bool(joints_added(monkeypatch, work, ["term"])) == asked
 
 
-def joints_added(monkeypatch: pytest.MonkeyPatch, work: Started, evidence: float) -> list[Proposal]:
+def joints_added(monkeypatch: pytest.MonkeyPatch, work: Started, named: list[str]) -> list[Proposal]:
     """Proposals of the fit of the standard joints."""
     monkeypatch.setattr(stage, "standard_joints_of", lambda given, run: work.begun.trials[0].fitted)
-    monkeypatch.setattr(stage, "in_torques", lambda judge, fitted: SimpleNamespace(evidence=evidence))
+    monkeypatch.setattr(stage, "in_torques", lambda judge, fitted: SimpleNamespace(fit=SimpleNamespace(terms=named)))
     monkeypatch.setattr(stage, "_without_small", lambda fitted, given: fitted)
     monkeypatch.setattr(stage, "scored", lambda proposal, fitted, ready: SimpleNamespace(proposal=proposal))
     located = SimpleNamespace(ready=SimpleNamespace(given=None))
@@ -360,7 +360,8 @@ def test_the_standard_joints_need_time_a_first_trial_a_whole_chain_and_something
     work, told = Started(monkeypatch, 0.5, True, True, 9.0), []
     fitted = change.get("kept", "fitted")
     monkeypatch.setattr(stage, "standard_joints_of", lambda given, run: told.append(given) or fitted)
-    monkeypatch.setattr(stage, "in_torques", lambda judge, fitted: SimpleNamespace(evidence=3.0, of=(judge, fitted)))
+    scored = lambda judge, fitted: SimpleNamespace(fit=SimpleNamespace(terms=["term"]), of=(judge, fitted))  # noqa: E731
+    monkeypatch.setattr(stage, "in_torques", scored)
     monkeypatch.setattr(stage, "_without_small", lambda fitted, given: (fitted, given))
     monkeypatch.setattr(stage, "scored", lambda *given: SimpleNamespace(proposal=given[0], given=given[1:]))
     ready = SimpleNamespace(given="given")

@@ -110,44 +110,37 @@ def probability(grounds: Grounds, effect: str = "") -> float:
 
 
 def class_probability(
-    law: float,
-    alike: float,
-    closed: float,
-    energy: float = 1.0,
-    left: float = 0.0,
-    closes: float = 1.0,
-    weights: Mapping[str, float] | None = None,
+    law: float, alike: float, closed: float, closes: float, weights: Mapping[str, float] | None = None
 ) -> float:
     """That physics of a finding's class is missing at its joint, whatever the law: learnt on real benches.
 
-    What the correction leaves open may be of another class: the probability is no larger than what is closed of the
-    simulation's error, by all findings and by this one beside them, nor than what is explained of the joint's missing
-    torque. What accounts for hardly any of that torque may stand in for a little of another one's: the probability is
-    at most one half at a share of ``STATEMENT.faint``, and less in proportion below it.
+    What the motion asks for is of the right class more often than what the torques alone ask for, whatever its law. The
+    probability is no larger than the share of the error that all findings close, nor than the share that this one
+    closes, since what stays may be of another class; and no smaller than the law's.
 
     Args:
         law: Probability of the finding.
         alike: The same with its rivals of the same class and joint.
         closed: Share of the simulation's error energy above the floor that the correction closes, 0..1.
-        energy: Share of the joint's missing torque that the finding accounts for, 0..1.
-        left: Share of it that stays unexplained, 0..1.
-        closes: Share of the error beside the other findings that this one closes, 0..1.
-        weights: Level and steepness of the logistic; None takes those in force.
+        closes: Share of the error that the finding closes, 0..1 (see :attr:`Grounds.closes`).
+        weights: Level, and slopes in the log odds of ``alike`` and of ``closes``; None takes those in force.
 
     Example:
-        >>> class_probability(law=0.4, alike=0.4, closed=0.9) > class_probability(law=0.4, alike=0.4, closed=0.5) == 0.5
+        >>> class_probability(law=0.05, alike=0.05, closed=1.0, closes=0.95) > 0.5
         True
-        >>> class_probability(law=0.9, alike=0.9, closed=0.5)
-        0.9
-        >>> class_probability(law=0.2, alike=0.9, closed=1.0, energy=0.02)
-        0.5
-        >>> class_probability(law=0.2, alike=0.9, closed=0.9, left=0.75)
-        0.25
+        >>> class_probability(law=0.05, alike=0.05, closed=1.0, closes=0.5) < 0.5
+        True
+        >>> class_probability(law=0.2, alike=0.9, closed=0.3, closes=1.0)
+        0.3
     """
-    weights, p = weights or learnt("class"), float(np.clip(alike, 1e-3, 1 - 1e-3))
-    odds = weights["level"] + weights["steepness"] * np.log(p / (1 - p))
-    seen = STATEMENT.likely * energy / STATEMENT.faint
-    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, 1.0 - left, seen, closes)))
+    weights = weights or learnt("class")
+    odds = weights["level"] + weights["alike"] * _log_odds(alike, 1e-3) + weights["closes"] * _log_odds(closes, 1e-2)
+    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, closes)))
+
+
+def _log_odds(p: float, least: float) -> float:
+    p = min(max(p, least), 1.0 - least)
+    return float(np.log(p / (1.0 - p)))
 
 
 def rival_probability(likely: float, own: float, share: float) -> float:

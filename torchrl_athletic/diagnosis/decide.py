@@ -32,6 +32,8 @@ def decide(simulated: Simulated) -> Decided:
     beside = tuple(t for k, t in enumerate(trials) if (t.proposal.joints or not k) and k != chosen)
     decided = Decided(located, drive, trial, beside, torque_is_open(trial))
     stated = {c.key for c in trial.fitted.hypothesis.terms}
+    if trial.proposal.joints:  # of all numbers of all joints, those that the motion asks for
+        stated = {key for key in stated if trial.closes.get(key, 1.0) >= DECISION.asked_for}
     sets = {
         term.candidate.key: answer_set(part, term)
         for part in decided.evidence

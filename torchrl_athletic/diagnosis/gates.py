@@ -38,13 +38,13 @@ def judge_findings(
     sets: Mapping[Key, Sequence[StandIn]],
     closes: Mapping[Key, float],
 ) -> tuple[Finding, ...]:
-    """State every term of the fitted hypothesis, most probable first.
+    """State the terms of the fitted hypothesis, most probable first.
 
     Args:
         evidence: What was chosen: the mechanics, and the drive if it was looked at alone.
         fitted: The same in the simulation.
         scores: Of that fit.
-        sets: Term -> who could stand in its place.
+        sets: Term that is stated -> who could stand in its place.
         closes: Term -> share of the error that it closes; what the simulation was not asked about is missing.
     """
     still_open = max((open_share(s) for s in scores), default=1.0)
@@ -60,9 +60,14 @@ def judge_findings(
         _finding(part, term, fitted, stated[key], sets[key], still_open, senseless, far, closes.get(key, 1.0))
         for part in evidence
         for term in part.best.fit.terms
-        if (key := term.candidate.key) in stated
+        if (key := term.candidate.key) in stated and key in sets
     ]
-    return tuple(sorted(out, key=lambda f: (-round(f.probability, 2), -f.energy_share)))
+    return tuple(sorted(out, key=_order))
+
+
+def _order(f: Finding) -> tuple[float, float, float]:
+    """By whole per cent of the law, then of its class, then by what it accounts for."""
+    return -round(f.probability, 2), -round(f.class_probability, 2), -f.energy_share
 
 
 def refused(findings: Sequence[Finding], places: Collection[tuple[str, str | None]]) -> tuple[Finding, ...]:
@@ -86,7 +91,7 @@ def refused(findings: Sequence[Finding], places: Collection[tuple[str, str | Non
                 grounds={**f.grounds, "refused": True},
             )
         out.append(f)
-    return tuple(sorted(out, key=lambda f: (-round(f.probability, 2), -f.energy_share)))
+    return tuple(sorted(out, key=_order))
 
 
 def verdict_of(
@@ -231,7 +236,7 @@ def _finding(
     alike = sum(rival_probability(likely, own, o.share) for o in others if _is_alike(o.atom.candidate, candidate))
     of_class = likely
     if not grounds.senseless:
-        of_class = class_probability(likely, likely + alike, 1.0 - still_open, grounds.energy, grounds.left, closes)
+        of_class = class_probability(likely, likely + alike, 1.0 - still_open, closes)
     explained = bank.prediction(part.best.fit, term)
     return Finding(
         effect=effect.name,

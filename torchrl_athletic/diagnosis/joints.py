@@ -44,9 +44,18 @@ def standard_joints_of(given: Given, run: Run) -> Fitted | None:
 
 
 def in_torques(judge: Judge, fitted: Fitted) -> Scored:
-    """The combination of a fit in the torque domain, at the fitted values of what enters nonlinearly."""
-    atoms = (_atom(judge, c, fitted.hypothesis.values_of(c, fitted.values)) for c in fitted.hypothesis.terms)
-    return judge.score([atom for atom in atoms if atom is not None])
+    """The combination of a fit in the torque domain, at the fitted values of what enters nonlinearly.
+
+    A joint of which a number stops at a bound there has no names: what stops is a stand-in, and bends what is beside
+    it. The others keep theirs. One of the whole robot that stops leaves none.
+    """
+    atoms = [_atom(judge, c, fitted.hypothesis.values_of(c, fitted.values)) for c in fitted.hypothesis.terms]
+    scored = judge.score([atom for atom in atoms if atom is not None])
+    while stand_ins := scored.fit.stand_ins:
+        nameless = {atom.candidate.joint_name for atom in stand_ins}
+        kept = [a for a in scored.fit.terms if None not in nameless and a.candidate.joint_name not in nameless]
+        scored = judge.score(kept)
+    return scored
 
 
 def _atom(judge: Judge, c: Candidate, values: Array) -> Atom | None:

@@ -68,8 +68,11 @@ def answer_set(part: Proposal, term: Atom) -> list[StandIn]:
     """Who could stand in a term's place, itself included, with the share of the evidence that each has.
 
     Each other effect in its place, beside all other terms; and an effect that alone does what this term and others of
-    its joint do together, as gains that are off do of a rotor with a lag.
+    its joint do together, as gains that are off do of a rotor with a lag. Among the numbers of the standard joints the
+    simulation has chosen, against the torques: each has itself alone.
     """
+    if part.joints:
+        return [StandIn(term, part.best, part.best.evidence, share=1.0)]
     found = keys(part.best.fit.terms)
     beside = found - {term.candidate.key}
     replaced = alternatives(part.judge, part.best, term)

@@ -127,23 +127,28 @@ class Fit:
 
     @property
     def at_bound(self) -> bool:
-        """Whether a parameter of the combination stops at a physical bound, zero excepted: no estimate, but a stand-in.
+        """Whether a term of the combination is a stand-in (see :attr:`stand_ins`)."""
+        return bool(self.stand_ins)
+
+    @property
+    def stand_ins(self) -> list[Atom]:
+        """Terms of which a parameter stops at a physical bound, zero excepted: no estimate, but a stand-in.
 
         A motor three times too strong is one, whose torque something else then takes away. So are values that make no
         sense together.
         """
-        at = 0
+        out, at = [], 0
         for atom, values in zip(self.terms, self.values(), strict=False):
-            if not atom.candidate.effect.is_physical(atom.candidate.parameters, values):
-                return True
+            stops = not atom.candidate.effect.is_physical(atom.candidate.parameters, values)
             for k, parameter in enumerate(atom.linear, at):
                 low, high, x = self.bounds[0][k], self.bounds[1][k], self.coefficients[k]
                 if parameter >= 0 and min(x - low, high - x) <= 1e-6 * (high - low):
                     p = atom.candidate.parameters[parameter]
-                    if min(abs(values[parameter]), abs(values[parameter] - p.nominal)) > 1e-6 * p.scale:
-                        return True
+                    stops |= min(abs(values[parameter]), abs(values[parameter] - p.nominal)) > 1e-6 * p.scale
             at += len(atom.linear)
-        return False
+            if stops:
+                out.append(atom)
+        return out
 
     def values(self) -> list[Array]:
         """Parameters of each atom in physical units. A list of (P,)."""

@@ -61,8 +61,8 @@ def _with_joints(done: Simulated, run: Run) -> Simulated:
     It is asked for unless a combination follows the recordings already, or has closed nearly all of the error, of those
     kept aside too: it may take longer than all else.
     The simulation has to be decisively better with it, since it holds most simple laws as special cases. It gives no
-    names where another combination explains the error, or where one of its numbers stops at a bound. Where a measured
-    torque cuts the chain in two it is not asked for: it knows of no cut.
+    names where another combination explains the error, nor at joints of which a number stops at a bound. Where a
+    measured torque cuts the chain in two it is not asked for: it knows of no cut.
     """
     if not done.trials or done.stopped or run.late() or done.proposed.drive is not None:
         return done
@@ -76,7 +76,7 @@ def _with_joints(done: Simulated, run: Run) -> Simulated:
         if fitted is None:
             return done
         torques = in_torques(judge, fitted)
-        names = left["train"] > STATEMENT.explained and np.isfinite(torques.evidence)
+        names = left["train"] > STATEMENT.explained and bool(torques.fit.terms)
         proposal = Proposal(judge, torques, DECISION.behind if names else np.inf, on_trial=True, joints=True)
         trial = scored(proposal, _without_small(fitted, ready.given), ready)
     except KeyboardInterrupt:

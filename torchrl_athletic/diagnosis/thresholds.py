@@ -151,6 +151,8 @@ class Decision:
     behind: float = 9.0
     """Evidence against what was not proposed first: only a simulation that is decisively better speaks for it [twice
     the log odds; statistical]."""
+    asked_for: float = 0.05
+    """Share of the simulation's error that a number of a standard joint has to close to be a finding [1; budget]."""
     worth: float = 0.1
     """Share of its tolerance that a trim must use in the torque domain to be adjusted in the simulation [1; tuned]."""
     clear: float = 0.1
@@ -195,9 +197,6 @@ class Statement:
     refutes: float = 0.75
     """Share of the evidence from which rivals count as refuted: odds below three to one are "not worth more than a
     bare mention" (Kass, Raftery 1995, doi:10.1080/01621459.1995.10476572) [1; statistical]."""
-    faint: float = 0.02
-    """Share of its joint's missing torque for which a finding accounts where its class has one half at most, as what
-    stands in for a little of another one's torque; set by hand on the benches of ``concealed_real`` [1; tuned]."""
     refused: float = 0.1
     """The most of a finding with which recordings kept aside are followed worse: of 34 such findings of tuning cases
     and a spent sealed seed two were right [1; tuned]."""
