@@ -6,10 +6,13 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy and torch; the workers share the cores already
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from torchrl_athletic.physics import batch_physics
 
 gc.disable()  # until all tests are collected: a third of that time went into looking for what is garbage
 
@@ -17,6 +20,8 @@ settings.register_profile(
     "repeatable", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("repeatable")
+
+PROCESSORS = batch_physics._processors
 
 # Compiling a step, or starting processes, takes seconds for each of thirty transforms: half of the time of their tests.
 # Transforms seldom fail these clauses alone: what breaks a graph mostly syncs with the host too, and what goes wrong in
@@ -43,6 +48,23 @@ def pytest_collection_finish() -> None:
     """Look for garbage again, but not among modules and tests, which stay."""
     gc.freeze()
     gc.enable()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Simulate on the worker's own thread: where both CPUs are busy, a second one is waited for seven times as long.
+
+    The numbers do not depend on it, which physics/test_batch_physics.py asks with threads of its own.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch_physics, "_processors", lambda: 1)
+        yield
+
+
+@pytest.fixture
+def every_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulate on as many threads as outside the tests."""
+    monkeypatch.setattr(batch_physics, "_processors", PROCESSORS)
 
 
 @pytest.fixture(scope="session")

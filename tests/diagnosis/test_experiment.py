@@ -52,6 +52,9 @@ from torchrl_athletic.recordings.demo import (
     two_link_arm,
 )
 
+SHORT = 4.0
+"""Half of the usual excitation [s], where nothing is asked that depends on it."""
+
 CASES = {
     "offset": (
         HiddenEffect("torque_offset", "pendulum", {"torque": 0.25}),
@@ -217,8 +220,9 @@ def test_what_no_motion_separates_is_said_and_not_recorded_for(tilted):
     judge, best = tilted
     options = {o.atom.candidate.key: o.scored for o in options_of(judge, best, least=0.0)}
     pair = {key: options[key] for key in (("encoder_offset", "pendulum"), ("gravity_tilt", None))}
-    assert propose(judge, pair) is None
-    experiment = propose(judge, {**pair, ("torque_offset", "pendulum"): options["torque_offset", "pendulum"]})
+    assert propose(judge, pair, seconds=SHORT) is None
+    three = {**pair, ("torque_offset", "pendulum"): options["torque_offset", "pendulum"]}
+    experiment = propose(judge, three, seconds=SHORT)
     assert experiment.inseparable == ((("encoder_offset", "pendulum"), ("gravity_tilt", None)),)
     assert "No motion" in experiment.sentence
 
@@ -270,7 +274,7 @@ def test_a_motion_that_asks_too_much_torque_is_made_smaller(case):
     rivals = rivals_of(judge, best)
     limits = experiment.limits
     weak = Limits(limits.position, limits.velocity, 0.5 * np.abs(experiment.torque).max(0))
-    tired = propose(judge, rivals, limits=weak)
+    tired = propose(judge, rivals, limits=weak, seconds=SHORT)
     assert tired is None or (np.abs(tired.torque) <= 1.2 * weak.torque).all()
 
 
@@ -284,7 +288,7 @@ def test_a_plan_that_a_rival_would_take_out_of_range_is_made_smaller(monkeypatch
         return np.stack([np.stack([recording.position, path])] * len(scene.rivals))
 
     monkeypatch.setattr(planning, "_simulated", runaway)
-    tame = propose(judge, rivals_of(judge, best), limits=limits)
+    tame = propose(judge, rivals_of(judge, best), limits=limits, seconds=SHORT)
     reach = tame.reference[0] + 1.5 * (tame.reference - tame.reference[0])
     slack = 0.03 * np.ptp(limits.position)
     assert ((reach > limits.position[:, 0] - slack) & (reach < limits.position[:, 1] + slack)).all()
@@ -408,10 +412,10 @@ def test_narrow_limits_are_kept_or_nothing_is_proposed():
     *_, judge, best, _ = solved("offset")
     wide = Limits.of(judge.bank.takes)
     narrow = replace(wide, position=0.2 * wide.position, velocity=0.5 * wide.velocity)
-    e = propose(judge, rivals_of(judge, best), limits=narrow)
+    e = propose(judge, rivals_of(judge, best), limits=narrow, seconds=SHORT)
     assert e is None or (np.abs(e.reference) <= 0.2 * np.abs(wide.position).max() + 1e-3).all()
     still = replace(wide, torque=1e-3 * wide.torque)
-    assert propose(judge, rivals_of(judge, best), limits=still) is None
+    assert propose(judge, rivals_of(judge, best), limits=still, seconds=SHORT) is None
 
 
 def test_nothing_quicker_is_considered_than_the_limits_and_the_rivals_laws_allow(monkeypatch):

@@ -70,7 +70,7 @@ def parameter(fitted: Fit, effect: str, joint: str = "pendulum", name: str | Non
 def concealed(tmp_path_factory) -> tuple[Fit, dict]:
     """Dry friction, a rotor and a weak, late motor; and what was written."""
     truth = {"friction": 0.08, "rotor": 0.02, "scale": 0.85, "late": 0.012}
-    train, held = (smooth_torque(6.0, amplitude, seed) for amplitude, seed in ((2.5, 1), (2.0, 2)))
+    train, held = (smooth_torque(4.0, amplitude, seed) for amplitude, seed in ((2.5, 1), (2.0, 2)))
     takes = [recording(u, integrated(u, k, **truth), ("pendulum", "table")) for k, u in enumerate((train, held))]
     output = tmp_path_factory.mktemp("fit")
     return fit(bench(), takes[:1], takes[1:], output=output), output
@@ -163,28 +163,29 @@ def test_a_bound_that_binds_is_said():
 
 
 def test_a_long_log_is_fitted_in_part_which_is_said_and_only_what_was_kept_aside_takes_back(monkeypatch):
-    monkeypatch.setattr(fitting, "LONGEST", 12.0)
+    monkeypatch.setattr(fitting, "LONGEST", 6.0)
+    monkeypatch.setattr("torchrl_athletic.recordings.stretches.LEAST", 6.0)
     asked = []
     monkeypatch.setattr(fitting, "vetoed", lambda h, y, takes, rng, floor: asked.extend(takes) or [])
-    long, short = smooth_torque(30.0, 2.5, 1), smooth_torque(2.0, 2.5, 2)
+    long, short = smooth_torque(15.0, 2.5, 1), smooth_torque(1.5, 2.5, 2)
     takes = [recording(u, integrated(u, friction=0.1)) for u in (long, short)]
     fitted = fit(pendulum(STEP), takes[:1], takes[1:], extended=False)
-    assert any(r.startswith("Of 30 s of recordings, 12 s were fitted") for r in fitted.remarks)
-    assert sum(part.recording.duration for take in asked for part in take.parts) == pytest.approx(2.0, abs=0.05)
+    assert any(r.startswith("Of 15 s of recordings, 6 s were fitted") for r in fitted.remarks)
+    assert sum(part.recording.duration for take in asked for part in take.parts) == pytest.approx(1.5, abs=0.05)
 
 
 @pytest.mark.parametrize("seed", [0])
 def test_a_fit_never_ends_worse_than_it_began(seed):
     """Not even of a motion that has nothing to do with the command."""
-    position = integrated(smooth_torque(2.0, 2.5, seed), friction=0.1)
-    fitted = fit(pendulum(STEP), [recording(smooth_torque(2.0, 1.5, seed + 10), position)], seed=seed, extended=False)
+    position = integrated(smooth_torque(1.2, 2.5, seed), friction=0.1)
+    fitted = fit(pendulum(STEP), [recording(smooth_torque(1.2, 1.5, seed + 10), position)], seed=seed, extended=False)
     score = fitted.scores["train"]
     assert score.after <= score.before
 
 
 def test_the_command_prints_a_table_and_leaves_files(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(fit_command, "fit", partial(fit, extended=False))  # in half the time
-    command = smooth_torque(2.0, 2.5, 5)
+    command = smooth_torque(1.2, 2.5, 5)
     (tmp_path / "model.xml").write_text(pendulum(STEP))
     write_recording(recording(command, integrated(command, friction=0.1)), tmp_path / "take.npz")
     main(FitConfig(tmp_path / "model.xml", (tmp_path / "take.npz",), output=tmp_path / "out"))

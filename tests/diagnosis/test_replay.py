@@ -433,7 +433,7 @@ def explosion():
     return simulate(w, explosive, NOTHING)
 
 
-def test_a_simulation_that_diverges_stays_finite_and_says_nothing(monkeypatch, tmp_path, capfd):
+def test_a_simulation_that_diverges_stays_finite_and_says_nothing(every_cpu, monkeypatch, tmp_path, capfd):
     monkeypatch.chdir(tmp_path)  # where MuJoCo would write its log
     found = explosion()
     assert np.isfinite(found).all()
@@ -443,7 +443,7 @@ def test_a_simulation_that_diverges_stays_finite_and_says_nothing(monkeypatch, t
     assert mujoco.get_mju_user_warning() is None
 
 
-def test_who_listens_to_the_warnings_of_mujoco_hears_of_what_diverges():
+def test_who_listens_to_the_warnings_of_mujoco_hears_of_what_diverges(every_cpu):
     heard = []
     mujoco.set_mju_user_warning(heard.append)
     try:

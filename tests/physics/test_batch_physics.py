@@ -6,6 +6,7 @@ from physics.models import HOPPER, MODELS, Loop, compiled
 
 from torchrl_athletic.physics import BatchPhysics, Physics, SimulationError
 
+pytestmark = pytest.mark.usefixtures("every_cpu")
 N = 5
 
 

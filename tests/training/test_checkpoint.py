@@ -1,9 +1,7 @@
+import multiprocessing
 import os
 import signal
-import subprocess
-import sys
 from copy import deepcopy
-from pathlib import Path
 
 import pytest
 import torch
@@ -17,6 +15,8 @@ from torchrl_athletic.robots import z1
 from torchrl_athletic.training import Checkpoints, CSVTable, Processes, train
 from torchrl_athletic.training.checkpoint import env_state, restore_env
 from torchrl_athletic.transforms import DomainRandomization, ExternalPush, Push, RandomizationRanges
+
+FORKS = multiprocessing.get_context("fork")  # another interpreter would import all libraries again
 
 
 def state_of(learner):
@@ -44,27 +44,24 @@ def test_a_run_in_two_parts_is_the_run_in_one(tmp_path):
         assert_same(whole, first)
 
 
-SCRIPT = """
-import os, signal, sys
-from training.tasks import arm_learner
-from torchrl_athletic.training import Checkpoints, CSVTable, Processes, train
+def killed_in_its_third_iteration(folder):
+    learner = arm_learner()
 
-learner = arm_learner()
-def evaluate():
-    if learner.iteration == 3:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return {}
-train(learner, iterations=5, evaluate=evaluate, evaluate_every=1, checkpoints=Checkpoints(sys.argv[1]),
-      checkpoint_every=2, logger=CSVTable(sys.argv[1] + "/progress.csv"), progress=False)
-"""
+    def evaluate():
+        if learner.iteration == 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {}
+
+    train(learner, iterations=5, evaluate=evaluate, evaluate_every=1, checkpoints=Checkpoints(folder),
+          checkpoint_every=2, logger=CSVTable(folder / "progress.csv"), progress=False)  # fmt: skip
 
 
 def test_a_killed_process_is_gone_on_with_and_its_log_has_each_step_once(tmp_path):
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
-    killed = subprocess.run([sys.executable, "-c", SCRIPT, str(tmp_path)], env=environment)
-    assert killed.returncode == -signal.SIGKILL
-    whole, resumed = arm_learner(), arm_learner()
-    table = CSVTable(tmp_path / "progress.csv")
+    killed = FORKS.Process(target=killed_in_its_third_iteration, args=(tmp_path,))
+    killed.start()
+    killed.join(60)
+    assert killed.exitcode == -signal.SIGKILL
+    table, resumed = CSVTable(tmp_path / "progress.csv"), arm_learner()
     train(resumed, iterations=5, checkpoints=Checkpoints(tmp_path), logger=table, progress=False)
     assert [row["step"] for row in CSVTable(table.path).rows] == ["1", "2", "3", "4", "5"]
     torch.manual_seed(0)

@@ -191,7 +191,7 @@ def test_each_worker_makes_its_own_rows_of_the_whole_batch():
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="CPUs cannot be shared out here")
-def test_a_workers_physics_starts_one_thread():
+def test_a_workers_physics_starts_one_thread(every_cpu):
     before = os.sched_getaffinity(0)
     assert _made(lambda rows, first_row: arm_env(rows), 8, 1, seed=0).base_env.physics.batch.nthread == 1
     assert os.sched_getaffinity(0) == before
