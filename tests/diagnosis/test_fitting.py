@@ -163,15 +163,14 @@ def test_a_bound_that_binds_is_said():
 
 
 def test_a_long_log_is_fitted_in_part_which_is_said_and_only_what_was_kept_aside_takes_back(monkeypatch):
-    monkeypatch.setattr(fitting, "LONGEST", 6.0)
-    monkeypatch.setattr("torchrl_athletic.recordings.stretches.LEAST", 6.0)
+    monkeypatch.setattr(fitting, "LONGEST", 12.0)
     asked = []
     monkeypatch.setattr(fitting, "vetoed", lambda h, y, takes, rng, floor: asked.extend(takes) or [])
-    long, short = smooth_torque(15.0, 2.5, 1), smooth_torque(1.5, 2.5, 2)
+    long, short = smooth_torque(30.0, 2.5, 1), smooth_torque(2.0, 2.5, 2)
     takes = [recording(u, integrated(u, friction=0.1)) for u in (long, short)]
-    fitted = fit(pendulum(STEP), takes[:1], takes[1:], extended=False)
-    assert any(r.startswith("Of 15 s of recordings, 6 s were fitted") for r in fitted.remarks)
-    assert sum(part.recording.duration for take in asked for part in take.parts) == pytest.approx(1.5, abs=0.05)
+    fitted = fit(pendulum(STEP), takes[:1], takes[1:], extended=False, time_budget=0.5)  # how well is not asked
+    assert any(r.startswith("Of 30 s of recordings, 12 s were fitted") for r in fitted.remarks)
+    assert sum(part.recording.duration for take in asked for part in take.parts) == pytest.approx(2.0, abs=0.05)
 
 
 @pytest.mark.parametrize("seed", [0])
@@ -185,10 +184,10 @@ def test_a_fit_never_ends_worse_than_it_began(seed):
 
 def test_the_command_prints_a_table_and_leaves_files(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(fit_command, "fit", partial(fit, extended=False))  # in half the time
-    command = smooth_torque(1.2, 2.5, 5)
+    command = smooth_torque(2.0, 2.5, 5)
     (tmp_path / "model.xml").write_text(pendulum(STEP))
     write_recording(recording(command, integrated(command, friction=0.1)), tmp_path / "take.npz")
-    main(FitConfig(tmp_path / "model.xml", (tmp_path / "take.npz",), output=tmp_path / "out"))
+    main(FitConfig(tmp_path / "model.xml", (tmp_path / "take.npz",), output=tmp_path / "out", time_budget=1.0))
     shown = capsys.readouterr().out
     assert "coulomb friction [N·m]" in shown
     assert "95 %" in shown

@@ -45,7 +45,7 @@ def assert_named(answer: Answer, secret: HiddenEffect) -> None:
         "reflected_inertia",
         "actuation_delay",
         "actuation_lag",
-        "torque_scale",
+        pytest.param("torque_scale", marks=pytest.mark.slow),  # this and the encoder's offset are asked of an arm
         "torque_offset",
         pytest.param("encoder_offset", marks=pytest.mark.slow),
         "link_mass",

@@ -26,6 +26,13 @@ def short(output, **changes):
     return replace(config, ppo=replace(config.ppo, num_envs=4, horizon=4), **changes)
 
 
+@pytest.fixture
+def briefly(monkeypatch):
+    """Examinations end before the ball is thrown: how far it goes is not asked."""
+    play = recipe.play
+    monkeypatch.setattr(recipe, "play", lambda env, policy, steps: play(env, policy, 3))
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """A folder with a policy that has hardly learnt anything."""
@@ -59,7 +66,7 @@ def test_the_policy_that_threw_farthest_is_kept(tmp_path, monkeypatch):
     assert [list(other["state"]) for other in others] == [["policy"]] * 3  # small: critics are not needed to throw
 
 
-def test_what_was_learnt_elsewhere_is_where_it_begins(trained, tmp_path):
+def test_what_was_learnt_elsewhere_is_where_it_begins(trained, briefly, tmp_path):
     recipe.main(short(tmp_path / "again", begin_with=trained / "policy.pt", minutes=0.0, iterations=None))
     states = [torch.load(folder / "policy.pt", weights_only=True)["state"] for folder in (trained, tmp_path / "again")]
     for name in ("policy", "critic"):
@@ -67,7 +74,7 @@ def test_what_was_learnt_elsewhere_is_where_it_begins(trained, tmp_path):
             torch.testing.assert_close(states[1][name][key], value, atol=0, rtol=0)
 
 
-def test_a_policy_that_adapts_throws_without_being_told_of_its_arm(tmp_path):
+def test_a_policy_that_adapts_throws_without_being_told_of_its_arm(briefly, tmp_path):
     ranges = RandomizationRanges(friction=None, restitution=None)
     simulator = Simulator("roa", recipe.z1(), randomization=ranges).save(tmp_path / "roa")
     recipe.main(short(tmp_path / "roa-0", simulator=simulator))
@@ -91,7 +98,7 @@ def test_random_arms_are_drawn_for_training_alone():
     assert masses[1] is None
 
 
-def test_a_policy_is_examined_with_another_copy_of_the_net_than_it_is_trained_with(tmp_path, monkeypatch):
+def test_a_policy_is_examined_with_another_copy_of_the_net_than_it_is_trained_with(briefly, tmp_path, monkeypatch):
     """One that both shared would leave the GPU when the examination takes it to the CPU."""
     simulator = Simulator("uan", recipe.load_simulator(None).robot, net=uan(), kind="correction").save(tmp_path / "uan")
     make, nets = recipe.make_env, []
