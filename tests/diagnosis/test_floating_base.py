@@ -40,7 +40,7 @@ def without_base(recording):
 @pytest.fixture(scope="module")
 def clamped(tmp_path_factory):
     out = tmp_path_factory.mktemp("clamped")
-    takes = [record(8.0, friction=FRICTION, held=True, seed=k) for k in (1, 2)]
+    takes = [record(6.0, friction=FRICTION, held=True, seed=k) for k in (1, 2)]
     return diagnose(model(), takes[:1], takes[1:], catalogue=FEW, base="fixed", output=out), out
 
 
@@ -61,14 +61,14 @@ def test_the_corrected_model_still_floats(clamped):
     assert np.count_nonzero(changed) == 1
     np.testing.assert_array_equal(corrected.dof_armature[:6], 0.0)  # what carries it in a replay stays there
     np.testing.assert_array_equal(corrected.geom_contype, ROBOT.geom_contype)
-    take = record(8.0, friction=FRICTION, held=True, seed=1)
+    take = record(6.0, friction=FRICTION, held=True, seed=1)
     take = take if take.base_position is None else without_base(take)  # as it was handed in
     again = Diagnosis.load(out, FEW).corrected
     np.testing.assert_array_equal(again.rollout(take), diagnosis.corrected.rollout(take))
 
 
 def test_a_swinging_trunk_is_followed_and_what_hides_in_a_knee_is_named():
-    takes = [record(8.0, friction=FRICTION, seed=k) for k in (1, 2)]
+    takes = [record(6.0, friction=FRICTION, seed=k) for k in (1, 2)]
     diagnosis = diagnose(model(), takes[:1], takes[1:], catalogue=FEW)
     effect, joint, torque = told(diagnosis)
     assert (effect, joint) == ("coulomb_friction", "left_knee")
@@ -78,7 +78,7 @@ def test_a_swinging_trunk_is_followed_and_what_hides_in_a_knee_is_named():
 
 
 def test_a_motion_capture_that_is_late_is_put_right_and_said():
-    takes = [late(record(8.0, friction=FRICTION, seed=k), 0.006) for k in (1, 2)]
+    takes = [late(record(6.0, friction=FRICTION, seed=k), 0.006) for k in (1, 2)]
     diagnosis = diagnose(model(), takes[:1], takes[1:], catalogue=FEW)
     assert told(diagnosis)[:2] == ("coulomb_friction", "left_knee")
     assert diagnosis.answer.fit["heldout"].share_closed > 0.9
@@ -123,7 +123,7 @@ def test_a_plan_for_a_robot_in_the_air_is_that_of_one_bolted_there():
 
 
 def test_a_swinging_trunk_that_is_taken_for_a_clamped_one_looks_like_missing_physics():
-    take = record(8.0, seed=3)
+    take = record(6.0, seed=3)
     recorded, ignored = (
         diagnose(model(), [take], catalogue=FEW),
         prepare([without_base(take).with_base_held((0.0, 0.0, 0.3))], ROBOT),
@@ -178,7 +178,7 @@ def test_when_a_robot_first_stands_is_told_though_not_every_sample_is_looked_at(
 
 
 def test_a_pose_that_was_lost_does_not_push_the_replay():
-    clean = record(8.0, seed=1)
+    clean = record(6.0, seed=1)
     lost = clean.base_position.copy()
     lost[800] = 0.0
     windows = [windows_of(prepare([r], ROBOT).takes[0], 0.5) for r in (clean, replace(clean, base_position=lost))]
@@ -191,4 +191,4 @@ def test_a_pose_that_was_lost_does_not_push_the_replay():
 
 def test_a_base_is_recorded_or_fixed_and_nothing_else():
     with pytest.raises(ValueError, match="base is 'clamped', needed is one of 'recorded', 'fixed'"):
-        diagnose(model(), [record(8.0, held=True, seed=1)], base="clamped")  # type: ignore[arg-type]
+        diagnose(model(), [record(6.0, held=True, seed=1)], base="clamped")  # type: ignore[arg-type]
