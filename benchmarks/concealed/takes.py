@@ -112,7 +112,7 @@ def every_10_ms(motion: Plan) -> Plan:
     """Show the motion every 10 ms only, which shows what it takes as well."""
     every = slice(None, None, max(1, round(0.010 / (motion.time[1] - motion.time[0]))))
     rows = (motion.time, motion.position, motion.velocity, motion.acceleration, motion.dither)
-    return Plan(motion.kind, *(x[every] for x in rows))
+    return Plan(motion.kind, *(np.ascontiguousarray(x[every]) for x in rows))  # strides would be compiled for anew
 
 
 def nominal_torque(robot: Robot, motion: Plan) -> Array:
