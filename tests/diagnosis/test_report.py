@@ -77,10 +77,24 @@ class Page(HTMLParser):
         return " ".join("".join(self.words).split())
 
 
+def text_of_sample(s: Sample) -> str:
+    return render(s.answer, s.maps, s.overlays, model=s.model)
+
+
 @cache
 def text_of(name: str) -> str:
-    s = SAMPLES[name]()
-    return render(s.answer, s.maps, s.overlays, model=s.model)
+    return text_of_sample(SAMPLES[name]())
+
+
+def short() -> Sample:
+    """An arm with one map and one overlay."""
+    s = arm()
+    return replace(s, maps=s.maps[:1], overlays=s.overlays[3:4])
+
+
+@cache
+def harmless_text() -> str:
+    return text_of_sample(short())
 
 
 @pytest.fixture(params=SAMPLES)
@@ -344,11 +358,7 @@ def test_no_effect_is_claimed_where_none_was_found():
     ],
 )
 def test_hostile_names_are_only_text(hostile):
-    s = arm()
-    s = replace(s, maps=s.maps[:1], overlays=s.overlays[3:4])
-    harmless, page = (
-        Page(render(x.answer, x.maps, x.overlays, model=x.model)) for x in (s, renamed(s, "elbow", hostile))
-    )
+    page, harmless = Page(text_of_sample(renamed(short(), "elbow", hostile))), Page(harmless_text())
     assert Counter(tag for tag, _ in page.elements) == Counter(tag for tag, _ in harmless.elements)
     assert " ".join(hostile.split()) in page.text
 

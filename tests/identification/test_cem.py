@@ -36,7 +36,7 @@ def test_the_error_of_a_population_is_that_of_its_members_rollouts(torques: bool
 def test_it_finds_what_was_changed() -> None:
     takes = [recorded(TRUTH, commands(801, seed)) for seed in (1, 2)]
     unseen = recorded(TRUTH, commands(801, 3))
-    found = identify_cem(ROBOT, takes, CEM(generations=45, population=10, windows=8, window=0.5), seed=0)
+    found = identify_cem(ROBOT, takes, CEM(generations=32, population=10, windows=8, window=0.5), seed=0)
     before, after = (score(open_loop(s, [unseen])).mse for s in (Simulator("default", ROBOT), found))
     assert after < before / 50
     values = [next(iter(e["parameters"].values()))["value"] for e in found.correction["effects"]]
