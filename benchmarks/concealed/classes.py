@@ -53,7 +53,7 @@ class Config:
     output: Path = Path("benchmarks/results/concealed_real_classes.md")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Statement:
     """A finding whose class can be graded."""
 

@@ -47,7 +47,8 @@ def test_a_class_is_as_likely_as_its_laws_together_and_as_it_closes_by_what_was_
     assert class_probability(0.0, 0.1, 1.0, odds_of_four) == pytest.approx(4 / 85)  # two, over 81, times two
     with warnings.catch_warnings(action="error"):
         assert class_probability(0.0, 0.5, 1.0, 0.0) == 0.0
-        assert class_probability(0.0, 0.5, 1.0, 1.0) == pytest.approx(1 / (1 + 0.5 * 99**-0.5))
+        assert class_probability(0.0, 0.5, 1.0, 1.0) == pytest.approx(6 / 7)  # as of what closes nine tenths
+        assert class_probability(0.0, 0.5, 1.0, None) == pytest.approx(2 / 3)  # nobody asked: nothing is said
 
 
 def test_nothing_is_learnt_of_what_is_not_in_the_file():

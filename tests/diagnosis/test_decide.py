@@ -354,3 +354,18 @@ def test_of_the_standard_joints_only_what_the_motion_asks_for_is_a_finding(monke
         trial = Trial(Proposal(None, best, joints=joints), h, {}, np.zeros((1, 1)), np.zeros(1), closes)
         found = deciding.decide(SimpleNamespace(proposed=proposed, trials=(trial,), untried=()))
         assert list(found.sets) == [a.candidate.key for a in stated]
+
+
+def test_the_fit_of_the_standard_joints_speaks_for_no_combination_of_the_same_names(monkeypatch):
+    """It has more numbers than names: what the simulation says of it is not said of these."""
+    friction, stribeck = atom("friction"), atom("stribeck")
+    best, other = (SimpleNamespace(fit=SimpleNamespace(terms=[a])) for a in (friction, stribeck))
+    proposals = [Proposal(None, best), Proposal(None, best, joints=True), Proposal(None, other, joints=True)]
+    trials = tuple(Trial(p, hypothesis([friction.candidate]), {}, np.zeros((1, 1)), np.zeros(1)) for p in proposals)
+    monkeypatch.setattr(deciding, "decided_by", lambda trials: (0, np.array([0.0, 10.0, 0.0]), [True, False, True]))
+    monkeypatch.setattr(deciding, "torque_is_open", lambda trial: True)
+    monkeypatch.setattr(deciding, "answer_set", lambda part, term: "set")
+    proposed = SimpleNamespace(located="where", drive=None)
+    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=()))
+    assert found.trial.proposal.simulated == {frozenset({friction.candidate.key}): 0.0}
+    assert found.trial.proposal.others == ()

@@ -311,7 +311,7 @@ def test_the_summary_says_the_most_important_first():
     assert text[0] == FINDING.sentence
     assert text[1] == "80 % of the error arises at elbow; it is densest when moving backwards."
     assert text[2].startswith("Over 0.5 s windows of recordings kept aside the error falls to 10 %")
-    assert "what is named leaves 4 % of its energy above the sensors' floor" in text[2]
+    assert "the correction leaves 4 % of its energy above the sensors' floor" in text[2]
     other = (Location("wrist", "everywhere", 0.9, (0.8, 1.0)), *WHERE)
     assert summarise("explained", [FINDING], other, None, True, 0.0)[1] == "90 % of the error arises at wrist."
     other = (*other, Location("wrist", "at rest", 0.1, (0.0, 0.2)))  # of the joint with the error, not of any
@@ -368,6 +368,21 @@ def test_what_is_not_identified_may_be_of_the_robot_of_a_class_of_ones_own_and_b
     first, would = gates.not_identified([whole])
     assert first.startswith("Likely missing at the robot: odd physics (90 %)")
     assert would == "What would identify it: swing for backlash."
+
+
+def test_classes_that_are_hardly_probable_are_counted_and_not_told_one_by_one():
+    of = [
+        dataclasses.replace(FINDING, probability=0.01, joint=joint, class_name=name, class_probability=p)
+        for joint, name, p in (("hip", "friction", 0.3), ("hip", "friction", 0.01), ("knee", "inertia", 0.04),
+                               ("ankle", "inertia", 0.02))
+    ]  # fmt: skip
+    first, rest, would = gates.not_identified(of)
+    assert first.startswith("Not identified at hip")
+    assert rest == "2 more have less than 5 %."
+    assert would.startswith("What would identify it")
+    only, rest, _ = gates.not_identified(of[2:])  # the first is told in any case
+    assert (only[:22], rest) == ("Not identified at knee", "1 more has less than 5 %.")
+    assert len(gates.not_identified(of[:1])) == 2
 
 
 def test_the_summary_of_no_finding_tells_nothing_missing_from_unexplained():
@@ -469,7 +484,9 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
         for c, share in ((rival, 0.3), (one, 0.6), (faint, 0.02))
     ]
     term = SimpleNamespace(candidate=one)
-    found = gates._finding(part, term, fitted, one, rated, 0.3, {beside.key}, frozenset({"wrist"}), 0.85)
+    found = gates._finding(
+        part, term, fitted, one, rated, 0.3, {beside.key}, frozenset({"wrist"}), 0.85, ["elbow", "elbow"]
+    )
     (g,) = grounds
     assert (g.sure, g.plain, g.closes) == (7.0, True, 0.85)
     assert asked[:2] == [(bank, best.fit, term), (part, term)]
@@ -498,12 +515,12 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
     beside_it = gates._finding(
         part, SimpleNamespace(candidate=beside), fitted, beside,
         [SimpleNamespace(atom=SimpleNamespace(candidate=c), share=0.5) for c in (beside, alike)], 0.3, {beside.key},
-        frozenset({"elbow"}), 1.0,
+        frozenset({"elbow"}), 1.0, ["elbow"],
     )  # fmt: skip
     assert (grounds[1].senseless, grounds[1].leans, grounds[1].far) == (True, False, True)
     assert beside_it.class_probability == beside_it.probability  # nonsense speaks for no class
     monkeypatch.setattr(gates, "probability", lambda g, effect: 0.0)
-    assert gates._finding(part, term, fitted, one, rated[1:2], 0.3, (), frozenset(), 1.0).law_probability == 0.0
+    assert gates._finding(part, term, fitted, one, rated[1:2], 0.3, (), frozenset(), 1.0, []).law_probability == 0.0
 
 
 @pytest.mark.parametrize(
@@ -559,9 +576,12 @@ def test_terms_beside_a_finding_are_those_of_its_own_joint_and_of_the_robot_all(
     monkeypatch.setattr(gates, "probability", lambda g, effect: grounds.append(g) or 0.4)
     rated = [SimpleNamespace(atom=SimpleNamespace(candidate=c), share=1.0)]
     without = {h.terms[k].key for k in senseless}
-    gates._finding(part, SimpleNamespace(candidate=c), fitted, c, rated, 0.0, without, frozenset(far), 1.0)
-    (g,) = grounds
+    term, places = SimpleNamespace(candidate=c), [c.joint_name for c in h.terms]
+    gates._finding(part, term, fitted, c, rated, 0.0, without, frozenset(far), 1.0, places)
+    gates._finding(part, term, fitted, c, rated, 0.0, without, frozenset(far), None, [c.joint_name])
+    g, alone = grounds
     assert (g.terms, g.leans, g.far) == expected
+    assert (alone.terms, alone.closes) == (1, 1.0)  # what is not stated does not count, nor what was not asked
 
 
 def test_the_worst_of_the_scores_says_how_much_is_open(monkeypatch):
@@ -589,12 +609,15 @@ def test_each_term_of_each_part_is_stated_with_its_own_number_stand_ins_and_far_
     sets = {c.key: f"beside {c.effect.name} of {c.joint_name}" for c in kept}
     gates.judge_findings([drive, mechanics], fitted, [score(0.2, 4.0)], sets, {kept[0].key: 0.25})
     expected = [(drive, soft, kept[1]), (mechanics, elsewhere, kept[2]), (mechanics, dry, kept[0])]
-    for (part, term, own, chosen, rated, _, _, far, closes), (its_part, c, its_own) in zip(told, expected, strict=True):
+    for (part, term, own, chosen, rated, _, _, far, closes, beside), (its_part, c, its_own) in zip(
+        told, expected, strict=True
+    ):
         assert part is its_part
         assert (term.candidate, chosen) == (c, its_own)
         assert chosen is its_own
         assert (own, rated, far) == (fitted, sets[c.key], {"far in 1"})
-        assert closes == (0.25 if chosen is kept[0] else 1.0)
+        assert closes == (0.25 if chosen is kept[0] else None)
+        assert beside == [c.joint_name for c in kept]
 
 
 @pytest.mark.parametrize(("gear", "friction", "before", "senseless"),

@@ -137,3 +137,12 @@ def test_what_is_left_is_that_of_a_terms_joint_and_of_the_worst_one_for_a_cause_
     assert [part.excess_of(c) for c in of] == [1.0, 12.0, 0.4]
     whole = SimpleNamespace(joint_name=None, joint=0)
     assert (part.left_of(whole), part.excess_of(whole)) == (1.0, 12.0)
+
+
+def test_numbers_of_the_standard_joints_have_no_rivals_in_the_torques_that_the_simulation_overruled(monkeypatch):
+    term, rival = atom("rotor"), atom("lag")
+    monkeypatch.setattr(proposal, "alternatives", lambda *_: [scored(100.0, term), scored(50.0, rival)])
+    best = scored(100.0, term)
+    (own,) = answer_set(Proposal(None, best, joints=True), term)
+    assert (own.atom, own.scored, own.share) == (term, best, 1.0)
+    assert [o.atom for o in answer_set(Proposal(None, best), term)] == [rival, term]

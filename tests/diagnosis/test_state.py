@@ -18,7 +18,8 @@ from torchrl_athletic.effects import Parameter
 def trial(aside: float, joints: bool = False, floor: float = 1.0) -> Trial:
     """One that leaves an error of ``aside`` on recordings kept aside, and follows the fitted ones alike."""
     scores = {split: Score(9.0, after, floor, 0.0, {}) for split, after in (("train", 2.0), ("heldout", aside))}
-    return Trial(Proposal(None, None, joints=joints), SimpleNamespace(), scores, np.zeros((1, 1)), np.zeros(1))
+    fitted = SimpleNamespace(hypothesis=Hypothesis(()))
+    return Trial(Proposal(None, None, joints=joints), fitted, scores, np.zeros((1, 1)), np.zeros(1))
 
 
 @pytest.mark.parametrize(
@@ -314,3 +315,27 @@ def test_names_of_what_recordings_kept_aside_refuse_are_held_back_and_the_verdic
     expected = ("finding", ("viscous_friction", "hip")) if own else ("finding",)
     assert (answer.findings, verdicts[-1]) == (expected, expected)
     assert answer.verdict == ("verdict 2" if own else "verdict 1")
+
+
+def term(name, joint):
+    return SimpleNamespace(key=(name, joint), where=joint or "the robot")
+
+
+@pytest.mark.parametrize(("terms", "is_open"), [([term("friction", "hip")], True), ([], False)])
+def test_where_numbers_are_needed_that_have_no_name_something_is_missing(terms, is_open, monkeypatch):
+    """Or the correction that needs them would be given up for a model that lacks nothing."""
+    own = trial(4.0)
+    own.fitted.hypothesis = SimpleNamespace(terms=terms)
+    monkeypatch.setattr(stating, "verdict_of", lambda *told: told)
+    assert stating._verdict(Decided(None, None, own, is_open=False), ())[-1] is is_open
+    assert stating._verdict(Decided(None, None, own, is_open=True), ())[-1] is True
+    assert stating._verdict(Decided(None, None, None, is_open=False), ()) == ((), (), None, None, False)
+
+
+def test_numbers_of_the_correction_that_are_no_findings_are_told_by_their_joints():
+    named = SimpleNamespace(effect="friction", joint="hip")
+    of = lambda *terms: SimpleNamespace(hypothesis=SimpleNamespace(terms=terms))  # noqa: E731
+    fitted = of(term("friction", "hip"), term("scale", "knee"), term("rotor", "knee"), term("tilt", None))
+    (said,) = stating._nameless(fitted, [named])
+    assert said == "The corrected simulation also has fitted numbers at knee, the robot that are no findings."
+    assert stating._nameless(of(term("friction", "hip")), [named]) == ()

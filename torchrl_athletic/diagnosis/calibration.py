@@ -45,7 +45,7 @@ class Grounds:
     far: bool = False
     """Whether the simulation with it is still far from the recordings on its joint, so that the law may be another."""
     closes: float = 1.0
-    """Share of the simulation's error beside the other findings that it closes, 0..1
+    """Share of the simulation's error that it closes, 0..1, alone and with other findings
     (see :func:`~torchrl_athletic.diagnosis.fit.shares_closed`)."""
     refused: bool = False
     """Whether recordings kept aside are followed worse with what was found at its joint than by the given model."""
@@ -91,7 +91,7 @@ def probability(grounds: Grounds, effect: str = "") -> float:
     """That a finding with these grounds is true: a logistic regression's answer.
 
     It is at most what :attr:`Grounds.most` allows: no name is more probable than its share of the evidence, nor than
-    the share that it closes of the simulation's error beside the other findings.
+    the share that it closes of the simulation's error.
 
     Args:
         grounds: Of the finding.
@@ -110,7 +110,7 @@ def probability(grounds: Grounds, effect: str = "") -> float:
 
 
 def class_probability(
-    law: float, alike: float, closed: float, closes: float, weights: Mapping[str, float] | None = None
+    law: float, alike: float, closed: float, closes: float | None, weights: Mapping[str, float] | None = None
 ) -> float:
     """That physics of a finding's class is missing at its joint, whatever the law: learnt on real benches.
 
@@ -122,7 +122,8 @@ def class_probability(
         law: Probability of the finding.
         alike: The same with its rivals of the same class and joint.
         closed: Share of the simulation's error energy above the floor that the correction closes, 0..1.
-        closes: Share of the error that the finding closes, 0..1 (see :attr:`Grounds.closes`).
+        closes: Share of the error that the finding closes, 0..1 (see :attr:`Grounds.closes`); None where the
+            simulation was not asked, which speaks neither for it nor against it.
         weights: Level, and slopes in the log odds of ``alike`` and of ``closes``; None takes those in force.
 
     Example:
@@ -134,8 +135,10 @@ def class_probability(
         0.3
     """
     weights = weights or learnt("class")
-    odds = weights["level"] + weights["alike"] * _log_odds(alike, 1e-3) + weights["closes"] * _log_odds(closes, 1e-2)
-    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, closes)))
+    odds = weights["level"] + weights["alike"] * _log_odds(alike, 1e-3)
+    if closes is not None:  # all that is followed has 1: no more than the most that was often seen
+        odds += weights["closes"] * _log_odds(closes, 0.1)
+    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, 1.0 if closes is None else closes)))
 
 
 def _log_odds(p: float, least: float) -> float:

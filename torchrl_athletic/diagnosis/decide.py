@@ -24,7 +24,8 @@ def decide(simulated: Simulated) -> Decided:
     if not trials:
         return Decided(located, drive)
     chosen, against, taken = decided_by(trials)
-    told = {keys(t.proposal.best.fit.terms): float(a) for t, a in zip(trials, against, strict=True)}
+    combinations = [(t, a) for t, a in zip(trials, against, strict=True) if not t.proposal.joints]  # that fit has more
+    told = {keys(t.proposal.best.fit.terms): float(a) for t, a in combinations}
     needed = [needed_by(t) if ok else frozenset[Key]() for t, ok in zip(trials, taken, strict=True)]
     options = (*(t.proposal for t in trials), *simulated.untried)
     others = others_than(chosen, options, needed)
@@ -88,7 +89,8 @@ def decided_by(trials: Sequence[Trial]) -> tuple[int, Array, list[bool]]:
 def others_than(own: int, options: Sequence[Proposal], needed: Sequence[Collection[Key]]) -> tuple[Scored, ...]:
     """Combinations beside one of them that are not refuted, and of which the simulation needs what is new.
 
-    For effects that were asked about alone only the simulation speaks, and it has decided.
+    For effects that were asked about alone only the simulation speaks, and it has decided. The fit of the standard
+    joints is none: it has more numbers than names.
 
     Args:
         options: All of them.
@@ -102,7 +104,9 @@ def others_than(own: int, options: Sequence[Proposal], needed: Sequence[Collecti
     return tuple(
         o.best
         for k, o in enumerate(options)
-        if k != own and not o.alone and (k >= len(needed) or keys(o.best.fit.terms) - found <= set(needed[k]))
+        if k != own
+        and not (o.alone or o.joints)
+        and (k >= len(needed) or keys(o.best.fit.terms) - found <= set(needed[k]))
     )
 
 

@@ -49,6 +49,7 @@ def judge_findings(
     """
     still_open = max((open_share(s) for s in scores), default=1.0)
     stated = {c.key: c for c in fitted.hypothesis.terms}
+    beside = [c.joint_name for c in fitted.hypothesis.terms if c.key in sets]
     above, far = _above_floor(scores), far_joints(scores)
     h = fitted.hypothesis
     senseless = {
@@ -57,7 +58,7 @@ def judge_findings(
         if not c.effect.is_physical(c.parameters, h.values_of(c, fitted.values)) or _is_noise(c, above)
     }
     out = [
-        _finding(part, term, fitted, stated[key], sets[key], still_open, senseless, far, closes.get(key, 1.0))
+        _finding(part, term, fitted, stated[key], sets[key], still_open, senseless, far, closes.get(key), beside)
         for part in evidence
         for term in part.best.fit.terms
         if (key := term.candidate.key) in stated and key in sets
@@ -149,7 +150,7 @@ def summarise(
         out.append(
             f"Over 0.5 s windows of {kind} the error falls to {100 * score.after / max(score.before, 1e-12):.0f} % "
             "of what it was; "
-            f"what is named leaves {100 * share:.0f} % of its energy above the sensors' floor."
+            f"the correction leaves {100 * share:.0f} % of its energy above the sensors' floor."
         )
     return tuple(out)
 
@@ -171,8 +172,9 @@ def not_identified(findings: Sequence[Finding]) -> list[str]:
     first: dict[tuple[str, str | None], Finding] = {}
     for f in findings:
         first.setdefault((f.class_name, f.joint), f)
+    told = {place: f for k, (place, f) in enumerate(first.items()) if not k or f.class_probability >= STATEMENT.told}
     out = []
-    for (kind, joint), f in first.items():
+    for (kind, joint), f in told.items():
         at, law = joint or "the robot", f"{f.effect.replace('_', ' ')} fits best, at {100 * f.probability:.0f} %"
         if f.class_probability > STATEMENT.likely:
             what = CLASSES.get(kind, kind.replace("_", " "))
@@ -180,6 +182,8 @@ def not_identified(findings: Sequence[Finding]) -> list[str]:
             out.append(f"Likely missing at {at}: {what} ({sure}). Its law is not identified; {law}.")
         else:
             out.append(f"Not identified at {at}; {law}.")
+    if more := len(first) - len(told):
+        out.append(f"{more} more {'has' if more == 1 else 'have'} less than {100 * STATEMENT.told:.0f} %.")
     asked = list(dict.fromkeys(r.separating_experiment for f in first.values() for r in f.rivals))
     if asked:
         out.append(f"What would identify it: {asked[0]}.")
@@ -197,7 +201,8 @@ def _finding(
     still_open: float,
     senseless: Collection[Key],
     far: Collection[str],
-    closes: float,
+    closes: float | None,
+    beside: Sequence[str | None],
 ) -> Finding:
     bank, candidate, h = part.judge.bank, term.candidate, fitted.hypothesis
     values, samples = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.samples)
@@ -210,14 +215,14 @@ def _finding(
         scatter=scatter(bank, part.best.fit, term),
         open=still_open,
         energy=_energy_share(part, term),
-        terms=sum(candidate.joint_name in (None, c.joint_name) for c in h.terms),
+        terms=sum(candidate.joint_name in (None, joint) for joint in beside),
         strain=part.best.fit.strain,
         sure=_certainty(chosen, values, samples),
         plain=_is_plain(chosen, values, samples),
         senseless=chosen.key in senseless,
         leans=any(c.key in senseless and c.joint_name == chosen.joint_name for c in h.terms if c.key != chosen.key),
         far=bool(far) if candidate.joint_name is None else candidate.joint_name in far,
-        closes=closes,
+        closes=1.0 if closes is None else closes,
     )
     likely = probability(grounds, candidate.effect.name)
     effect, joint = candidate.effect, candidate.where
@@ -324,7 +329,7 @@ def _sentence(candidate: Candidate, named: Mapping[str, float], grounds: Grounds
         return f"{said} Of what makes it more than a simpler law nothing is seen."
     if grounds.closes < STATEMENT.likely:
         share = f"{100 * grounds.closes:.0f} % of the simulation's error"
-        return f"{said} It closes only {share} where the rest stays: it may stand in for something else."
+        return f"{said} It closes only {share}: it may stand in for something else."
     return (
         f"{said} With it the simulation is still far from the recordings: some law is another, perhaps this one."
         if grounds.far

@@ -127,7 +127,8 @@ class Trial:
     began: Array
     """When these windows start, the same for all trials [s]. Shape (W,)."""
     closes: Mapping[Key, float] = field(default_factory=dict)
-    """Share of the error beside the other terms that each closes, 0..1; none of a trial that gives no names."""
+    """Share of the error that each closes, 0..1 (see :func:`~torchrl_athletic.diagnosis.fit.shares_closed`); none of a
+    trial that gives no names."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from torchrl_athletic.diagnosis.identities import with_alternatives
 from torchrl_athletic.diagnosis.locate import regime_maps
 from torchrl_athletic.diagnosis.prepare import PAYLOAD
 from torchrl_athletic.diagnosis.remainder import remarks_on
-from torchrl_athletic.diagnosis.result import Answer, Finding, RegimeMap, Score
+from torchrl_athletic.diagnosis.result import Answer, Finding, RegimeMap, Score, Verdict
 from torchrl_athletic.diagnosis.screen import Candidate, Key
 from torchrl_athletic.diagnosis.search import keys
 from torchrl_athletic.diagnosis.simulate import scores_of
@@ -65,7 +65,7 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
     ready, trial = decided.located.ready, decided.trial
     given, scores = ready.given, trial.scores if trial else {}
     findings = _findings(decided)
-    verdict, share = verdict_of(decided.evidence, findings, scores.get("train"), scores.get("heldout"), decided.is_open)
+    verdict, share = _verdict(decided, findings)
     harmful = harms(scores.get("train"))
     correction = Correction(None, {split: uncorrected(score) for split, score in scores.items()})
     if trial is not None and verdict != "nothing_missing" and not harmful:
@@ -73,9 +73,7 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
         correction = _kept(followed, ready)
         if correction.taken_back and followed.fitted is trial.fitted:
             findings = refused(findings, {(c.effect.name, c.joint_name) for c in correction.taken_back})
-            verdict, share = verdict_of(
-                decided.evidence, findings, scores.get("train"), scores.get("heldout"), decided.is_open
-            )
+            verdict, share = _verdict(decided, findings)
     nominal = as_given(given)
     corrected = nominal
     if correction.fitted is not None:
@@ -86,6 +84,8 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
     if harmful:
         summary += ("What fits best makes the simulation worse, so that the corrected model is the given one.",)
     summary += correction.sentences
+    if trial is not None and correction.fitted is trial.fitted:
+        summary += _nameless(trial.fitted, findings)
     if stopped_in and trial is None:
         summary = ("Stopped before anything was named; where the error is stands below.",)
     summary += tuple(
@@ -121,6 +121,23 @@ def _findings(decided: Decided) -> tuple[Finding, ...]:
     )
     applying = [e for e in given.catalogue if all(e.applies(s) for s in ready.train.signals)]
     return with_alternatives(findings, given.joint_names, applying, _damped(given.recordings))
+
+
+def _verdict(decided: Decided, findings: Sequence[Finding]) -> tuple[Verdict, float]:
+    """Of what was decided; where it needs numbers that have no name, something is missing."""
+    trial = decided.trial
+    scores: Mapping[str, Score] = trial.scores if trial else {}
+    needed = trial is not None and bool(trial.fitted.hypothesis.terms)
+    return verdict_of(decided.evidence, findings, scores.get("train"), scores.get("heldout"), decided.is_open or needed)
+
+
+def _nameless(fitted: Fitted, findings: Sequence[Finding]) -> tuple[str, ...]:
+    """Where the corrected simulation has numbers that are no findings, in a sentence."""
+    named = {(f.effect, f.joint) for f in findings}
+    where = dict.fromkeys(c.where for c in fitted.hypothesis.terms if c.key not in named)
+    if not where:
+        return ()
+    return (f"The corrected simulation also has fitted numbers at {', '.join(where)} that are no findings.",)
 
 
 def _closes(decided: Decided, trial: Trial) -> dict[Key, float]:

@@ -192,6 +192,8 @@ class Statement:
     """Window error of the given model over the floor below which the simulation shows nothing of a gear [1; tuned]."""
     same_number: float = 0.05
     """Relative difference below which two numbers of a law are the same [1; tuned]."""
+    told: float = 0.05
+    """Probability of a class below which the summary counts it and does not tell it [1; budget]."""
     least_share: float = 0.03
     """Share of the evidence below which rivals are not printed [1; budget]."""
     refutes: float = 0.75
