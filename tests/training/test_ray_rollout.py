@@ -98,7 +98,6 @@ def seen(importable):
     )
 
 
-@pytest.mark.slow
 def test_batches_are_those_of_plain_rollouts_side_by_side(seen):
     """Entry by entry, in the order of workers; the second one by the policy as it was then."""
     for ours, theirs in zip(seen.batches, seen.wanted, strict=True):
@@ -108,12 +107,10 @@ def test_batches_are_those_of_plain_rollouts_side_by_side(seen):
     assert "step_count" not in seen.batches[0].keys()
 
 
-@pytest.mark.slow
 def test_the_next_call_overwrites_the_batch(seen):
     assert seen.places[0] == seen.places[1]
 
 
-@pytest.mark.slow
 def test_training_goes_as_with_rows_of_ones_own(seen):
     late = slice(-5, None)
     assert seen.rewards[late].mean() / seen.alone[late].mean() == pytest.approx(1.0, abs=0.4)
@@ -121,12 +118,10 @@ def test_training_goes_as_with_rows_of_ones_own(seen):
     assert seen.samples == 12 * WORKERS * ROWS * HORIZON
 
 
-@pytest.mark.slow
 def test_a_state_is_how_many_batches_there_were(seen):
     assert seen.state == {"batches": 14}
 
 
-@pytest.mark.slow
 def test_nothing_of_ray_is_left_once_closed(seen):
     assert not seen.ray_is_up
 
