@@ -263,20 +263,21 @@ def deflection(
     x, w = first, rate
     softness = spring.softness(slopes[2].mean(0), step)
     out = np.empty((3, len(load), *x.shape))
-    for k in range(len(load)):
-        if held is not None:
-            x, w = np.where(held[k], first, x), np.where(held[k], rate, w)
-        gravity, damping, inertia = slopes[:, k]
-        rise = load[min(k + 1, len(load) - 1)] - load[k]
-        for n in range(substeps):
-            push = (load[k] + rise * (n / substeps) - damping * w - gravity * x) / inertia
-            torque = spring.torque(x, w, push, inertia, softness, step)
-            acceleration = push - torque / inertia
-            ahead = w + step * acceleration  # half a step later: the scheme is a leapfrog
-            if n == 0:
-                out[:, k] = x, (w + ahead) / 2, acceleration
-            w = ahead
-            x = x + step * w
+    with np.errstate(over="ignore", invalid="ignore"):  # of gears that diverge, which nobody takes
+        for k in range(len(load)):
+            if held is not None:
+                x, w = np.where(held[k], first, x), np.where(held[k], rate, w)
+            gravity, damping, inertia = slopes[:, k]
+            rise = load[min(k + 1, len(load) - 1)] - load[k]
+            for n in range(substeps):
+                push = (load[k] + rise * (n / substeps) - damping * w - gravity * x) / inertia
+                torque = spring.torque(x, w, push, inertia, softness, step)
+                acceleration = push - torque / inertia
+                ahead = w + step * acceleration  # half a step later: the scheme is a leapfrog
+                if n == 0:
+                    out[:, k] = x, (w + ahead) / 2, acceleration
+                w = ahead
+                x = x + step * w
     return out
 
 
