@@ -409,11 +409,12 @@ def test_where_one_question_cannot_be_settled_the_next_one_is_asked(tilted):
 
 
 def test_narrow_limits_are_kept_or_nothing_is_proposed():
-    *_, judge, best, _ = solved("offset")
+    *_, judge, best, whole = solved("offset")
     wide = Limits.of(judge.bank.takes)
-    narrow = replace(wide, position=0.2 * wide.position, velocity=0.5 * wide.velocity)
+    narrow = replace(wide, position=0.6 * wide.position, velocity=0.8 * wide.velocity)
     e = propose(judge, rivals_of(judge, best), limits=narrow, seconds=SHORT)
-    assert e is None or (np.abs(e.reference) <= 0.2 * np.abs(wide.position).max() + 1e-3).all()
+    assert np.abs(e.reference).max() <= 0.6 * np.abs(wide.position).max() < np.abs(whole.reference).max()
+    assert (np.abs(np.diff(e.reference, axis=0)) * PLAN.rate).max() <= 1.05 * narrow.velocity.max()
     still = replace(wide, torque=1e-3 * wide.torque)
     assert propose(judge, rivals_of(judge, best), limits=still, seconds=SHORT) is None
 
