@@ -588,7 +588,7 @@ def test_the_worst_of_the_scores_says_how_much_is_open(monkeypatch):
     told = []
     one, *_ = terms()
     term = SimpleNamespace(candidate=one)
-    part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[term])))
+    part = SimpleNamespace(joints=False, best=SimpleNamespace(fit=SimpleNamespace(terms=[term])))
     monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a[5]) or FINDING)
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
     for scores in ([score(0.2), score(0.7)], []):
@@ -599,7 +599,9 @@ def test_the_worst_of_the_scores_says_how_much_is_open(monkeypatch):
 def test_each_term_of_each_part_is_stated_with_its_own_number_stand_ins_and_far_joints(monkeypatch):
     told, (dry, soft, elsewhere) = [], terms()
     drive, mechanics = (
-        SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=c) for c in own])))
+        SimpleNamespace(
+            joints=False, best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=c) for c in own]))
+        )
         for own in ((soft,), (elsewhere, dry))
     )
     kept = [dataclasses.replace(c) for c in (dry, soft, elsewhere)]  # as the fit has them, with bounds of its own
@@ -630,7 +632,9 @@ def test_what_no_robot_has_and_a_gear_in_the_noise_make_no_sense_each_alone(
     for effect in (CoulombFriction, Compliance):
         monkeypatch.setattr(effect, "is_physical", lambda self, parameters, values: values[0] > 0)
     monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a[6]) or FINDING)
-    part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=dry)])))
+    part = SimpleNamespace(
+        joints=False, best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=dry)]))
+    )
     fitted = Fitted(Hypothesis((dry, soft)), np.array([friction, gear]), np.zeros((3, 2)), 0.0)
     gates.judge_findings([part], fitted, [score(0.2, before)], {dry.key: ()}, {})
     assert told == [{(name, "elbow") for name in senseless}]
@@ -643,7 +647,9 @@ def test_findings_are_told_by_whole_per_cent_and_then_by_what_they_account_for(m
     ]
     left = list(told)
     monkeypatch.setattr(gates, "_finding", lambda *_: left.pop(0))
-    part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)] * 3)))
+    part = SimpleNamespace(
+        joints=False, best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)] * 3))
+    )
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
     found = gates.judge_findings([part], fitted, [score(0.2)], {one.key: ()}, {})
     assert found == (told[2], told[1], told[0])
@@ -653,10 +659,47 @@ def test_findings_are_told_by_whole_per_cent_and_then_by_what_they_account_for(m
     assert of_class == [0.7, 0.5, 0.3]
 
 
+def of_joint(effect, kind, joint="wrist", law=0.05, of_class=0.6, closes=0.9):
+    return dataclasses.replace(
+        FINDING, effect=effect, joint=joint, probability=law, class_name=kind, class_probability=of_class,
+        law_probability=law / of_class, grounds={"closes": closes},
+    )  # fmt: skip
+
+
+def test_classes_that_the_standard_joints_need_at_one_joint_share_what_is_missing_there():
+    findings = [
+        of_joint("coulomb_friction", "friction", law=0.08),
+        of_joint("viscous_friction", "friction", law=0.02, closes=0.6),
+        of_joint("reflected_inertia", "inertia", law=0.06),
+        of_joint("gain_mismatch", "control", law=0.04),
+        of_joint("torque_offset", "torque", of_class=0.1, closes=0.2),  # the motion hardly needs it
+        of_joint("reflected_inertia", "inertia", joint="elbow"),  # alone at its joint
+    ]
+    found = gates.one_class_of_each_joint(findings)
+    assert [f.class_probability for f in found] == pytest.approx([0.5, 0.5, 0.3, 0.2, 0.1, 0.6])
+    assert all(f.law_probability * f.class_probability == pytest.approx(f.probability) for f in found)
+    sure = of_joint("coulomb_friction", "friction", law=0.4, of_class=0.4)
+    other = of_joint("reflected_inertia", "inertia", law=0.6)
+    assert gates.one_class_of_each_joint([sure, other])[0].class_probability == 0.4  # never less than its law
+
+
+@pytest.mark.parametrize("joints", [True, False])
+def test_only_the_standard_joints_classes_share(joints, monkeypatch):
+    one, *_ = terms()
+    monkeypatch.setattr(gates, "_finding", lambda *_: FINDING)
+    monkeypatch.setattr(gates, "one_class_of_each_joint", lambda findings: [])
+    best = SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)]))
+    fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
+    part = SimpleNamespace(best=best, joints=joints)
+    assert gates.judge_findings([part], fitted, [score(0.2)], {one.key: ()}, {}) == (() if joints else (FINDING,))
+
+
 def test_a_term_that_the_fit_does_not_have_is_not_stated(monkeypatch):
     one, *_ = terms()
     monkeypatch.setattr(gates, "_finding", lambda *_: FINDING)
-    part = SimpleNamespace(best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)])))
+    part = SimpleNamespace(
+        joints=False, best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)]))
+    )
     nothing = Fitted(Hypothesis(()), np.zeros(0), np.zeros((3, 0)), 0.0)
     assert gates.judge_findings([part], nothing, [score(0.2)], {one.key: ()}, {}) == ()
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)

@@ -63,7 +63,32 @@ def judge_findings(
         for term in part.best.fit.terms
         if (key := term.candidate.key) in stated and key in sets
     ]
+    if any(part.joints for part in evidence):
+        out = one_class_of_each_joint(out)
     return tuple(sorted(out, key=_order))
+
+
+def one_class_of_each_joint(findings: Sequence[Finding]) -> list[Finding]:
+    """The same, where classes that the standard joints need at one joint share what is missing there.
+
+    Each closes much beside the others: a weak gain and a low friction move a joint as the given ones do. Which of them
+    the joint lacks the fit does not tell. They share by the probabilities of their laws, each no likelier than its
+    share.
+    """
+    needed: dict[str | None, dict[str, float]] = {}
+    for f in findings:
+        if f.grounds["closes"] > STATEMENT.likely:
+            of_joint = needed.setdefault(f.joint, {})
+            of_joint[f.class_name] = of_joint.get(f.class_name, 0.0) + max(f.probability, 1e-9)
+    out = []
+    for f in findings:
+        classes = needed.get(f.joint, {})
+        if f.class_name in classes and f.class_probability > 0:
+            share = classes[f.class_name] / sum(classes.values())
+            held = max(f.probability, min(f.class_probability, share))
+            f = replace(f, class_probability=held, law_probability=f.probability / held)
+        out.append(f)
+    return out
 
 
 def _order(f: Finding) -> tuple[float, float, float]:
