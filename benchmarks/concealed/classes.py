@@ -42,7 +42,7 @@ PRIOR = np.array([0.0, 1.0, 0.0])
 """A class that is as likely as its laws together, whatever it closes."""
 BOUNDS = Bounds([-4.0, 0.0, 0.0], [4.0, 2.0, 2.0])
 RIDGE = 0.5
-"""Pull towards it."""
+"""Pull towards the prior."""
 
 
 @dataclass(frozen=True)

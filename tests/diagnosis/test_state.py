@@ -202,7 +202,9 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
     decided = Decided(located, None, own if trials else None, is_open=True)
     monkeypatch.setattr(stating, "_findings", lambda decided: ("finding",))
     monkeypatch.setattr(stating, "verdict_of", lambda *a: told.update(judged=a) or (verdict, 0.25))
-    monkeypatch.setattr(stating, "_best_followed", lambda decided: "best")
+    best = SimpleNamespace(fitted=own.fitted)
+    monkeypatch.setattr(stating, "_best_followed", lambda decided: best)
+    monkeypatch.setattr(stating, "_nameless", lambda fitted, findings: (f"Of {fitted.values}.",))
     monkeypatch.setattr(stating, "_kept", lambda best, ready: told.update(kept=(best, ready)) or kept)
     monkeypatch.setattr(stating, "summarise", lambda *a: told.update(summed=a) or ("Summary.",))
     monkeypatch.setattr(stating, "_quality", lambda ready: "quality")
@@ -228,6 +230,7 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
     assert sentences[0].startswith("Stopped before anything was named") is unnamed
     assert any("makes the simulation worse" in x for x in sentences) is worse
     assert ("Why." in sentences) is corrected
+    assert ("Of numbers." in sentences) is corrected  # though some of the trial's own were taken back
     assert sentences[-1] == "knee hardly moves, so that nothing is known of it."
     assert not any("hip hardly" in x for x in sentences)
     assert (said.answer.complete, said.answer.stage) == (not stopped, stopped or "deliver")
@@ -238,7 +241,7 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
     assert (said.decided, said.maps) == (decided, ("map",))
     assert told["remarked"] == ([] if stopped else [(decided, said.corrected)])
     if corrected:
-        assert told["kept"] == ("best", ready)
+        assert told["kept"] == (best, ready)
 
 
 @pytest.mark.parametrize("named", [True, False])

@@ -9,6 +9,7 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
+from scipy.special import expit, logit
 
 from torchrl_athletic.diagnosis.thresholds import STATEMENT
 
@@ -135,15 +136,10 @@ def class_probability(
         0.3
     """
     weights = weights or learnt("class")
-    odds = weights["level"] + weights["alike"] * _log_odds(alike, 1e-3)
+    odds = weights["level"] + weights["alike"] * logit(np.clip(alike, 1e-3, 1 - 1e-3))
     if closes is not None:  # all that is followed has 1: no more than the most that was often seen
-        odds += weights["closes"] * _log_odds(closes, 0.1)
-    return float(max(law, min(1.0 / (1.0 + np.exp(-odds)), closed, 1.0 if closes is None else closes)))
-
-
-def _log_odds(p: float, least: float) -> float:
-    p = min(max(p, least), 1.0 - least)
-    return float(np.log(p / (1.0 - p)))
+        odds += weights["closes"] * logit(np.clip(closes, 0.1, 0.9))
+    return float(max(law, min(expit(odds), closed, 1.0 if closes is None else closes)))
 
 
 def rival_probability(likely: float, own: float, share: float) -> float:

@@ -67,11 +67,11 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
     findings = _findings(decided)
     verdict, share = _verdict(decided, findings)
     harmful = harms(scores.get("train"))
-    correction = Correction(None, {split: uncorrected(score) for split, score in scores.items()})
+    correction, own = Correction(None, {split: uncorrected(score) for split, score in scores.items()}), False
     if trial is not None and verdict != "nothing_missing" and not harmful:
         followed = _best_followed(decided)
-        correction = _kept(followed, ready)
-        if correction.taken_back and followed.fitted is trial.fitted:
+        correction, own = _kept(followed, ready), followed.fitted is trial.fitted
+        if correction.taken_back and own:
             findings = refused(findings, {(c.effect.name, c.joint_name) for c in correction.taken_back})
             verdict, share = _verdict(decided, findings)
     nominal = as_given(given)
@@ -84,8 +84,8 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
     if harmful:
         summary += ("What fits best makes the simulation worse, so that the corrected model is the given one.",)
     summary += correction.sentences
-    if trial is not None and correction.fitted is trial.fitted:
-        summary += _nameless(trial.fitted, findings)
+    if own and correction.fitted is not None:
+        summary += _nameless(correction.fitted, findings)
     if stopped_in and trial is None:
         summary = ("Stopped before anything was named; where the error is stands below.",)
     summary += tuple(
