@@ -110,7 +110,7 @@ def test_a_class_is_told_where_it_says_more_than_its_law(law, class_probability,
 @pytest.mark.parametrize(
     ("verdict", "fit", "share", "said"),
     [
-        ("partly_explained", FOLLOWED, 0.25, ["25 % of the error energy above the noise floor has no named cause."]),
+        ("partly_explained", FOLLOWED, 0.25, ["25 % of the error energy above the noise floor stays unexplained."]),
         ("nothing_missing", FOLLOWED, 0.25, []),
         ("partly_explained", {}, 0.25, []),
         ("explained", FOLLOWED, 0.0, []),
@@ -236,5 +236,5 @@ def test_the_terminal_tells_splits_classes_rivals_and_remarks_each_in_its_place(
     rows = [line.split() for line in text.splitlines()]
     assert ["friction", "there,", "by", "whichever", "law", "85", "%"] in rows
     assert "Actuation lag, which here is the same as actuation delay" in " ".join(text.split())
-    for remark in ("25 % of the error energy above the noise floor has no named cause.", "Four.", "Five."):
+    for remark in ("25 % of the error energy above the noise floor stays unexplained.", "Four.", "Five."):
         assert remark in text.splitlines()

@@ -208,10 +208,10 @@ def banners(answer: Answer) -> list[str]:
 
 
 def unexplained(answer: Answer) -> list[str]:
-    """How much of the error has no name, where a part of it has none and the simulation has measured it."""
+    """How much of the error the correction leaves, where it leaves some and the simulation has measured it."""
     if answer.verdict == "nothing_missing" or not answer.fit or answer.unexplained_share <= 0:
         return []
-    return [f"{percent(answer.unexplained_share)} of the error energy above the noise floor has no named cause."]
+    return [f"{percent(answer.unexplained_share)} of the error energy above the noise floor stays unexplained."]
 
 
 def quality_counts(quality: Mapping[str, Any]) -> tuple[dict[str, int], list[str]]:
