@@ -42,7 +42,7 @@ LOOK_AT = ["base_position", "base_quaternion", "start_line", "sled_position", "s
 @dataclass(frozen=True)
 class Config(training.FineTune):
     epochs: int | None = None
-    """Passes over a batch; None takes those of ``ppo``, but on CPUs 1 in place of its default: say 5 here for five."""
+    """Passes over a batch; None takes those of ``ppo``. On CPUs it takes 1, and smaller steps, unless ``ppo`` is told."""
     ppo: training.PPO = field(default_factory=lambda: replace(training.FINE_TUNE, critic_first=36))
     """What else is chosen by hand. Drift grows over a robot's first episode, in which the critic learns alone."""
     output: Path = Path("outputs/finetune_sled")
@@ -50,8 +50,10 @@ class Config(training.FineTune):
 
 
 def main(cfg: Config) -> None:
-    if cfg.device == "cpu" and cfg.epochs is None and cfg.ppo.epochs == training.FINE_TUNE.epochs:
-        cfg = replace(cfg, epochs=1)  # five passes take longer than to collect a new batch, which teaches more
+    if cfg.device == "cpu" and cfg.epochs is None and cfg.ppo == Config().ppo:
+        # A batch of 256 robots says little: one pass over more batches, smaller steps, and a critic that knows more.
+        ppo = replace(cfg.ppo, critic_first=72, kl_target=0.0025, least_actor_lr=1e-6)
+        cfg = replace(cfg, epochs=1, ppo=ppo)
     training.fine_tune(
         cfg,
         partial(make_env, cfg.actuation),
