@@ -42,7 +42,7 @@ LOOK_AT = ["base_position", "base_quaternion", "start_line", "sled_position", "s
 @dataclass(frozen=True)
 class Config(training.FineTune):
     epochs: int | None = None
-    """Passes over a batch; None takes those of ``ppo``. On CPUs it takes 1, and smaller steps, unless ``ppo`` is told."""
+    """Passes over a batch; None takes those of ``ppo``. On CPUs it is 1, with smaller steps, unless ``ppo`` is told."""
     ppo: training.PPO = field(default_factory=lambda: replace(training.FINE_TUNE, critic_first=36))
     """What else is chosen by hand. Drift grows over a robot's first episode, in which the critic learns alone."""
     output: Path = Path("outputs/finetune_sled")

@@ -8,6 +8,7 @@ folder                                      github                              
 ``sage`` at ``4ffd262``                     isaac-sim2real/sage                      Apache-2.0
 ``SO-ARM100`` (the arm's MJCF)              TheRobotStudio/SO-ARM100                 Apache-2.0
 ``dynamics_calibration_airbot``             Zeyu1-oss/dynamics_calibration_airbot    none stated
+``dynamic_calibration`` at ``11af40e``      shamilmamedov/dynamic_calibration        none stated
 ``bam``                                     rimim/bam                                none stated
 ``Dataset-Friction-Damper-with-Backlash``   ARTS-Laboratory/...                      CC BY-SA 4.0
 ``double_pendulum`` at ``1e8544e``          dfki-ric-underactuated-lab/...           BSD-3-Clause
@@ -109,6 +110,46 @@ def airbot(data: Path, second: bool = False) -> Robot:
 
     fitted, aside = ([take(n) for n in group] for group in (later if second else first))
     return Robot(xml, fitted, aside, LOOKED if second else "yes")
+
+
+def ur10e(data: Path) -> Robot:
+    """UR10e, six joints at 95 Hz in closed loop: three takes of 27 to 39 s, kept aside one of 58 s and one to points.
+
+    Torques are the motors' currents times the gains that the logs' authors publish. The model is the maker's URDF.
+    """
+    fitted = ("20_02_05-20sec_8harm", "20_02_06-20sec_10harm", "20_02_10-30sec_12harm")
+    aside = ("identification_data/ur-20_02_12-50sec_12harm", "validation_data/ur-20_01_17-ptp_10_points")
+    return _ur10e(data, [f"identification_data/ur-{name}" for name in fitted], aside, "no")
+
+
+def ur10e_on_a_day(data: Path, loaded: bool) -> Robot:
+    """The UR10e on another day: a take of 56 s and another one kept aside, empty or with 2.805 kg at its flange."""
+    load = "Load" if loaded else ""
+    takes = [f"identification_data/ur-20_02_19_{harmonics}harm50sec{load}" for harmonics in (14, 15)]
+    return _ur10e(data, takes[:1], takes[1:], "no")
+
+
+def _ur10e(data: Path, fitted: Sequence[str], aside: Sequence[str], looked_at: str) -> Robot:
+    home = data / "dynamic_calibration"
+    spec = mujoco.MjSpec.from_file(str(home / "URe/urdf/ur10e.urdf"))
+    _delete_shapes(spec)
+    names = tuple(joint.name for joint in spec.joints)
+    for joint in spec.joints:
+        motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_motor()
+        motor.forcelimited, motor.forcerange = True, joint.actfrcrange
+    gains = np.array([10.0, 10.6956, 8.4566, 9.0029, 9.48, 10.1232])  # UR10E_parameters.txt [N·m/A]
+
+    def take(name: str) -> Recording:
+        lines = (home / f"dataset_ur10e/{name}.csv").read_text().splitlines()
+        rows = np.array([line.split(",") for line in lines if line.count(",") == 30], dtype=np.float64)
+        rows = rows[np.abs(rows).max(1) < 1e4]  # two files have lines of chance bytes
+        rows = rows[np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0]
+        time, position, velocity, current = rows[:, 0], rows[:, 1:7], rows[:, 7:13], rows[:, 13:19]
+        return Recording(time - time[0], names, position, velocity, torque_command=gains * current, source=name)
+
+    spec.compile()
+    return Robot(spec.to_xml(), [take(n) for n in fitted], [take(n) for n in aside], looked_at)
 
 
 def go1(data: Path) -> Robot:
@@ -332,6 +373,7 @@ ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     "so101": so101,
     "airbot": airbot,
     "airbot, second session": partial(airbot, second=True),
+    "ur10e": ur10e,
     "go1": go1,
     **{motor.lower(): partial(sts, motor=motor) for motor in ("STS3215", "STS3250")},
     "miuzei": miuzei,
@@ -349,12 +391,14 @@ def without_shapes(path: Path) -> str:
         body.explicitinertial = True
         body.mass, body.ipos, body.iquat = model.body_mass[k], model.body_ipos[k], model.body_iquat[k]
         body.inertia, body.fullinertia = model.body_inertia[k], np.full(6, np.nan)
-        for geom in list(body.geoms):
-            spec.delete(geom)
-    for shape in (*spec.worldbody.geoms, *spec.meshes, *spec.materials, *spec.textures):
-        spec.delete(shape)
+    _delete_shapes(spec)
     spec.compile()
     return str(spec.to_xml())
+
+
+def _delete_shapes(spec: mujoco.MjSpec) -> None:
+    for shape in (*spec.geoms, *spec.meshes, *spec.materials, *spec.textures):
+        spec.delete(shape)
 
 
 def _cells(path: Path, column: str) -> Array:

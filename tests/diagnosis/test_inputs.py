@@ -83,6 +83,22 @@ def test_dynamics_of_an_actuator_that_are_left_out_are_said():
     assert Inputs(SERVO, [], []).notes == []
 
 
+def test_motors_whose_control_is_not_the_torque_are_said_where_torques_were_logged():
+    still = np.zeros((4, 2))
+    torques = Recording(np.arange(4.0), ("hip", "knee"), still, torque_command=still)
+    targets = replace(torques, torque_command=None, position_target=still, kp=np.ones(2), kd=np.zeros(2))
+
+    def said(motor, log=torques):
+        return Inputs(SERVO.replace('<motor joint="knee"/>', motor), [log], []).notes
+
+    [line] = said('<motor joint="knee" gear="0.25"/>')
+    assert "0.25 (knee) times" in line
+    assert "columns.json" in line
+    [line] = said('<general joint="knee" gainprm="0.1" gear="5" biastype="affine" biasprm="-0.3"/>')
+    assert "0.5 (knee)" in line
+    assert said('<motor joint="knee" gear="0.25"/>', targets) == said('<motor joint="knee"/>') == []
+
+
 def test_what_pulls_a_tendon_of_the_same_number_is_no_drive_of_the_joint():
     tendon = '<tendon><fixed name="cord"><joint joint="knee" coef="1"/></fixed></tendon>'
     pulled = SERVO.replace("<actuator>", f'{tendon}<actuator><position tendon="cord" kp="4"/>')

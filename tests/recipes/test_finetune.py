@@ -46,13 +46,19 @@ def test_it_learns_and_says_how_good_it_is(tmp_path, monkeypatch, capsys):
     assert set(sled.CURVES) <= CSVTable(tmp_path / "progress.csv").rows[0].keys()
 
 
-def test_a_sled_learns_from_each_batch_once_on_cpus_unless_told(monkeypatch):
+def test_a_sled_learns_from_each_batch_once_and_in_small_steps_on_cpus_unless_told(monkeypatch):
     seen = []
-    monkeypatch.setattr(sled.training, "fine_tune", lambda cfg, *args, **told: seen.append(cfg.epochs))
+    monkeypatch.setattr(sled.training, "fine_tune", lambda cfg, *args, **told: seen.append((cfg.epochs, cfg.ppo)))
+    usual = sled.Config().ppo
     thrice = {"ppo": dataclasses.replace(sled.Config().ppo, epochs=3)}
     for told in ({}, {"epochs": 5}, {"epochs": 0}, thrice, {"device": "cuda"}, {"device": "cuda", "epochs": 4}):
         sled.main(sled.Config(**told))
-    assert seen == [1, 5, 0, None, None, 4]  # None takes those of ``ppo``, 0 is refused
+    epochs, (small, *others) = zip(*seen, strict=True)
+    assert epochs == (1, 5, 0, None, None, 4)  # None takes those of ``ppo``, 0 is refused
+    assert small.kl_target < usual.kl_target
+    assert small.critic_first > usual.critic_first
+    assert small.least_actor_lr < small.actor_lr  # or nothing could make the steps smaller
+    assert others == [usual, usual, thrice["ppo"], usual, usual]
 
 
 @pytest.mark.slow

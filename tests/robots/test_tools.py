@@ -102,6 +102,14 @@ def test_a_ball_that_is_fixed_in_its_bucket_weighs_the_same_and_flies_nowhere():
     np.testing.assert_allclose(plants[0].sensed("ball_position"), plants[1].sensed("bucket_position"), atol=1e-9)
 
 
+def test_the_ball_that_is_fixed_in_its_bucket_is_not_drawn_but_the_bucket_is():
+    model = with_bucket(b2z1(), Bucket()).model()
+    drawn = mujoco.MjvOption().geomgroup
+    assert not drawn[model.geom("ball").group]  # after the release it would be seen twice
+    walls = [g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name == "bucket"]
+    assert sum(drawn[model.geom_group[g]] for g in walls) == len(walls) - 1
+
+
 def test_the_bucket_s_axis_points_out_of_its_opening():
     plant = Plant(with_bucket(z1(), Bucket(opening=(0.0, 0.0, -2.0))))
     link = plant.data.body("link06").xmat.reshape(3, 3)

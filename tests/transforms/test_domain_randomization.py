@@ -1,5 +1,7 @@
 """Each episode has another robot on other ground, and nothing is lost on the way to the physics."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torchrl.envs import Compose, TransformedEnv
@@ -90,6 +92,29 @@ def test_only_rows_that_start_draw_anew():
         assert changed.tolist() == [False, True, False]
     for key in ("kp_scale", "randomization"):
         assert (again[key] != td[key]).any(-1).tolist() == [False, True, False]
+
+
+def test_all_that_changes_is_written_at_once_and_for_rows_that_start_alone():
+    """A GPU works the constants out anew with each writing."""
+    env = make_env(3)
+    td = env.reset()
+    physics, written = env.base_env.physics, []
+    physics.set_fields = lambda values, envs=None: written.append((set(values), envs.tolist()))
+    physics.set_field = None
+    env.reset(td.clone().set("_reset", torch.tensor([[False], [True], [False]])))
+    assert written == [(set(env.transform[-1].fields), [False, True, False])]
+
+
+def test_a_ground_whose_friction_would_be_mixed_is_refused():
+    def build():
+        spec = ROBOT.build()
+        spec.geom("floor").priority = 0
+        return spec
+
+    weak = replace(ROBOT, build=build)
+    env = TransformedEnv(TorqueEnv(weak, num_envs=1, fields=DomainRandomization().fields), DomainRandomization())
+    with pytest.raises(ValueError, match=r"ground 'floor' has priority 0.*priority=.1."):
+        env.reset()
 
 
 def test_once_means_once():

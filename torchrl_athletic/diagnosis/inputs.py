@@ -79,7 +79,10 @@ class Inputs(NamedTuple):
         if any(r.metadata.get("driven_by") == "torque_measured" for r in self.recordings):
             out.append("The recordings hold no command: the measured torque drives the simulation.")
             return out
-        return [*out, *_left_out(load_model(self.model)[0])]
+        model = load_model(self.model)[0]
+        if any(r.torque_command is not None for r in self.recordings):
+            out += _gained(model, self.recordings[0].joint_names)
+        return [*out, *_left_out(model)]
 
 
 def inputs(asked: Asked, demo: int = 0) -> Inputs:
@@ -177,6 +180,23 @@ def gains_of(model: mujoco.MjModel) -> Mapping[str, tuple[float, float]]:
         if servo and squared * gain > 0:
             out[model.joint(j).name] = (squared * gain, squared * max(float(-bias[2]), 0.0))
     return out
+
+
+def _gained(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[str]:
+    """Motors whose control is not their joint's torque, as corrected.xml has them, in a line to print."""
+    scales = {}
+    for a in range(model.nu):
+        kind = model.actuator_dyntype[a], model.actuator_gaintype[a], model.actuator_trntype[a]
+        motor = kind == (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtTrn.mjTRN_JOINT)
+        joint = model.joint(model.actuator_trnid[a, 0]).name if motor else ""
+        scale = float(model.actuator_gainprm[a, 0] * model.actuator_gear[model.actuator_outadr[a], 0])
+        if joint in joints and not model.actuator_biasprm[a, 1:3].any() and scale != 1.0:
+            scales[joint] = scale
+    if scales:
+        yield (
+            f"The model's motors give {', '.join(f'{s:.3g} ({j})' for j, s in scales.items())} times their control; "
+            "torque_command is taken as the joint's torque. A log of controls needs these scales in columns.json."
+        )
 
 
 def _left_out(model: mujoco.MjModel) -> Iterator[str]:

@@ -217,7 +217,7 @@ def whole_body_env(
     robot = b2z1(terrain=Terrain(), cone="pyramidal") if robot is None else robot
     commands = CommandRanges() if commands is None else commands
     chance = Disturbances() if disturbances is None else disturbances
-    _refuse_unfit(robot, objects)
+    _refuse_unfit(robot, objects, (*HAND, *REWARDED) if terms is None else HAND)
     rows: dict[str, Any] = {"seed": seed, "first_row": first_row}
     if chain is None:
         net = shipped_net(net, robot) if isinstance(net, str) else net
@@ -269,7 +269,25 @@ def whole_body_env(
     return env.append_transform(Privileged(_known(env, privileged)))
 
 
-def _refuse_unfit(robot: Robot, objects: Sequence[Transform]) -> None:
+HAND = ("end_effector_position", "end_effector_quaternion")
+"""Sensors that tell where the hand is."""
+REWARDED = (
+    "base_position",
+    "base_quaternion",
+    "base_linear_velocity",
+    "base_angular_velocity",
+    "projected_gravity",
+    "foot_position",
+    "foot_velocity",
+    "foot_force",
+    "leg_force",
+    "arm_force",
+    "trunk_force",
+)
+"""Sensors beside them that observations and the paper's rewards are made of."""
+
+
+def _refuse_unfit(robot: Robot, objects: Sequence[Transform], sensors: Sequence[str]) -> None:
     """Raise where a robot lacks what its inputs are read from, or what is to act on it."""
     for part in objects:
         if unread := [key for key in getattr(part, "every_step", ()) if key not in robot.sensors]:
@@ -278,9 +296,7 @@ def _refuse_unfit(robot: Robot, objects: Sequence[Transform]) -> None:
                 "into its hand what this task is about: b2z1(tool=Handle()) for a sled, with_bucket(robot, BUCKET) for "
                 "a ball; or give your own robot a site with sensors of these names."
             )
-    lacks = [
-        f"sensors {key!r}" for key in ("end_effector_position", "end_effector_quaternion") if key not in robot.sensors
-    ]
+    lacks = [f"sensors {key!r}" for key in sensors if key not in robot.sensors]
     lacks += [] if robot.base else ["a body with a free joint, its base"]
     lacks += [] if robot.ground else ["ground, a plane or a height field of the world, over which heights are measured"]
     if lacks:

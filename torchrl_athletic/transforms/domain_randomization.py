@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
+import mujoco
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
@@ -282,6 +283,8 @@ class DomainRandomization(RandomTransform):
         chosen = range(len(env.robot.joint_names))[driven] if isinstance(driven, slice) else driven.tolist()
         dofs = [int(model.joint(env.robot.joint_names[j]).dofadr[0]) for j in chosen]
         ground = [int(model.geom(name).id) for name in names]
+        if self.ground is None:
+            _refuse_weak(model, ground)
 
         def tensor(values: Any, dtype: torch.dtype = physics.dtype) -> Tensor:
             return torch.tensor(values, dtype=dtype, device=physics.device)
@@ -327,3 +330,17 @@ class DomainRandomization(RandomTransform):
         rows |= dict.fromkeys(("body_mass", "body_inertia", "body_ipos"), given.bodies)
         rows |= dict.fromkeys(("dof_frictionloss", "dof_damping", "dof_armature"), given.dofs)
         return {name: set(rows[name].tolist()) for name in self.fields}
+
+
+def _refuse_weak(model: mujoco.MjModel, ground: Sequence[int]) -> None:
+    """Raise where the ground's friction and softness would not rule in its contacts."""
+    touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    touching[list(ground)] = False
+    most = int(model.geom_priority[touching].max(initial=-1))
+    for geom in ground:
+        if model.geom_priority[geom] <= most:
+            raise ValueError(
+                f"the ground {model.geom(geom).name!r} has priority {model.geom_priority[geom]}, what touches it up to "
+                f"{most}: MuJoCo would mix both frictions, and what is drawn would not rule. Give it "
+                f'priority="{most + 1}" in the MJCF, or draw neither friction nor restitution.'
+            )
