@@ -8,7 +8,8 @@ A bench's *complete* model is the published one, with its friction, rotors, mass
 joints, whose published models have none of these, have a hand fit instead (``real_robots/complete.py``), and their logs
 lie in the folder of clones that ``ATHLETIC_CLONES`` names; without one their cases are left out. From it one effect is
 taken away (``removed``), or one is put into the recordings (``injected``); the ``complete`` model itself is the
-control. ``left_out`` keeps one kind of motion aside and fits the others. Nothing tells the diagnosis which case it has.
+control. One robot was really recorded with a weight that its model lacks (``added``). ``left_out`` keeps one kind of
+motion aside and fits the others. Nothing tells the diagnosis which case it has.
 
 A case takes ten seconds to two minutes of one core, in a process of its own. What is done is kept, one JSON a case
 under ``--answers``, and skipped the next time, unless the diagnosis has changed since; tables go to ``--output``.
@@ -41,7 +42,8 @@ from tqdm import tqdm
 sys.path.append(str(Path(__file__).parents[1]))
 
 from benchmarks.concealed.run import _pin, program_digest
-from benchmarks.real_robots.complete import ARMS, complete_arm
+from benchmarks.real_robots.complete import ARMS, complete_arm, loaded_arm
+from benchmarks.real_robots.robots import Robot
 from torchrl_athletic.diagnosis import diagnose
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.fit import Hypothesis
@@ -49,7 +51,7 @@ from torchrl_athletic.recordings import Recording
 from torchrl_athletic.recordings.datasets import load_dataset
 from torchrl_athletic.robots import benches
 
-Kind = Literal["complete", "removed", "injected", "left_out"]
+Kind = Literal["complete", "removed", "injected", "added", "left_out"]
 Name = tuple[str, str | None]
 """An effect and its joint; None for the whole robot."""
 
@@ -234,8 +236,7 @@ dataset = cache(load_dataset)
 def complete(bench: str) -> Takes:
     """A bench with the published physics in its model; what MJCF cannot hold is taken out of the recordings instead."""
     if bench in ARMS:
-        arm = complete_arm(bench, Path(os.environ[CLONES]))
-        return Takes(arm.xml, tuple(arm.recordings), tuple(arm.heldout))
+        return _takes(complete_arm(bench, Path(os.environ[CLONES])))
     data = dataset(bench)
     takes = Takes(data.model, tuple(data.recordings), tuple(data.heldout))
     if bench == "two_link_arm":  # model_2.0; driven by the measured torque, so that the drives' lag is not in question
@@ -248,6 +249,15 @@ def complete(bench: str) -> Takes:
     if bench == "unbalanced_disk":  # one sample of delay and the encoder's zero, as a refit of the source's model has
         return takes.changed(lambda r: misread(late(r, 0.025), 0, -0.0333))
     return takes  # emps and xl330 start from published models that have everything
+
+
+def _takes(robot: Robot) -> Takes:
+    return Takes(robot.xml, tuple(robot.recordings), tuple(robot.heldout))
+
+
+def carrying(harmonics: int) -> Takes:
+    """The UR10e with a weight at its flange."""
+    return _takes(loaded_arm(Path(os.environ[CLONES]), harmonics))
 
 
 def edited(bench: str, edit: Callable[[mujoco.MjSpec], None]) -> Takes:
@@ -377,7 +387,17 @@ def without_kind(bench: str, kind: str) -> Takes:
 
 # --- the list ---------------------------------------------------------------------------------------------------------
 
-DEAREST = ("so101", "airbot", "double_pendulum", "two_link_arm", "xl330", "unbalanced_disk", "emps", "pendulum")
+DEAREST = (
+    "so101",
+    "airbot",
+    "ur10e",
+    "double_pendulum",
+    "two_link_arm",
+    "xl330",
+    "unbalanced_disk",
+    "emps",
+    "pendulum",
+)
 """Benches, those that take longest first."""
 KINDS = {  # of motion
     "two_link_arm": (
@@ -398,7 +418,7 @@ SLIDES_MASS = ("link_mass", "payload", "reflected_inertia", "torque_scale")
 
 def cases() -> list[Case]:
     """All cases, in a fixed order; nothing is loaded before :attr:`Case.takes` is called."""
-    return [*_controls(), *_removed(), *_injected(), *_left_out()]
+    return [*_controls(), *_removed(), *_injected(), *_added(), *_left_out()]
 
 
 def _controls() -> list[Case]:
@@ -563,6 +583,22 @@ def _injected() -> list[Case]:
     return out
 
 
+def _added() -> list[Case]:
+    flange = "wrist_3_joint"
+    truths = tuple((name, flange) for name in ("offset_payload", "payload", "link_mass"))
+    return [
+        Case(
+            "ur10e",
+            "added",
+            f"payload {flange}",
+            f"2.805 kg, {harmonics} harmonics",
+            partial(carrying, harmonics),
+            truths,
+        )
+        for harmonics in (14, 15)
+    ]
+
+
 def _left_out() -> list[Case]:
     return [
         Case(bench, "left_out", kind, "", partial(without_kind, bench, kind))
@@ -681,6 +717,7 @@ def _quality(answer: Mapping[str, Any]) -> dict[str, float]:
 def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Counts of grades: of all cases, of those that the noise allows, and of those that other misfit does not hide."""
     out: dict[str, Any] = {}
+    out["added"] = {"all": _counts([r for r in rows if r["kind"] == "added"])}
     for kind in ("removed", "injected"):
         of = [r for r in rows if r["kind"] == kind and r["truths"]]
         seen = [r for r in of if r.get("over_noise", 0.0) >= VISIBLE]
@@ -715,6 +752,9 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             n = f[kind][of]
             cells = [n["cases"], n["named"], n["named_over_half"], *(n[grade] for grade in GRADES[1:])]
             lines.append(f"| {words}{which} | {' | '.join(map(str, cells))} |")
+    n = f["added"]["all"]
+    cells = [n["cases"], n["named"], n["named_over_half"], *(n[grade] for grade in GRADES[1:])]
+    lines.append(f"| really added to the robot | {' | '.join(map(str, cells))} |")
     left, quiet = f["left_out"], f["quantisation"]
     median = left["median_share_closed"]
     return [
@@ -742,6 +782,7 @@ def report(rows: Sequence[Mapping[str, Any]]) -> str:
         ("complete", "Nothing concealed: what the published models leave"),
         ("removed", "Taken from the model"),
         ("injected", "Put into the recordings"),
+        ("added", "Really added to the robot"),
         ("left_out", "One kind of motion kept aside"),
     ):
         of = [r for r in rows if r["kind"] == kind]

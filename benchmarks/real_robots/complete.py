@@ -16,7 +16,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from benchmarks.real_robots.robots import Robot, airbot, double_pendulum, so101, ur10e_on_a_day
+from benchmarks.real_robots.robots import Robot, airbot, double_pendulum, so101, ur10e_empty, ur10e_loaded
 from torchrl_athletic.recordings import Recording
 
 MOTIONS = (
@@ -56,10 +56,6 @@ def _so101(data: Path) -> Robot:
     return replace(robot, recordings=[r for r in robot.recordings if r.source in MOTIONS[:4]])
 
 
-def _ur10e(data: Path) -> Robot:
-    return ur10e_on_a_day(data, loaded=False)
-
-
 ARMS: Mapping[str, tuple[Callable[[Path], Robot], HandFit]] = {
     "double_pendulum": (
         _double_pendulum,
@@ -89,7 +85,7 @@ ARMS: Mapping[str, tuple[Callable[[Path], Robot], HandFit]] = {
         ),
     ),
     "ur10e": (
-        _ur10e,
+        ur10e_empty,
         HandFit(
             frictionloss=(15.79, 18.19, 7.166, 2.233, 2.919, 2.54),
             damping=(19.48, 18.36, 6.496, 2.682, 2.219, 2.862),
@@ -115,13 +111,14 @@ def complete_arm(name: str, data: Path) -> Robot:
     return _completed(load(data), fitted)
 
 
-def loaded_ur10e(data: Path) -> Robot:
-    """The complete UR10e with recordings of the same day and motion, in which it carries 2.805 kg that nobody told of.
+def loaded_arm(data: Path, harmonics: int) -> Robot:
+    """The complete UR10e with a take of 14 or 15 harmonics in which it carries 2.805 kg that the model lacks.
 
     Args:
         data: Folder of clones, see :mod:`benchmarks.real_robots.robots`.
+        harmonics: Of the motion.
     """
-    return _completed(ur10e_on_a_day(data, loaded=True), ARMS["ur10e"][1])
+    return _completed(ur10e_loaded(data, harmonics), ARMS["ur10e"][1])
 
 
 def _completed(robot: Robot, fitted: HandFit) -> Robot:

@@ -22,7 +22,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -122,11 +122,22 @@ def ur10e(data: Path) -> Robot:
     return _ur10e(data, [f"identification_data/ur-{name}" for name in fitted], aside, "no")
 
 
-def ur10e_on_a_day(data: Path, loaded: bool) -> Robot:
-    """The UR10e on another day: a take of 56 s and another one kept aside, empty or with 2.805 kg at its flange."""
-    load = "Load" if loaded else ""
-    takes = [f"identification_data/ur-20_02_19_{harmonics}harm50sec{load}" for harmonics in (14, 15)]
-    return _ur10e(data, takes[:1], takes[1:], "no")
+def ur10e_empty(data: Path) -> Robot:
+    """The UR10e on the day on which it was loaded, but empty: a take of 56 s, and another one kept aside."""
+    takes = [f"identification_data/ur-20_02_19_{harmonics}harm50sec" for harmonics in (14, 15)]
+    return _ur10e(data, takes[:1], takes[1:], LOOKED)
+
+
+def ur10e_loaded(data: Path, harmonics: int) -> Robot:
+    """The UR10e with 2.805 kg at its flange, of which the log says nothing: the last third of the take is kept aside.
+
+    Between the takes of 14 and of 15 harmonics the weight was turned by half a turn about the flange.
+    """
+    robot = _ur10e(data, [f"identification_data/ur-20_02_19_{harmonics}harm50secLoad"], (), LOOKED)
+    (take,) = robot.recordings
+    split = 2 * take.num_samples // 3
+    parts = take.slice(0, split), take.slice(split, take.num_samples)
+    return replace(robot, recordings=parts[:1], heldout=parts[1:])
 
 
 def _ur10e(data: Path, fitted: Sequence[str], aside: Sequence[str], looked_at: str) -> Robot:

@@ -33,6 +33,7 @@ EVERY = (*CATALOGUE, *TRIMS_ALONE)
 OF_THE_DESIGN = {
     *("coulomb_friction", "viscous_friction", "stribeck_friction", "load_dependent_friction", "asymmetric_friction"),
     *("hysteresis", "backlash", "compliance", "reflected_inertia", "link_mass", "link_com", "payload", "gravity_tilt"),
+    "offset_payload",
     *("actuation_delay", "actuation_lag", "torque_scale", "torque_offset", "torque_saturation", "speed_torque_limit"),
     *("torque_ripple", "joint_spring", "joint_stop", "encoder_offset", "encoder_scale", "clock_offset"),
     *("gain_mismatch", "thermal_drift", "disturbance"),
@@ -42,6 +43,7 @@ CHANGE = {  # true value less the given one: shoulder, elbow
     "backlash": ([0.05, 2000.0 - RIGID[0]], [0.06, 400.0 - RIGID[1]]),
     "compliance": ([90.0 - RIGID[0], 0.9], [25.0 - RIGID[1], 0.25]),
     "payload": ([], [0.3]),  # only the last link carries one
+    "offset_payload": ([], [0.3, 0.012, -0.006, 0.018]),
     "gravity_tilt": ([0.03, -0.1], []),  # of the whole robot
     "coulomb_friction": ([0.3, 0.0], [0.1, 0.0]),
     "stribeck_friction": ([0.2, 0.2, -0.2], [0.06, 0.06, -0.2]),
@@ -285,7 +287,7 @@ def test_the_sentence_says_the_joint_the_numbers_and_the_units(effect, joint):
 
 @of_each()
 def test_the_given_models_number_stands_beside_the_true_one(effect):
-    joint = 1 if effect.name == "payload" else 0
+    joint = 1 if effect.name in ("payload", "offset_payload") else 0
     parameters = effect.parameters(arm(), address(), joint)
     values = nominal_values(effect, joint) + np.array(CHANGE[effect.name][joint])
     text = effect.sentence(JOINTS[joint], named(effect, joint, values), parameters)

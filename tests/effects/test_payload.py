@@ -1,10 +1,12 @@
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 from effects.arm import JOINTS, address, arm, record
 
 from torchrl_athletic.effects import JointAddress, Plant, project_recording
-from torchrl_athletic.effects.payload import Payload, far_end, with_payload, with_point
+from torchrl_athletic.effects.payload import FEWEST, INERTIAL, OffsetPayload, Payload, far_end, with_payload, with_point
 
 CARRIER = """
 <mujoco><compiler angle="radian"/><worldbody><body><joint name="j" axis="0 1 0" pos="0 0 0.1"/>
@@ -83,6 +85,49 @@ def test_the_sentence_says_mass_and_joint():
     text = Payload().sentence("elbow", {"mass": 0.25}, Payload().parameters(arm(), address(), 1))
     assert "0.25 kg" in text
     assert "elbow" in text
+
+
+def test_an_offset_payload_is_a_point_off_the_end_and_without_an_offset_a_payload():
+    moments, mass = np.array([0.02, -0.01, 0.03]), 0.3
+    plants = [Plant(arm(), address(), 1) for _ in range(4)]
+    OffsetPayload().apply(plants[0], 1, np.array([[mass, *moments]]))
+    at = int(address().body[1])
+    link = [getattr(arm(), name)[at : at + 1] for name in INERTIAL]
+    point = far_end(arm(), address(), 1) + moments / mass
+    for name, value in zip(INERTIAL, with_point(*link, point, np.array([mass])), strict=True):
+        np.testing.assert_allclose(plants[0].fields[name][0, at], value[0])
+    OffsetPayload().apply(plants[1], 1, np.array([[mass, 0.0, 0.0, 0.0]]))
+    Payload().apply(plants[2], 1, np.array([[mass]]))
+    for name in INERTIAL:
+        np.testing.assert_allclose(plants[1].fields[name], plants[2].fields[name])
+    OffsetPayload().apply(plants[3], 1, np.array([[0.0, *moments]]))
+    assert not plants[3].fields
+
+
+def test_where_a_payload_is_is_asked_of_three_joints_or_more_and_lies_within_reach():
+    s = project_recording(record(Payload(), 1, [0.25], seconds=5.0), arm(), np.zeros(2), kernel=0.01)
+    assert OffsetPayload().grid_of([s], 1) == []
+    many = SimpleNamespace(num_joints=FEWEST, model=arm(), address=address(), fine_position=np.zeros((2, 2)))
+    assert OffsetPayload().grid_of([many], 1) == [{}]
+    assert OffsetPayload().grid_of([many], 0) == []  # not of the upper link
+    parameters = OffsetPayload().parameters(arm(), address(), 1)
+    reach = parameters[1].upper / parameters[0].upper
+    assert OffsetPayload().is_physical(parameters, np.array([0.5, 0.0, 0.0, 0.49 * reach]))
+    assert not OffsetPayload().is_physical(parameters, np.array([0.5, 0.0, 0.0, 0.51 * reach]))
+
+
+def test_a_heavy_arm_may_carry_more_than_ten_of_its_light_last_links():
+    """The flange of an industrial arm weighs 0.2 kg, and its payload 3."""
+    light = mujoco.MjSpec()
+    upper = light.worldbody.add_body()
+    upper.add_joint(name="upper", axis=[0, 1, 0])
+    upper.add_geom(size=[0.1, 0, 0], mass=20.0)
+    lower = upper.add_body(pos=[0, 0, -0.5])
+    lower.add_joint(name="lower", axis=[0, 1, 0])
+    lower.add_geom(size=[0.02, 0, 0], pos=[0, 0, -0.1], mass=0.1)
+    model = light.compile()
+    (mass,) = Payload().parameters(model, JointAddress.of(model, ("upper", "lower")), 1)
+    assert mass.upper == pytest.approx(0.5 * 20.1)
 
 
 def test_a_weight_is_fastened_to_the_last_link_where_bodies_have_no_names():

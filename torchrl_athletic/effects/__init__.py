@@ -18,7 +18,7 @@ from torchrl_athletic.effects.friction import (
 from torchrl_athletic.effects.gravity import GravityTilt
 from torchrl_athletic.effects.inertia import LinkCom, LinkInertia, LinkMass, ReflectedInertia
 from torchrl_athletic.effects.nuisance import BaseClockShift, ClockShift, LinkComShift
-from torchrl_athletic.effects.payload import Payload
+from torchrl_athletic.effects.payload import OffsetPayload, Payload
 from torchrl_athletic.effects.plant import Law, Now, Plant, Start
 from torchrl_athletic.effects.presliding import Hysteresis
 from torchrl_athletic.effects.sensing import ClockOffset, EncoderOffset, EncoderScale
@@ -46,6 +46,7 @@ CATALOGUE: tuple[Effect, ...] = (
     LinkMass(),
     LinkCom(),
     Payload(),
+    OffsetPayload(),
     GravityTilt(),
     ActuationDelay(),
     ActuationLag(),
@@ -108,6 +109,7 @@ __all__ = [
     "LinkMass",
     "LoadDependentFriction",
     "Now",
+    "OffsetPayload",
     "Parameter",
     "Payload",
     "Plant",

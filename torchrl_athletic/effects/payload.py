@@ -14,6 +14,15 @@ from torchrl_athletic.effects.inertia import carries_link, recompute_constants
 from torchrl_athletic.effects.plant import Plant
 from torchrl_athletic.effects.signals import JointAddress, Signals
 
+INERTIAL = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
+"""Fields of the model that say how a body weighs."""
+SHIFT = 0.05
+"""To either side of the far end, between which the torque is a line of the first moment [m]."""
+
+
+FEWEST = 3
+"""Joints of a chain that turns a point of its last link in enough ways to tell where it is."""
+
 
 class Payload(Effect):
     """Something heavy sits at the end of the arm: a tool, a gripper, a workpiece.
@@ -47,39 +56,134 @@ class Payload(Effect):
         mass = float(model.body_subtreemass[address.body[joint]])
         if not mass or not _is_last(model, address, joint):
             return ()
-        return (Parameter("mass", "kg", 0.0, 0.0, 10 * mass, 0.05 * mass),)
+        return (Parameter("mass", "kg", 0.0, 0.0, _most(model, address, joint), 0.05 * mass),)
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         return [{}] if self.parameters(s.model, s.address, joint) else []
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
-        body, model = s.address.body[joint], s.model.__copy__()
-        step = 0.1 * float(model.body_subtreemass[body])
-        mass, centre, quat, inertia = with_point(
-            model.body_mass[body : body + 1],
-            model.body_ipos[body : body + 1],
-            model.body_iquat[body : body + 1],
-            model.body_inertia[body : body + 1],
-            far_end(model, s.address, joint),
-            np.array([step]),
-        )
-        model.body_mass[body], model.body_ipos[body] = mass[0], centre[0]
-        model.body_iquat[body], model.body_inertia[body] = quat[0], inertia[0]
-        model.body_simple[body] = model.dof_simplenum[s.address.dof[joint]] = 0  # no longer centred on its frame
-        recompute_constants(model)
-        return Fingerprint(-((s.inverse(model) - s.rigid) / step)[:, :, None], fixed)
+        torque = _torque_of_point(s, joint, far_end(s.model, s.address, joint))
+        return Fingerprint(-torque[:, :, None], fixed)
 
     def apply(self, plant: Plant, joint: int, values: Array) -> None:
-        body, names = plant.address.body[joint], ("body_mass", "body_ipos", "body_iquat", "body_inertia")
-        if not values.any():
-            return
-        point = far_end(plant.model, plant.address, joint)
-        mass, centre, quat, inertia = (plant.of(name)[:, body] for name in names)
-        for name, value in zip(names, with_point(mass, centre, quat, inertia, point, values[:, 0]), strict=True):
-            plant.of(name)[:, body] = value
+        if values.any():
+            _put(plant, joint, values[:, 0], far_end(plant.model, plant.address, joint))
 
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
         return f"A payload of {values['mass']:.3g} kg sits at the end of the link moved by {joint}; the model has none."
+
+
+class OffsetPayload(Effect):
+    """Something heavy is fastened to the arm, with its centre of mass anywhere: a gripper, a camera, a bracket.
+
+    Parameters: ``mass`` [kg] of a point, and its first moments ``moment_x``, ``moment_y`` and ``moment_z`` [kg·m] about
+    the far end of the last link (see :class:`Payload`), along the axes of the link's frame. Only the last link of a
+    chain has one; it is looked for where :data:`FEWEST` joints or more show where it is.
+
+    Fingerprint: -∂ID/∂m and -∂ID/∂(m c) on every joint, from the inverse dynamics with the point mass, at the far end
+    and :data:`SHIFT` to either side of it.
+
+    Simulation: mass, centre of mass and inertia of the link with the point.
+    """
+
+    name = "offset_payload"
+    family = "inertia"
+    excludes = frozenset({"payload", "link_mass", "link_com"})
+    mjcf = "model"
+    shows_in = "load"
+    adds_to_link = True
+    special_cases = frozenset({"payload"})
+    sets_apart = MOMENTS = ("moment_x", "moment_y", "moment_z")
+    equation = "τ = -m J(q)ᵀ (a - g) of a point of the link"
+    source = "Khalil, Gautier, Lemoine 2007, Identification of the payload inertial parameters, ICRA"
+    experiments: ClassVar[Mapping[str, str]] = {
+        "payload": "hold {joint} level and turn it by half a turn: weight on its axis asks for the same torque",
+        "torque_scale": "take the payload off {joint} and repeat the take: a wrong scale stays",
+        "reflected_inertia": "hold {joint} still in two poses: a rotor has no weight",
+        "gravity_tilt": "take the payload off {joint} and repeat the take: a tilt stays",
+    }
+
+    def parameters(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[Parameter, ...]:
+        mass = float(model.body_subtreemass[address.body[joint]])
+        if not mass or not _is_last(model, address, joint):
+            return ()
+        most, reach = _most(model, address, joint), _length(model, address, joint)
+        point = Parameter("mass", "kg", 0.0, 0.0, most, 0.05 * mass)
+        moments = (Parameter(x, "kg·m", 0.0, -most * reach, most * reach, 0.05 * mass * reach) for x in self.MOMENTS)
+        return (point, *moments)
+
+    def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
+        mass, moment = values[0], values[1:]
+        reach = parameters[1].upper / parameters[0].upper
+        return float(np.linalg.norm(moment)) <= float(mass) * reach
+
+    def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
+        return [{}] if self.parameters(s.model, s.address, joint) else []
+
+    def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
+        return super().grid_of(takes, joint) if takes[0].num_joints >= FEWEST else []
+
+    def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
+        end = far_end(s.model, s.address, joint)
+        columns = [_torque_of_point(s, joint, end)]
+        for axis in SHIFT * np.eye(3):
+            there, back = (_torque_of_point(s, joint, end + side * axis) for side in (1, -1))
+            columns.append((there - back) / (2 * SHIFT))
+        return Fingerprint(-np.stack(columns, axis=-1), fixed)
+
+    def apply(self, plant: Plant, joint: int, values: Array) -> None:
+        mass = values[:, :1]
+        if not mass.any():
+            return
+        reach = _length(plant.model, plant.address, joint)
+        offset = np.clip(values[:, 1:] / np.maximum(mass, 1e-12), -reach, reach)
+        _put(plant, joint, mass[:, 0], far_end(plant.model, plant.address, joint) + offset)
+
+    def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
+        offset = np.array([values[x] for x in self.MOMENTS]) / max(values["mass"], 1e-12)
+        x, y, z = (f"{values[name]:.3g}" for name in self.MOMENTS)
+        return (
+            f"A payload of {values['mass']:.3g} kg is fastened to the link moved by {joint}, with its centre "
+            f"{1e3 * np.linalg.norm(offset):.0f} mm from the link's end (first moments {x}, {y} and {z} kg·m along the "
+            "link's axes); the model has none."
+        )
+
+
+def _torque_of_point(s: Signals, joint: int, point: Array) -> Array:
+    """Torque that one kilogram at a point of the last link asks for [N·m/kg]. Shape (N, J)."""
+    body, model = s.address.body[joint], s.model.__copy__()
+    step = 0.1 * float(model.body_subtreemass[body])
+    mass, centre, quat, inertia = with_point(
+        *(getattr(model, name)[body : body + 1] for name in INERTIAL), point, np.array([step])
+    )
+    model.body_mass[body], model.body_ipos[body] = mass[0], centre[0]
+    model.body_iquat[body], model.body_inertia[body] = quat[0], inertia[0]
+    model.body_simple[body] = model.dof_simplenum[s.address.dof[joint]] = 0  # no longer centred on its frame
+    recompute_constants(model)
+    return np.asarray((s.inverse(model) - s.rigid) / step, dtype=np.float64)
+
+
+def _put(plant: Plant, joint: int, added: Array, point: Array) -> None:
+    """Add point masses (rows,) to the last link, at one point (3,) or one for each row (rows, 3)."""
+    body = plant.address.body[joint]
+    now = [plant.of(name)[:, body] for name in INERTIAL]
+    for name, value in zip(INERTIAL, with_point(*now, point, added), strict=True):
+        plant.of(name)[:, body] = value
+
+
+def _most(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
+    """What may be fastened: ten times the last link, or half of all that the chain carries [kg]."""
+    return max(10 * float(model.body_subtreemass[address.body[joint]]), 0.5 * float(model.body_mass[1:].sum()))
+
+
+def _length(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
+    """Half the way from joint to joint to the far end: how far from that a centre of mass may lie [m]."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    body = address.body[joint]
+    end = data.xpos[body] + data.xmat[body].reshape(3, 3) @ far_end(model, address, joint)
+    way = np.vstack([data.xanchor[address.joint], end])
+    return 0.5 * float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
 def with_payload(xml: str, joint_names: Sequence[str], mass: float) -> mujoco.MjModel:
@@ -134,7 +238,7 @@ def with_point(
         centre: Of mass, in the body's frame [m]. Shape (rows, 3).
         quat: Of the principal axes in the body's frame. Shape (rows, 4).
         inertia: Principal moments [kg·m²]. Shape (rows, 3).
-        point: Where the point sits, in the body's frame [m]. Shape (3,).
+        point: Where the point sits, in the body's frame [m]. Shape (3,) or (rows, 3).
         added: Its mass [kg]. Shape (rows,).
 
     Returns:

@@ -19,7 +19,7 @@ from torchrl_athletic.recordings import Recording
 from torchrl_athletic.robots import Robot
 from torchrl_athletic.transforms.corrected_actuation import NOT_ACTED_OUT, OF_THE_RECORDING
 
-NOT_IN_A_ROBOT = frozenset({"payload", "gravity_tilt", "joint_spring"})
+NOT_IN_A_ROBOT = frozenset({"payload", "offset_payload", "gravity_tilt", "joint_spring"})
 """Effects that change the model in a way that :func:`~torchrl_athletic.robots.with_correction` does not carry over."""
 KNOWN = frozenset({"speed_torque_limit", "torque_saturation", "gain_mismatch"})
 """What the data sheet and the recording say of the drives."""
