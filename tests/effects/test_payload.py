@@ -7,6 +7,7 @@ from effects.arm import JOINTS, address, arm, record
 
 from torchrl_athletic.effects import JointAddress, Plant, project_recording
 from torchrl_athletic.effects.payload import FEWEST, INERTIAL, OffsetPayload, Payload, far_end, with_payload, with_point
+from torchrl_athletic.recordings import Recording
 
 CARRIER = """
 <mujoco><compiler angle="radian"/><worldbody><body><joint name="j" axis="0 1 0" pos="0 0 0.1"/>
@@ -116,6 +117,43 @@ def test_where_a_payload_is_is_asked_of_three_joints_or_more_and_lies_within_rea
     assert not OffsetPayload().is_physical(parameters, np.array([0.5, 0.0, 0.0, 0.51 * reach]))
 
 
+def test_what_three_joints_feel_tells_mass_and_place_of_a_weight_off_the_axis():
+    """From a log of an arm that holds it, simulated by MuJoCo with the compiler's own merging of bodies."""
+    at, mass, names = np.array([0.06, -0.03, 0.02]), 1.1, ("base", "upper", "wrist")
+    wrist = """<body pos="0 0 -0.3"><joint name="wrist" axis="0 0 1" armature="0.02"/>
+      <geom size="0.03" pos="0 0 -0.05" mass="0.3"/>{}</body>"""
+    arm = """<mujoco><option timestep="0.001"/><worldbody>
+      <body pos="0 0 1"><joint name="base" axis="0 0 1" armature="0.1"/><geom size="0.05" mass="2"/>
+      <body><joint name="upper" axis="0 1 0" armature="0.1"/><geom size="0.04" pos="0 0 -0.15" mass="1"/>{}</body></body>
+      </worldbody></mujoco>"""
+    bare = mujoco.MjModel.from_xml_string(arm.format(wrist.format("")))
+    end = far_end(bare, JointAddress.of(bare, names), 2)
+    ball = f'<geom size="1e-4" pos="{" ".join(map(str, end + at))}" mass="{mass}"/>'
+    loaded = mujoco.MjModel.from_xml_string(arm.format(wrist.format(ball)))
+    data, rows = mujoco.MjData(loaded), []
+    for k in range(8000):
+        t = 1e-3 * k
+        target = np.array([0.8 * np.sin(1.7 * t), 1.0 * np.sin(2.3 * t), 1.4 * np.sin(3.1 * t)])
+        data.qfrc_applied[:] = [80, 80, 8] * (target - data.qpos) - [6, 6, 0.4] * data.qvel
+        rows.append((t, *data.qpos, *data.qfrc_applied))
+        mujoco.mj_step(loaded, data)
+    log = np.array(rows)[::5]
+    take = Recording(log[:, 0], names, log[:, 1:4], torque_command=log[:, 4:])
+    s = project_recording(take, bare, np.zeros(3), kernel=0.01)
+
+    def found(effect):
+        columns = effect.fingerprint(s, 2, {}).columns[s.valid.all(1)]
+        columns, missing = columns.reshape(-1, columns.shape[2]), s.missing[s.valid.all(1)].ravel()
+        values = np.linalg.lstsq(columns, missing, rcond=None)[0]
+        return values, float(((missing - columns @ values) ** 2).sum() / (missing**2).sum())
+
+    values, left = found(OffsetPayload())
+    assert values[0] == pytest.approx(mass, rel=0.05)
+    np.testing.assert_allclose(values[1:] / values[0], at, atol=0.005)
+    assert left < 0.01
+    assert found(Payload())[1] > 10 * left
+
+
 def test_a_heavy_arm_may_carry_more_than_ten_of_its_light_last_links():
     """The flange of an industrial arm weighs 0.2 kg, and its payload 3."""
     light = mujoco.MjSpec()
@@ -132,7 +170,7 @@ def test_a_heavy_arm_may_carry_more_than_ten_of_its_light_last_links():
 
 def test_a_weight_is_fastened_to_the_last_link_where_bodies_have_no_names():
     xml = """<mujoco><worldbody><body pos="1 0 0"><geom size="0.1"/></body>
-      <body><joint name="upper" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.2"/>
+      <body><joint name="upper" axis="0 1 0" armature="0.1"/><geom size="0.1" pos="0 0 -0.2"/>
         <body pos="0 0 -0.4"><joint name="lower" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.2"/></body></body>
       </worldbody></mujoco>"""
     bare, loaded = mujoco.MjModel.from_xml_string(xml), with_payload(xml, ("upper", "lower"), 0.5)
