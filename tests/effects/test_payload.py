@@ -124,7 +124,8 @@ def test_what_three_joints_feel_tells_mass_and_place_of_a_weight_off_the_axis():
       <geom size="0.03" pos="0 0 -0.05" mass="0.3"/>{}</body>"""
     arm = """<mujoco><option timestep="0.001"/><worldbody>
       <body pos="0 0 1"><joint name="base" axis="0 0 1" armature="0.1"/><geom size="0.05" mass="2"/>
-      <body><joint name="upper" axis="0 1 0" armature="0.1"/><geom size="0.04" pos="0 0 -0.15" mass="1"/>{}</body></body>
+      <body><joint name="upper" axis="0 1 0" armature="0.1"/>
+      <geom size="0.04" pos="0 0 -0.15" mass="1"/>{}</body></body>
       </worldbody></mujoco>"""
     bare = mujoco.MjModel.from_xml_string(arm.format(wrist.format("")))
     end = far_end(bare, JointAddress.of(bare, names), 2)
