@@ -101,6 +101,7 @@ def test_schemas_and_what_mjcf_can_say():
         "link_com_shift": "centre of mass",
         "link_inertia": "inertia",
         "payload": "payload",
+        "offset_payload": "payload",
         "gravity_tilt": "gravity",
         "joint_spring": "spring",
     }

@@ -153,9 +153,8 @@ def _torque_of_point(s: Signals, joint: int, point: Array) -> Array:
     """Torque that one kilogram at a point of the last link asks for [N·m/kg]. Shape (N, J)."""
     body, model = s.address.body[joint], s.model.__copy__()
     step = 0.1 * float(model.body_subtreemass[body])
-    mass, centre, quat, inertia = with_point(
-        *(getattr(model, name)[body : body + 1] for name in INERTIAL), point, np.array([step])
-    )
+    mass, centre, quat, inertia = (getattr(model, name)[body : body + 1] for name in INERTIAL)
+    mass, centre, quat, inertia = with_point(mass, centre, quat, inertia, point, np.array([step]))
     model.body_mass[body], model.body_ipos[body] = mass[0], centre[0]
     model.body_iquat[body], model.body_inertia[body] = quat[0], inertia[0]
     model.body_simple[body] = model.dof_simplenum[s.address.dof[joint]] = 0  # no longer centred on its frame
@@ -166,8 +165,8 @@ def _torque_of_point(s: Signals, joint: int, point: Array) -> Array:
 def _put(plant: Plant, joint: int, added: Array, point: Array) -> None:
     """Add point masses (rows,) to the last link, at one point (3,) or one for each row (rows, 3)."""
     body = plant.address.body[joint]
-    now = [plant.of(name)[:, body] for name in INERTIAL]
-    for name, value in zip(INERTIAL, with_point(*now, point, added), strict=True):
+    mass, centre, quat, inertia = (plant.of(name)[:, body] for name in INERTIAL)
+    for name, value in zip(INERTIAL, with_point(mass, centre, quat, inertia, point, added), strict=True):
         plant.of(name)[:, body] = value
 
 

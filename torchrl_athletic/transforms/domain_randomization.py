@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-import mujoco
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
@@ -332,7 +331,7 @@ class DomainRandomization(RandomTransform):
         return {name: set(rows[name].tolist()) for name in self.fields}
 
 
-def _refuse_weak(model: mujoco.MjModel, ground: Sequence[int]) -> None:
+def _refuse_weak(model: Any, ground: Sequence[int]) -> None:
     """Raise where the ground's friction and softness would not rule in its contacts."""
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     touching[list(ground)] = False
