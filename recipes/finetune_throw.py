@@ -1,7 +1,7 @@
 """Teach a B2 with a Z1 to throw a ball as far as it can.
 
 python recipes/finetune_throw.py                  # two cores, nine minutes of training: first steps and a video
-python recipes/finetune_throw.py --device cuda --ppo.critic-first 40   # the paper's scale: 4,096 robots, 14 minutes
+python recipes/finetune_throw.py --device cuda    # the paper's scale: 4,096 robots, 14 minutes
 python recipes/finetune_throw.py --actuation outputs/identification/diagnosed_seed0   # in an identified simulator
 
 Starts from the shipped whole-body controller. The same command goes on after Ctrl-C or a crash.
