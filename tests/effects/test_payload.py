@@ -6,7 +6,7 @@ import pytest
 from effects.arm import JOINTS, address, arm, record
 
 from torchrl_athletic.effects import JointAddress, Plant, project_recording
-from torchrl_athletic.effects.payload import FEWEST, INERTIAL, OffsetPayload, Payload, far_end, with_payload, with_point
+from torchrl_athletic.effects.payload import INERTIAL, OffsetPayload, Payload, far_end, with_payload, with_point
 from torchrl_athletic.recordings import Recording
 
 CARRIER = """
@@ -105,16 +105,60 @@ def test_an_offset_payload_is_a_point_off_the_end_and_without_an_offset_a_payloa
     assert not plants[3].fields
 
 
-def test_where_a_payload_is_is_asked_of_three_joints_or_more_and_lies_within_reach():
+HINGES = """<mujoco><worldbody>{more}<body pos="0 0 1">{a}<geom size="0.05" mass="2"/><body pos="0 0 -0.2">{b}
+  <geom size="0.04" pos="0 0 -0.15" mass="1"/><body pos="0 0 -0.3">{c}
+  <geom size="0.03" pos="0 0 -0.05" mass="0.3"/></body></body></body></worldbody></mujoco>"""
+
+
+def three_joints(axes=("0 0 1", "0 1 0", "0 0 1"), kind="hinge", more="") -> mujoco.MjModel:
+    names = ("j0", "j1", "j2")
+    joints = [f'<joint name="{n}" type="{kind}" axis="{axis}"/>' for n, axis in zip(names, axes, strict=True)]
+    return mujoco.MjModel.from_xml_string(HINGES.format(a=joints[0], b=joints[1], c=joints[2], more=more))
+
+
+def offset_parameters(model: mujoco.MjModel, names=("j0", "j1", "j2"), joint=2):
+    return OffsetPayload().parameters(model, JointAddress.of(model, names), joint)
+
+
+def test_a_moment_that_no_joint_feels_stays_zero():
+    widths = [p.upper - p.lower for p in offset_parameters(three_joints())]
+    assert all(width > 0 for width in widths)
+    planar = offset_parameters(three_joints(axes=("0 1 0",) * 3))
+    assert [p.upper > p.lower for p in planar] == [True, True, False, True]
+    assert planar[2].upper == planar[2].lower == 0
+    assert offset_parameters(three_joints(kind="slide")) == ()  # which feel a mass wherever it is
+
+
+def test_where_a_payload_is_is_asked_of_chains_of_three_joints_and_lies_within_reach():
     s = project_recording(record(Payload(), 1, [0.25], seconds=5.0), arm(), np.zeros(2), kernel=0.01)
     assert OffsetPayload().grid_of([s], 1) == []
-    many = SimpleNamespace(num_joints=FEWEST, model=arm(), address=address(), fine_position=np.zeros((2, 2)))
-    assert OffsetPayload().grid_of([many], 1) == [{}]
-    assert OffsetPayload().grid_of([many], 0) == []  # not of the upper link
-    parameters = OffsetPayload().parameters(arm(), address(), 1)
-    reach = parameters[1].upper / parameters[0].upper
-    assert OffsetPayload().is_physical(parameters, np.array([0.5, 0.0, 0.0, 0.49 * reach]))
-    assert not OffsetPayload().is_physical(parameters, np.array([0.5, 0.0, 0.0, 0.51 * reach]))
+    model = three_joints()
+    take = SimpleNamespace(
+        model=model, address=JointAddress.of(model, ("j0", "j1", "j2")), fine_position=np.zeros((2, 3))
+    )
+    assert OffsetPayload().grid_of([take], 2) == [{}]
+    assert OffsetPayload().grid_of([take], 1) == []  # not of the upper link
+    mass, x, *_ = parameters = offset_parameters(model)
+    assert x.upper / mass.upper == pytest.approx(0.5 * (0.2 + 0.3 + 0.05))  # from joint to joint, and the far end
+    assert OffsetPayload().is_physical(parameters, np.array([0.5, 0.0, 0.0, 0.13]))
+    assert not OffsetPayload().is_physical(parameters, np.array([0.5, 0.1, 0.0, 0.1]))
+
+
+def test_what_is_beyond_reach_is_brought_within_it():
+    plant = Plant(three_joints(), JointAddress.of(three_joints(), ("j0", "j1", "j2")), 1)
+    OffsetPayload().apply(plant, 2, np.array([[0.3, 30.0, 40.0, 0.0]]))
+    centre = plant.fields["body_ipos"][0, 3]  # halfway, since both weigh the same
+    np.testing.assert_allclose(centre, [0.3 * 0.275, 0.4 * 0.275, -0.05], atol=1e-9)
+
+
+def test_reach_and_mass_are_those_of_the_chain_whatever_else_the_model_has():
+    more = """<body><geom size="0.5" mass="500"/></body>
+      <body pos="5 0 0"><joint name="other" axis="0 1 0"/><geom size="0.1"/></body>"""
+    alone, crowded = offset_parameters(three_joints()), three_joints(more=more)
+    beside = offset_parameters(crowded, ("j0", "j1", "j2", "other"))
+    named = offset_parameters(crowded, ("other", "j2", "j0", "j1"), 1)
+    for one, other, third in zip(alone, beside, named, strict=True):
+        assert one.upper == pytest.approx(other.upper) == pytest.approx(third.upper)
 
 
 def test_what_three_joints_feel_tells_mass_and_place_of_a_weight_off_the_axis():

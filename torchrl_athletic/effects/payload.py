@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from torchrl_athletic.effects.effect import Array, Effect, Fingerprint, Parameter
@@ -22,6 +23,10 @@ SHIFT = 0.05
 
 FEWEST = 3
 """Joints of a chain that turns a point of its last link in enough ways to tell where it is."""
+
+
+FELT = 1e-4
+"""Torque of a moment that its mass does not explain, per that of the mass at a metre, from which on it is felt [1]."""
 
 
 class Payload(Effect):
@@ -77,8 +82,9 @@ class OffsetPayload(Effect):
     """Something heavy is fastened to the arm, with its centre of mass anywhere: a gripper, a camera, a bracket.
 
     Parameters: ``mass`` [kg] of a point, and its first moments ``moment_x``, ``moment_y`` and ``moment_z`` [kg·m] about
-    the far end of the last link (see :class:`Payload`), along the axes of the link's frame. Only the last link of a
-    chain has one; it is looked for where :data:`FEWEST` joints or more show where it is.
+    the far end of the last link (see :class:`Payload`), along the axes of the link's frame. A moment that the chain
+    cannot feel, as that along the axes of a planar arm, stays zero. Only the last link of a chain has one; it is looked
+    for where the chain has :data:`FEWEST` joints or more.
 
     Fingerprint: -∂ID/∂m and -∂ID/∂(m c) on every joint, from the inverse dynamics with the point mass, at the far end
     and :data:`SHIFT` to either side of it.
@@ -107,21 +113,26 @@ class OffsetPayload(Effect):
         mass = float(model.body_subtreemass[address.body[joint]])
         if not mass or not _is_last(model, address, joint):
             return ()
-        most, reach = _most(model, address, joint), _length(model, address, joint)
-        point = Parameter("mass", "kg", 0.0, 0.0, most, 0.05 * mass)
-        moments = (Parameter(x, "kg·m", 0.0, -most * reach, most * reach, 0.05 * mass * reach) for x in self.MOMENTS)
-        return (point, *moments)
+        most, reach = _most(model, address, joint), _reach(model, address, joint)
+        felt = reach * _felt(model, address, joint)
+        if not felt.any():
+            return ()
+        moments = zip(self.MOMENTS, (most * felt).tolist(), strict=True)
+        return (
+            Parameter("mass", "kg", 0.0, 0.0, most, 0.05 * mass),
+            *(Parameter(name, "kg·m", 0.0, -bound, bound, 0.05 * mass * reach) for name, bound in moments),
+        )
 
     def is_physical(self, parameters: Sequence[Parameter], values: Array) -> bool:
-        mass, moment = values[0], values[1:]
-        reach = parameters[1].upper / parameters[0].upper
-        return float(np.linalg.norm(moment)) <= float(mass) * reach
+        most, *bounds = (p.upper for p in parameters)
+        return float(np.linalg.norm(values[1:])) <= float(values[0]) * max(bounds) / most
 
     def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
         return [{}] if self.parameters(s.model, s.address, joint) else []
 
     def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
-        return super().grid_of(takes, joint) if takes[0].num_joints >= FEWEST else []
+        model, address = takes[0].model, takes[0].address
+        return super().grid_of(takes, joint) if len(_chain(model, address, joint)) >= FEWEST else []
 
     def fingerprint(self, s: Signals, joint: int, fixed: Mapping[str, float]) -> Fingerprint:
         end = far_end(s.model, s.address, joint)
@@ -135,8 +146,11 @@ class OffsetPayload(Effect):
         mass = values[:, :1]
         if not mass.any():
             return
-        reach = _length(plant.model, plant.address, joint)
-        offset = np.clip(values[:, 1:] / np.maximum(mass, 1e-12), -reach, reach)
+        offset = values[:, 1:] / np.maximum(mass, 1e-12)
+        way = np.linalg.norm(
+            offset, axis=1, keepdims=True
+        )  # beyond its reach it is not physical, and would be a flywheel
+        offset *= np.minimum(1.0, _reach(plant.model, plant.address, joint) / np.maximum(way, 1e-12))
         _put(plant, joint, mass[:, 0], far_end(plant.model, plant.address, joint) + offset)
 
     def sentence(self, joint: str, values: Mapping[str, float], parameters: tuple[Parameter, ...]) -> str:
@@ -151,15 +165,52 @@ class OffsetPayload(Effect):
 
 def _torque_of_point(s: Signals, joint: int, point: Array) -> Array:
     """Torque that one kilogram at a point of the last link asks for [N·m/kg]. Shape (N, J)."""
-    body, model = s.address.body[joint], s.model.__copy__()
-    step = 0.1 * float(model.body_subtreemass[body])
+    body = int(s.address.body[joint])
+    step = 0.1 * float(s.model.body_subtreemass[body])
+    loaded = _loaded(s.model, body, int(s.address.dof[joint]), point, step)
+    return np.asarray((s.inverse(loaded) - s.rigid) / step, dtype=np.float64)
+
+
+def _loaded(model: mujoco.MjModel, body: int, dof: int, point: Array, added: float) -> mujoco.MjModel:
+    """A copy of the model with a point mass at a point of a body."""
+    model = model.__copy__()
     mass, centre, quat, inertia = (getattr(model, name)[body : body + 1] for name in INERTIAL)
-    mass, centre, quat, inertia = with_point(mass, centre, quat, inertia, point, np.array([step]))
+    mass, centre, quat, inertia = with_point(mass, centre, quat, inertia, point, np.array([added]))
     model.body_mass[body], model.body_ipos[body] = mass[0], centre[0]
     model.body_iquat[body], model.body_inertia[body] = quat[0], inertia[0]
-    model.body_simple[body] = model.dof_simplenum[s.address.dof[joint]] = 0  # no longer centred on its frame
+    model.body_simple[body] = model.dof_simplenum[dof] = 0  # no longer centred on its frame
     recompute_constants(model)
-    return np.asarray((s.inverse(model) - s.rigid) / step, dtype=np.float64)
+    return model
+
+
+def _felt(model: mujoco.MjModel, address: JointAddress, joint: int) -> NDArray[np.bool_]:
+    """Which first moments of a point of the last link move the chain's torques, beside its mass. Shape (3,).
+
+    By the inverse dynamics in random states, of which torques are linear in mass and moments.
+    """
+    body, dof = int(address.body[joint]), int(address.dof[joint])
+    chain, end, rng = _chain(model, address, joint), far_end(model, address, joint), np.random.default_rng(0)
+    added = 0.1 * float(model.body_subtreemass[body])
+    ends = [end, *(end + side * axis for axis in SHIFT * np.eye(3) for side in (1, -1))]
+    models = [model.__copy__(), *(_loaded(model, body, dof, point, added) for point in ends)]
+    states = rng.standard_normal((8, 3, len(chain)))
+    torques = np.empty((len(models), len(states), len(chain)))
+    for m, torque in zip(models, torques, strict=True):
+        m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        data = mujoco.MjData(m)
+        for row, (position, velocity, acceleration) in enumerate(states):
+            data.qpos[address.qpos[chain]], data.qvel[address.dof[chain]] = position, velocity
+            data.qacc[address.dof[chain]] = acceleration
+            mujoco.mj_inverse(m, data)
+            torque[row] = data.qfrc_inverse[address.dof[chain]]
+    mass, *sides = (torques[1:] - torques[:1]).reshape(len(ends), -1)
+    known, felt = [mass / max(float(np.linalg.norm(mass)), 1e-300)], np.zeros(3, dtype=bool)
+    for k, column in enumerate(np.array(sides[::2]) - np.array(sides[1::2])):
+        new = column - sum(float(unit @ column) * unit for unit in known)
+        felt[k] = float(np.linalg.norm(new)) > FELT * SHIFT * float(np.linalg.norm(mass))
+        if felt[k]:
+            known.append(new / np.linalg.norm(new))
+    return felt
 
 
 def _put(plant: Plant, joint: int, added: Array, point: Array) -> None:
@@ -170,18 +221,29 @@ def _put(plant: Plant, joint: int, added: Array, point: Array) -> None:
         plant.of(name)[:, body] = value
 
 
+def _chain(model: mujoco.MjModel, address: JointAddress, joint: int) -> list[int]:
+    """The recorded joints that move the joint's link, from the base to it."""
+    above, body = [], int(address.body[joint])
+    while body:
+        above.append(body)
+        body = int(model.body_parentid[body])
+    chain = [j for j, body in enumerate(address.body) if body in above]
+    return sorted(chain, key=lambda j: int(address.joint[j]))  # in the order of the tree
+
+
 def _most(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
-    """What may be fastened: ten times the last link, or half of all that the chain carries [kg]."""
-    return max(10 * float(model.body_subtreemass[address.body[joint]]), 0.5 * float(model.body_mass[1:].sum()))
+    """What may be fastened: ten times the last link, or half of all that the chain moves [kg]."""
+    last, first = (int(address.body[j]) for j in (joint, _chain(model, address, joint)[0]))
+    return max(10 * float(model.body_subtreemass[last]), 0.5 * float(model.body_subtreemass[first]))
 
 
-def _length(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
+def _reach(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
     """Half the way from joint to joint to the far end: how far from that a centre of mass may lie [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     body = address.body[joint]
     end = data.xpos[body] + data.xmat[body].reshape(3, 3) @ far_end(model, address, joint)
-    way = np.vstack([data.xanchor[address.joint], end])
+    way = np.vstack([data.xanchor[address.joint[_chain(model, address, joint)]], end])
     return 0.5 * float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 

@@ -34,6 +34,7 @@ IN_THE_MODEL = {
     "link_com_shift": ("x", "y", "z"),
     "link_inertia": ("scale",),
     "payload": ("mass",),
+    "offset_payload": ("mass", "moment_x", "moment_y", "moment_z"),
     "gravity_tilt": ("roll", "pitch"),
     "joint_spring": ("stiffness", "preload"),
 }
@@ -420,7 +421,7 @@ class CorrectedActuation(StatefulTransform):
                 f"CorrectedActuation counts steps of {self.timestep} s, the environment holds a torque for {step} s: "
                 f"delays and lags would be off in proportion. Give it timestep={step}."
             )
-        carries = {joint for effect, joint, _ in self.entries if effect == "payload"}
+        carries = {joint for effect, joint, _ in self.entries if effect in ("payload", "offset_payload")}
         for effect, joint, values in self.entries:
             if effect in ("link_mass", "link_com") and joint in carries:  # their sum is in the model
                 continue

@@ -333,10 +333,13 @@ class DomainRandomization(RandomTransform):
 
 def _refuse_weak(model: Any, ground: Sequence[int]) -> None:
     """Raise where the ground's friction and softness would not rule in its contacts."""
-    touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    touching[list(ground)] = False
-    most = int(model.geom_priority[touching].max(initial=-1))
+    kind, others = model.geom_contype, model.geom_conaffinity
+    standing = model.body_weldid[model.geom_bodyid] == 0  # what is fixed touches nothing that is
     for geom in ground:
+        touching = ((kind & others[geom]) | (others & kind[geom])) != 0
+        touching &= ~(standing & standing[geom])
+        touching[list(ground)] = False
+        most = int(model.geom_priority[touching].max(initial=-1))
         if model.geom_priority[geom] <= most:
             raise ValueError(
                 f"the ground {model.geom(geom).name!r} has priority {model.geom_priority[geom]}, what touches it up to "
