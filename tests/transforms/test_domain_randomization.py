@@ -117,6 +117,20 @@ def test_a_ground_whose_friction_would_be_mixed_is_refused():
         env.reset()
 
 
+def test_what_never_touches_the_ground_may_have_any_priority():
+    def build():
+        spec = ROBOT.build()
+        spec.worldbody.add_geom(name="wall", size=[0.1, 0, 0], pos=[9, 0, 1], priority=5)
+        hip = spec.geom("FR_hip")
+        hip.priority, hip.contype, hip.conaffinity = 5, 2, 2
+        return spec
+
+    env = TransformedEnv(
+        TorqueEnv(replace(ROBOT, build=build), num_envs=1, fields=DomainRandomization().fields), DomainRandomization()
+    )
+    assert env.reset()["randomization"].isfinite().all()
+
+
 def test_once_means_once():
     env = make_env(2, every_episode=False)
     first = env.reset()
