@@ -30,6 +30,7 @@ NATIVE_TERMS = {
     "link_com_shift": [0.02, 0.0, -0.03],
     "link_inertia": [1.4],
     "payload": [0.2],
+    "offset_payload": [0.2, 0.01, 0.0, 0.02],
     "gravity_tilt": [0.05, 0.2],
     "joint_spring": [0.8, 0.3],
 }

@@ -229,11 +229,6 @@ def test_a_model_without_the_correction_is_refused(name):
         env.reset()
 
 
-def test_every_effect_of_the_catalogue_has_its_place():
-    tables = (IN_THE_MODEL, IN_THE_CHAIN, OF_THE_RECORDING, NOT_ACTED_OUT)
-    assert {e.name: sum(e.name in table for table in tables) for e in CATALOGUE} == {e.name: 1 for e in CATALOGUE}
-
-
 def test_an_offset_payload_counts_with_the_mass_of_its_link_too():
     terms = {"link_mass": [0.9], "offset_payload": [0.15, 0.01, 0.0, 0.02]}
     robot = from_mjcf(corrected_xml(BENCHES["pendulum"][0], correct("pendulum", terms)))
