@@ -108,6 +108,23 @@ def taken_back(monkeypatch):
     return asked
 
 
+def test_where_joint_after_joint_would_go_what_helps_without_the_others_is_put_back(taken_back):
+    """The lower joint's numbers harm it a little; without them the upper's harm, unless the robot's go as well."""
+
+    def error(x):
+        upper, lower, robot = x != 0
+        harmed = 1.1 if lower else 2.0 if upper and robot else 1.0
+        return [0.2 if upper and not robot else 1.0, harmed]
+
+    h = Hypothesis((UPPER, LOWER, ROBOT))
+    assert set(taken_back(h, error)) == {LOWER, ROBOT}
+
+
+def test_where_nothing_helps_alone_all_goes(taken_back):
+    h = Hypothesis((UPPER, LOWER))
+    assert set(taken_back(h, lambda x: [2.0, 2.0] if x.any() else [1.0, 1.0])) == {UPPER, LOWER}
+
+
 @pytest.mark.parametrize(("worst", "terms"), [(0, (UPPER,)), (1, (LOWER,))])
 def test_the_joint_that_got_worst_beside_its_own_error_goes_first_and_may_cure_the_other(worst, terms, taken_back):
     """Both got worse; without the one whose error has tripled nobody is, without the other that one still is."""
@@ -132,7 +149,7 @@ def test_all_of_a_joint_goes_together_trims_too_and_nothing_of_another(taken_bac
 
 def test_what_belongs_to_the_whole_robot_goes_once_nothing_of_the_joint_is_left(taken_back):
     h = Hypothesis((LOWER, ROBOT))
-    assert taken_back(h, lambda x: [1.0, 2.0 if x[1] else 1.0]) == (LOWER, ROBOT)
+    assert taken_back(h, lambda x: [1.0, 2.0 if x[1] else 1.0]) == (ROBOT,)  # the joint's went first, and came back
     assert taken_back(h, lambda x: [2.0 if x[1] else 1.0, 1.0]) == (ROBOT,)  # which the lower joint has no part in
 
 

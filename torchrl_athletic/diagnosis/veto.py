@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,9 @@ def vetoed(
 
     All of a joint go together, since halves of a correction may be worse than none, and the joint that got worse most
     goes first: joints are coupled, so that this is asked again until none is worse. What belongs to the whole robot
-    goes when nothing else is left.
+    goes when nothing else is left. Where all would go so, one joint's after another's is put back instead, what helps
+    most alone coming first, as long as no joint is worse: numbers that upset a neighbour once the one beside them is
+    gone may be right.
 
     Args:
         h: The correction.
@@ -42,12 +44,15 @@ def vetoed(
     def rmse(x: Array) -> Array:
         return window_rmse(windows, [simulate(w, h.build, x[None])[0] for w in windows])[0]
 
+    def is_worse(after: Array) -> NDArray[np.bool_]:
+        return np.asarray(after > np.maximum(WORSE * before, NOISE * floor), dtype=np.bool_)
+
     before, x = rmse(h.nominal), values.copy()
     gone: list[Candidate] = []
     parts = (*h.terms, *h.trims)
     while len(gone) < len(parts):
         after = rmse(x)
-        worse = after > np.maximum(WORSE * before, NOISE * floor)
+        worse = is_worse(after)
         if not worse.any():
             break
         left = [c for c in parts if c not in gone]
@@ -58,7 +63,37 @@ def vetoed(
         for c in take_back:
             h.values_of(c, x)[:] = [p.nominal for p in c.parameters]
         gone += take_back
-    return tuple(gone)
+    if len(gone) < len(parts):
+        return tuple(gone)
+    groups = [[c for c in parts if c.joint_name == joint] for joint in dict.fromkeys(c.joint_name for c in parts)]
+    return tuple(_not_put_back(h, values, groups, rmse, is_worse)) if len(groups) > 1 else parts
+
+
+def _not_put_back(
+    h: Hypothesis,
+    values: Array,
+    groups: Sequence[Sequence[Candidate]],
+    rmse: Callable[[Array], Array],
+    is_worse: Callable[[Array], NDArray[np.bool_]],
+) -> list[Candidate]:
+    """What stays away where groups of a correction are put back into the given model as long as no joint is worse."""
+
+    def beside(x: Array, group: Sequence[Candidate]) -> Array:
+        x = x.copy()
+        for c in group:
+            h.values_of(c, x)[:] = h.values_of(c, values)
+        return x
+
+    alone = [float(np.log(np.maximum(rmse(beside(h.nominal, g)), 1e-12)).sum()) for g in groups]
+    x = h.nominal
+    away: list[Candidate] = []
+    for k in np.argsort(alone, kind="stable"):
+        tried = beside(x, groups[k])
+        if is_worse(rmse(tried)).any():
+            away += groups[k]
+        else:
+            x = tried
+    return away
 
 
 def veto_sentence(gone: Sequence[Candidate], moved: Sequence[str]) -> str:
