@@ -229,14 +229,9 @@ def test_a_model_without_the_correction_is_refused(name):
         env.reset()
 
 
-def test_an_offset_payload_counts_with_the_mass_of_its_link_too():
-    terms = {"link_mass": [0.9], "offset_payload": [0.15, 0.01, 0.0, 0.02]}
-    robot = from_mjcf(corrected_xml(BENCHES["pendulum"][0], correct("pendulum", terms)))
-    TransformedEnv(TorqueEnv(robot), chain(terms)).reset()
-
-
-def test_a_payload_counts_with_the_mass_of_its_link():
-    terms = {"link_mass": [0.9], "payload": [0.15]}
+@pytest.mark.parametrize("load", [{"payload": [0.15]}, {"offset_payload": [0.15, 0.01, 0.0, 0.02]}])
+def test_a_payload_counts_with_the_mass_of_its_link(load):
+    terms = {"link_mass": [0.9], **load}
     robot = from_mjcf(corrected_xml(BENCHES["pendulum"][0], correct("pendulum", terms)))
     given, terms_alone = BENCHES["pendulum"][0], {"link_mass": [0.9]}
     without = from_mjcf(corrected_xml(given, correct("pendulum", terms_alone)))

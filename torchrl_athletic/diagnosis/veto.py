@@ -84,12 +84,13 @@ def _not_put_back(
             h.values_of(c, x)[:] = h.values_of(c, values)
         return x
 
-    alone = [float(np.log(np.maximum(rmse(beside(h.nominal, g)), 1e-12)).sum()) for g in groups]
-    x = h.nominal
-    away: list[Candidate] = []
-    for k in np.argsort(alone, kind="stable"):
+    alone = [rmse(beside(h.nominal, g)) for g in groups]
+    order = np.argsort([np.log(np.maximum(after, 1e-12)).sum() for after in alone], kind="stable")
+    x, away = h.nominal, list[Candidate]()
+    for k in order:
         tried = beside(x, groups[k])
-        if is_worse(rmse(tried)).any():
+        after = alone[k] if (x == h.nominal).all() else rmse(tried)
+        if is_worse(after).any():
             away += groups[k]
         else:
             x = tried

@@ -19,12 +19,8 @@ INERTIAL = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
 """Fields of the model that say how a body weighs."""
 SHIFT = 0.05
 """To either side of the far end, between which the torque is a line of the first moment [m]."""
-
-
 FEWEST = 3
 """Joints of a chain that turns a point of its last link in enough ways to tell where it is."""
-
-
 FELT = 1e-4
 """Torque of a moment that its mass does not explain, per that of the mass at a metre, from which on it is felt [1]."""
 
@@ -78,7 +74,7 @@ class Payload(Effect):
         return f"A payload of {values['mass']:.3g} kg sits at the end of the link moved by {joint}; the model has none."
 
 
-class OffsetPayload(Effect):
+class OffsetPayload(Payload):
     """Something heavy is fastened to the arm, with its centre of mass anywhere: a gripper, a camera, a bracket.
 
     Parameters: ``mass`` [kg] of a point, and its first moments ``moment_x``, ``moment_y`` and ``moment_z`` [kg·m] about
@@ -93,15 +89,10 @@ class OffsetPayload(Effect):
     """
 
     name = "offset_payload"
-    family = "inertia"
     excludes = frozenset({"payload", "link_mass", "link_com"})
-    mjcf = "model"
-    shows_in = "load"
-    adds_to_link = True
     special_cases = frozenset({"payload"})
     sets_apart = MOMENTS = ("moment_x", "moment_y", "moment_z")
     equation = "τ = -m J(q)ᵀ (a - g) of a point of the link"
-    source = "Khalil, Gautier, Lemoine 2007, Identification of the payload inertial parameters, ICRA"
     experiments: ClassVar[Mapping[str, str]] = {
         "payload": "hold {joint} level and turn it by half a turn: weight on its axis asks for the same torque",
         "torque_scale": "take the payload off {joint} and repeat the take: a wrong scale stays",
@@ -127,9 +118,6 @@ class OffsetPayload(Effect):
         most, *bounds = (p.upper for p in parameters)
         return float(np.linalg.norm(values[1:])) <= float(values[0]) * max(bounds) / most
 
-    def grid(self, s: Signals, joint: int) -> list[Mapping[str, float]]:
-        return [{}] if self.parameters(s.model, s.address, joint) else []
-
     def grid_of(self, takes: Sequence[Signals], joint: int) -> list[Mapping[str, float]]:
         model, address = takes[0].model, takes[0].address
         return super().grid_of(takes, joint) if len(_chain(model, address, joint)) >= FEWEST else []
@@ -147,9 +135,8 @@ class OffsetPayload(Effect):
         if not mass.any():
             return
         offset = values[:, 1:] / np.maximum(mass, 1e-12)
-        way = np.linalg.norm(
-            offset, axis=1, keepdims=True
-        )  # beyond its reach it is not physical, and would be a flywheel
+        way = np.linalg.norm(offset, axis=1, keepdims=True)
+        # beyond its reach it is not physical, and would be a flywheel
         offset *= np.minimum(1.0, _reach(plant.model, plant.address, joint) / np.maximum(way, 1e-12))
         _put(plant, joint, mass[:, 0], far_end(plant.model, plant.address, joint) + offset)
 
