@@ -495,6 +495,12 @@ def _removed() -> list[Case]:
         damping("so101", "wrist_roll", "1.81 N·m·s/rad"),
         rotor("so101", "shoulder_pan", "0.0656 kg·m²"),
         mass("so101", "elbow_flex", "link_mass"),
+        friction("ur10e", "elbow_joint", "7.17 N·m"),
+        friction("ur10e", "wrist_2_joint", "2.92 N·m"),
+        damping("ur10e", "shoulder_lift_joint", "18.4 N·m·s/rad"),
+        rotor("ur10e", "shoulder_pan_joint", "5.24 kg·m²"),
+        rotor("ur10e", "wrist_1_joint", "0.426 kg·m²"),
+        mass("ur10e", "elbow_joint", "link_mass"),
     ]  # fmt: skip
 
 
@@ -513,6 +519,7 @@ def _injected() -> list[Case]:
         ("airbot", "joint2", 1, (10, 30)),
         ("airbot", "joint5", 4, (10, 30)),
         ("so101", "elbow_flex", 2, (20, 40)),
+        ("ur10e", "elbow_joint", 2, (10, 30)),
     ):
         out += [
             put(
@@ -537,7 +544,7 @@ def _injected() -> list[Case]:
         ]
     for bench, joint, index in (
         ("two_link_arm", "elbow", 1), ("pendulum", "pendulum", 0), ("xl330", "pendulum", 0),
-        ("double_pendulum", "elbow", 1), ("airbot", "joint2", 1),
+        ("double_pendulum", "elbow", 1), ("airbot", "joint2", 1), ("ur10e", "shoulder_lift_joint", 1),
     ):  # fmt: skip
         out += [
             put(
@@ -557,6 +564,8 @@ def _injected() -> list[Case]:
         ("double_pendulum", "elbow", 1, ("torque_scale",)),
         ("airbot", "joint3", 2, ("torque_scale",)),
         ("airbot", "joint5", 4, ("torque_scale",)),
+        ("ur10e", "elbow_joint", 2, ("torque_scale",)),
+        ("ur10e", "wrist_1_joint", 3, ("torque_scale",)),
     ):
         out += [
             put(

@@ -48,6 +48,9 @@ class Grounds:
     closes: float = 1.0
     """Share of the simulation's error that it closes, 0..1, alone and with other findings
     (see :func:`~torchrl_athletic.diagnosis.fit.shares_closed`)."""
+    asked: float = -1.0
+    """Share of the simulation's error that comes back without its class at its joint where few effects explain the
+    motion, 0..1 (see :mod:`~torchrl_athletic.diagnosis.selection`); below 0 where the motion was not asked."""
     refused: bool = False
     """Whether recordings kept aside are followed worse with what was found at its joint than by the given model."""
 

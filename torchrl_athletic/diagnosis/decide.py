@@ -23,15 +23,18 @@ def decide(simulated: Simulated) -> Decided:
     located, drive, trials = simulated.proposed.located, simulated.proposed.drive, simulated.trials
     if not trials:
         return Decided(located, drive)
-    chosen, against, taken = decided_by(trials)
-    combinations = [(t, a) for t, a in zip(trials, against, strict=True) if not t.proposal.joints]  # that fit has more
+    spoken_for, against, taken = decided_by(trials)
+    chosen = fewest(spoken_for, trials, simulated.asked or {})
+    combinations = [(t, a) for t, a in zip(trials, against, strict=True) if not t.proposal.by_simulation]
     told = {keys(t.proposal.best.fit.terms): float(a) for t, a in combinations}
     needed = [needed_by(t) if ok else frozenset[Key]() for t, ok in zip(trials, taken, strict=True)]
     options = (*(t.proposal for t in trials), *simulated.untried)
     others = others_than(chosen, options, needed)
     trial = replace(trials[chosen], proposal=replace(trials[chosen].proposal, simulated=told, others=others))
-    beside = tuple(t for k, t in enumerate(trials) if (t.proposal.joints or not k) and k != chosen)
-    decided = Decided(located, drive, trial, beside, torque_is_open(trial))
+    beside = tuple(
+        t for k, t in enumerate(trials) if (t.proposal.by_simulation or k in (0, spoken_for)) and k != chosen
+    )
+    decided = Decided(located, drive, trial, beside, torque_is_open(trial), simulated.asked)
     stated = {c.key for c in trial.fitted.hypothesis.terms}
     if trial.proposal.joints:  # of all numbers of all joints, those that the motion asks for
         stated = {key for key in stated if trial.closes.get(key, 1.0) >= DECISION.asked_for}
@@ -42,6 +45,22 @@ def decide(simulated: Simulated) -> Decided:
         if term.candidate.key in stated
     }
     return replace(decided, sets=sets)
+
+
+def fewest(spoken_for: int, trials: Sequence[Trial], asked: Collection[Key]) -> int:
+    """What the motion asks for, one after the other, in place of more that follow it as well or better.
+
+    Each of those was offered to it. What holds something that was not stays.
+
+    Args:
+        spoken_for: Which trial torques and simulation speak for.
+        trials: All of them.
+        asked: Classes and joints that the motion was asked about.
+    """
+    terms = trials[spoken_for].fitted.hypothesis.terms
+    if any((c.effect.family, c.joint_name) not in asked for c in terms):
+        return spoken_for
+    return next((k for k, t in enumerate(trials) if t.proposal.motion), spoken_for)
 
 
 def torque_is_open(trial: Trial) -> bool:
@@ -89,8 +108,8 @@ def decided_by(trials: Sequence[Trial]) -> tuple[int, Array, list[bool]]:
 def others_than(own: int, options: Sequence[Proposal], needed: Sequence[Collection[Key]]) -> tuple[Scored, ...]:
     """Combinations beside one of them that are not refuted, and of which the simulation needs what is new.
 
-    For effects that were asked about alone only the simulation speaks, and it has decided. The fit of the standard
-    joints is none: it has more numbers than names.
+    For effects that were asked about alone only the simulation speaks, and it has decided. So it has for what
+    it has chosen itself.
 
     Args:
         options: All of them.
@@ -105,7 +124,7 @@ def others_than(own: int, options: Sequence[Proposal], needed: Sequence[Collecti
         o.best
         for k, o in enumerate(options)
         if k != own
-        and not (o.alone or o.joints)
+        and not (o.alone or o.by_simulation)
         and (k >= len(needed) or keys(o.best.fit.terms) - found <= set(needed[k]))
     )
 

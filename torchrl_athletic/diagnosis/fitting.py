@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_athletic.diagnosis.coarse import coarse, in_steps_of
 from torchrl_athletic.diagnosis.compare import harms, score
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml, logged_gains
@@ -208,7 +209,10 @@ def fit(
 
     progress.stage("search")
     begin = starts(h, train, seen, _rng(seed, "starts"), DRAWS)
-    near = search(h, train.takes, begin, _rng(seed, "search"), deadline.part(0.5), agreement(h, train), progress.update)
+    takes = coarse(train.takes, h, h.nominal, _rng(seed, "coarse"))
+    near = search(
+        h, tuple(takes), begin, _rng(seed, "search"), deadline.part(0.5), agreement(h, train), progress.update
+    )
     if extended:
         progress.stage("extend")
         near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.6))
@@ -218,9 +222,10 @@ def fit(
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
     x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
-    y = best_of(near.problem, (y, np.where(needed, x, h.nominal)), 1)[0]
-    y = descend(weighed(near.problem, y), y, needed, SLOPES, deadline.part(0.76))
-    again = linearise(weighed(near.problem, y), y, needed)
+    fine = in_steps_of(near.problem, {**dict(zip(train.takes, train.takes, strict=True)), **takes})
+    y = best_of(fine, (y, np.where(needed, x, h.nominal)), 1)[0]
+    y = descend(weighed(fine, y), y, needed, SLOPES, deadline.part(0.76))
+    again = linearise(weighed(fine, y), y, needed)
     asked, before = needed, _parameters(h, near, again, y, needed, seen)
     if deadline.part(0.78).allows(3 * again.seconds):
         again, needed = _without_unknown(near, again, needed, seen, deadline.part(0.8))

@@ -37,6 +37,7 @@ def judge_findings(
     scores: Collection[Score],
     sets: Mapping[Key, Sequence[StandIn]],
     closes: Mapping[Key, float],
+    asked: Mapping[Key, float] | None = None,
 ) -> tuple[Finding, ...]:
     """State the terms of the fitted hypothesis, most probable first.
 
@@ -46,6 +47,7 @@ def judge_findings(
         scores: Of that fit.
         sets: Term that is stated -> who could stand in its place.
         closes: Term -> share of the error that it closes; what the simulation was not asked about is missing.
+        asked: Class and joint that the motion was asked about -> share of the error that comes back without it.
     """
     still_open = max((open_share(s) for s in scores), default=1.0)
     stated = {c.key: c for c in fitted.hypothesis.terms}
@@ -58,7 +60,7 @@ def judge_findings(
         if not c.effect.is_physical(c.parameters, h.values_of(c, fitted.values)) or _is_noise(c, above)
     }
     out = [
-        _finding(part, term, fitted, stated[key], sets[key], still_open, senseless, far, closes.get(key), beside)
+        _finding(part, term, fitted, stated[key], sets[key], still_open, senseless, far, closes.get(key), beside, asked)
         for part in evidence
         for term in part.best.fit.terms
         if (key := term.candidate.key) in stated and key in sets
@@ -228,6 +230,7 @@ def _finding(
     far: Collection[str],
     closes: float | None,
     beside: Sequence[str | None],
+    asked: Mapping[Key, float] | None,
 ) -> Finding:
     bank, candidate, h = part.judge.bank, term.candidate, fitted.hypothesis
     values, samples = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.samples)
@@ -248,6 +251,7 @@ def _finding(
         leans=any(c.key in senseless and c.joint_name == chosen.joint_name for c in h.terms if c.key != chosen.key),
         far=bool(far) if candidate.joint_name is None else candidate.joint_name in far,
         closes=1.0 if closes is None else closes,
+        asked=(asked or {}).get((candidate.effect.family, candidate.joint_name), -1.0),
     )
     likely = probability(grounds, candidate.effect.name)
     effect, joint = candidate.effect, candidate.where

@@ -46,7 +46,7 @@ GRAIN = 0.005
 """Between samples of a window that are compared [s]: half a second holds no faster motion worth it."""
 AT_ONCE = 200
 """Windows simulated at a time: bounds the memory."""
-WORK = 5e6
+WORK = 2.5e6
 """Physics steps of all windows, parameters and joints that one Jacobian may cost; more windows are thinned."""
 SHARE = 0.02
 """Share of a time budget that one Jacobian may take [1]."""

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_athletic.diagnosis.coarse import coarse
+from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims
+from torchrl_athletic.diagnosis.fit import fit as fit_of
 from torchrl_athletic.diagnosis.fitting import Fit, fit
-from torchrl_athletic.diagnosis.screen import Atom, Candidate
+from torchrl_athletic.diagnosis.screen import Atom, Candidate, Key, candidates_for
 from torchrl_athletic.diagnosis.search import Judge, Scored
-from torchrl_athletic.diagnosis.stages import Given, Run
+from torchrl_athletic.diagnosis.selection import Rival, select
+from torchrl_athletic.diagnosis.stages import Given, Ready, Run
+from torchrl_athletic.diagnosis.standard import agreement, seen_in, standard_joints
 from torchrl_athletic.diagnosis.thresholds import SIMULATION, SPENDING
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, Effect, Parameter
 
 Array = NDArray[np.float64]
 
+BESIDE = ("link_mass", "link_com", "payload", "offset_payload", "gravity_tilt", "joint_spring", "clock_offset")
+"""What the motion may ask for beside the standard joints."""
 NORMAL = 3.92
 """Width of a normal distribution's 95 % interval, in standard deviations."""
 
@@ -43,14 +51,106 @@ def standard_joints_of(given: Given, run: Run) -> Fitted | None:
     return fitted if terms and all(c.effect.name in named for c in terms) else None
 
 
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What the motion asks for, one effect after the other."""
+
+    fitted: Fitted
+    shares: tuple[float, ...]
+    """Share of the error that comes back without each term, 0..1."""
+    rivals: tuple[tuple[Rival, ...], ...]
+    """What else was fitted in each term's place."""
+    offered: tuple[Key, ...]
+    """Classes and joints that it might have asked for."""
+
+    @property
+    def classes(self) -> dict[Key, float]:
+        """Class and joint -> the most that comes back without one of its effects; 0 of what it does without."""
+        out = dict.fromkeys(self.offered, 0.0)
+        for c, share in zip(self.fitted.hypothesis.terms, self.shares, strict=True):
+            place = c.effect.family, c.joint_name
+            out[place] = max(out[place], share)
+        return out
+
+
+def asked_of_motion(ready: Ready, run: Run, proposed: Sequence[Fitted]) -> Asked:
+    """The few effects that the motion asks for.
+
+    Args:
+        ready: Recordings.
+        run: What may be spent.
+        proposed: Combinations that the torques speak for, as fitted: their terms are offered as well.
+    """
+    given, train = ready.given, ready.train
+    h, starts = _offered(ready, proposed)
+    offered = tuple(dict.fromkeys((c.effect.family, c.joint_name) for c in h.terms))
+
+    def compute() -> Asked:
+        takes = coarse(train.takes, h, h.nominal, given.rng("coarse"))
+        left = run.left(SPENDING.to_select)
+        deadline = Deadline(np.inf if left is None else left)
+        found = select(h, tuple(takes), given.rng("motion"), deadline, agreement(h, train), starts)
+        fitted = fit_of(found.hypothesis, train.takes, found.values, given.rng("fit"))
+        return Asked(fitted, found.shares, found.rivals, offered)
+
+    def encode(asked: Asked) -> dict[str, Any]:
+        rivals = [[[*r.candidate.key, r.values.tolist(), r.against] for r in of] for of in asked.rivals]
+        return {**_encode(asked.fitted), "shares": list(asked.shares), "rivals": rivals}
+
+    def decode(content: dict[str, Any]) -> Asked:
+        of = {c.key: c for c in h.terms}
+        rivals = tuple(tuple(Rival(of[e, j], np.array(x), z) for e, j, x, z in some) for some in content["rivals"])
+        return Asked(_decode(content, known), tuple(content["shares"]), rivals, offered)
+
+    key = " ".join(["motion", *(f"{c.effect.name}/{c.where}" for c in starts)])
+    key += "" if run.time_budget is None else f" in {run.time_budget:g} s"
+    known = {e.name: e for e in given.catalogue}
+    return run.checkpoint.result(key, compute, encode, decode)
+
+
+def _offered(ready: Ready, proposed: Sequence[Fitted]) -> tuple[Hypothesis, dict[Candidate, Array]]:
+    """What the motion may ask for, as far as it has names, and the values that are known of some of it.
+
+    The standard joints, what links and clock may lack, and what the torques speak for; but no gears, which stand still
+    in steps of a search.
+    """
+    train, named = ready.train, {e.name for e in ready.given.catalogue}
+    standard = [c for c in standard_joints(train, seen_in(train)).terms if c.effect.name in named]
+    known = {c.key for c in standard}
+    links = [e for e in ready.given.catalogue if e.name in BESIDE and all(e.applies(s) for s in train.signals)]
+    beside = [c for c in candidates_for(train.signals, links) if c.key not in known]
+    known |= {c.key for c in beside}
+    starts: dict[Candidate, Array] = {}
+    for fitted in proposed:
+        for c in fitted.hypothesis.terms:
+            if c.key not in known and not c.effect.of_accelerations:
+                starts[c] = fitted.hypothesis.values_of(c, fitted.values)
+                known.add(c.key)
+    return Hypothesis((*standard, *beside, *starts)), starts
+
+
+def as_chosen(judge: Judge, fitted: Fitted) -> Scored:
+    """The combination of a fit in the torque domain, at the fitted values of what enters nonlinearly."""
+    atoms = [_atom(judge, c, fitted.hypothesis.values_of(c, fitted.values)) for c in fitted.hypothesis.terms]
+    return judge.score([atom for atom in atoms if atom is not None])
+
+
+def rivals_in_torques(judge: Judge, asked: Asked) -> dict[Key, tuple[tuple[Atom, float], ...]]:
+    """Term -> what could stand in its place, with what the motion says against it, as far as the torques show it."""
+    out = {}
+    for c, rivals in zip(asked.fitted.hypothesis.terms, asked.rivals, strict=True):
+        atoms = [(_atom(judge, r.candidate, r.values), r.against) for r in rivals]
+        out[c.key] = tuple((atom, against) for atom, against in atoms if atom is not None)
+    return out
+
+
 def in_torques(judge: Judge, fitted: Fitted) -> Scored:
-    """The combination of a fit in the torque domain, at the fitted values of what enters nonlinearly.
+    """The same without joints that the torques would drive to a bound.
 
     A joint of which a number stops at a bound there has no names: what stops is a stand-in, and bends what is beside
     it. The others keep theirs. One of the whole robot that stops leaves none.
     """
-    atoms = [_atom(judge, c, fitted.hypothesis.values_of(c, fitted.values)) for c in fitted.hypothesis.terms]
-    scored = judge.score([atom for atom in atoms if atom is not None])
+    scored = as_chosen(judge, fitted)
     while stand_ins := scored.fit.stand_ins:
         nameless = {atom.candidate.joint_name for atom in stand_ins}
         kept = [a for a in scored.fit.terms if None not in nameless and a.candidate.joint_name not in nameless]
@@ -111,5 +211,5 @@ def _decode(content: dict[str, Any], known: dict[str, Effect]) -> Fitted:
         for e in content["parts"]
     ]
     h = Hypothesis(tuple(c for c, trim in parts if not trim), tuple(c for c, trim in parts if trim))
-    samples = np.array(content["samples"]).reshape(SIMULATION.samples, len(content["values"]))
+    samples = np.array(content["samples"]).reshape(-1, len(content["values"]))
     return Fitted(h, np.array(content["values"]), samples, 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,10 +29,19 @@ class Proposal:
     """Whether it is an effect that was asked about alone, whatever the torques say."""
     joints: bool = False
     """Whether it is what the fit of the standard joints needs."""
+    motion: bool = False
+    """Whether it is what the motion asks for, one effect after the other."""
+    rivals: Mapping[Key, Sequence[tuple[Atom, float]]] = field(default_factory=dict)
+    """Of such a term, what could stand in its place: twice the log odds that the motion gives against it."""
     simulated: Mapping[frozenset[Key], float] = field(default_factory=dict)
     """Combination -> twice the log odds that the simulation gives against it, for those that were fitted."""
     others: tuple[Scored, ...] = ()
     """Other combinations that neither torques nor simulation refute."""
+
+    @property
+    def by_simulation(self) -> bool:
+        """Whether the simulation has chosen it, whatever the torques say."""
+        return self.joints or self.motion
 
     def left_of(self, candidate: Candidate) -> float:
         """Share of the excess that is left where an effect acts: on its joint, or on the one explained worst."""
@@ -68,11 +77,11 @@ def answer_set(part: Proposal, term: Atom) -> list[StandIn]:
     """Who could stand in a term's place, itself included, with the share of the evidence that each has.
 
     Each other effect in its place, beside all other terms; and an effect that alone does what this term and others of
-    its joint do together, as gains that are off do of a rotor with a lag. Among the numbers of the standard joints the
-    simulation has chosen, against the torques: each has itself alone.
+    its joint do together, as gains that are off do of a rotor with a lag. Of what the simulation has chosen,
+    against the torques, only the motion says what could stand in its place.
     """
-    if part.joints:
-        return [StandIn(term, part.best, part.best.evidence, share=1.0)]
+    if part.by_simulation:
+        return _by_simulation(part, term)
     found = keys(part.best.fit.terms)
     beside = found - {term.candidate.key}
     replaced = alternatives(part.judge, part.best, term)
@@ -89,6 +98,17 @@ def answer_set(part: Proposal, term: Atom) -> list[StandIn]:
     least = min(o.evidence for o in best.values())
     weights = np.exp(-0.5 * np.array([o.evidence - least for o in best.values()]))
     return [replace(o, share=float(w)) for o, w in zip(best.values(), weights / weights.sum(), strict=True)]
+
+
+def _by_simulation(part: Proposal, term: Atom) -> list[StandIn]:
+    """What the motion would take in a term's place, as far as it was asked."""
+    rest = [a for a in part.best.fit.terms if a is not term]
+    options = [StandIn(term, part.best, 0.0)]
+    for atom, against in part.rivals.get(term.candidate.key, ()):
+        if all(atom.candidate.allows(a.candidate) for a in rest):
+            options.append(StandIn(atom, as_rival(part.judge, part.best, [*rest, atom]), against))
+    weights = np.exp([-0.5 * o.evidence for o in options])
+    return [replace(o, share=float(w)) for o, w in zip(options, weights / weights.sum(), strict=True)]
 
 
 def _instead(best: Scored, other: Scored) -> Atom | None:

@@ -148,10 +148,13 @@ class Take:
 
     def halved(self) -> Take:
         """A copy at half the physics step."""
+        return replace(self.stepped(2 * self.substeps), halvings=self.halvings + 1)
+
+    def stepped(self, substeps: int) -> Take:
+        """A copy with so many physics steps a sample."""
         model = self.model.__copy__()
-        model.opt.timestep /= 2
-        pieces = tuple(piece.halved() for piece in self.pieces)
-        return replace(self, model=model, substeps=2 * self.substeps, halvings=self.halvings + 1, pieces=pieces)
+        model.opt.timestep = self.period / substeps
+        return replace(self, model=model, substeps=substeps, pieces=tuple(p.stepped(substeps) for p in self.pieces))
 
 
 def take_of(

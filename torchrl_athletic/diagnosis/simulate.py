@@ -23,7 +23,13 @@ from torchrl_athletic.diagnosis.fit import (
     shares_closed,
     without,
 )
-from torchrl_athletic.diagnosis.joints import in_torques, standard_joints_of
+from torchrl_athletic.diagnosis.joints import (
+    as_chosen,
+    asked_of_motion,
+    in_torques,
+    rivals_in_torques,
+    standard_joints_of,
+)
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate, Key, is_trim, trims_for
@@ -38,7 +44,7 @@ Array = NDArray[np.float64]
 def simulate(proposed: Proposed, run: Run) -> Simulated:
     """Fit and score what was proposed, and more where that leaves most of the motion; Ctrl-C keeps what there is."""
     done = Simulated(proposed, untried=proposed.options)
-    done = _with_joints(_tried_all(done, run, SPENDING.to_try), run)
+    done = _with_joints(_with_motion(_tried_all(done, run, SPENDING.to_try), run), run)
     return _asked_alone(_explained(_tried_all(done, run)), run)
 
 
@@ -55,28 +61,58 @@ def _tried_all(done: Simulated, run: Run, share: float = SPENDING.to_fit) -> Sim
     return done
 
 
+def _with_motion(done: Simulated, run: Run) -> Simulated:
+    """Add what the motion asks for, one effect after the other, where no combination closes nearly all of the error.
+
+    The simulation has to be decisively better with it than with what the torques speak for most.
+    """
+    if not _asks_simulation(done, run):
+        return done
+    ready, judge = done.proposed.located.ready, done.trials[0].proposal.judge
+    try:
+        asked = asked_of_motion(ready, run, [t.fitted for t in done.trials])
+        done = replace(done, asked=asked.classes)
+        if not asked.fitted.hypothesis.terms:
+            return done
+        best, rivals = as_chosen(judge, asked.fitted), rivals_in_torques(judge, asked)
+        proposal = Proposal(judge, best, DECISION.behind, on_trial=True, motion=True, rivals=rivals)
+        trial = scored(proposal, _without_small(asked.fitted, ready.given), ready)
+    except KeyboardInterrupt:
+        return replace(done, stopped=True)
+    return replace(done, trials=(*done.trials, trial))
+
+
+def _asks_simulation(done: Simulated, run: Run) -> bool:
+    """Whether the torques' combinations neither follow the recordings nor close nearly all of the error.
+
+    Of those kept aside too: what is asked then may take longer than all else. Where a measured torque cuts the chain in
+    two nothing is asked, which knows of no cut.
+    """
+    if not done.trials or done.stopped or run.late() or done.proposed.drive is not None:
+        return False
+    best = done.trials[decided_by(done.trials)[0]]
+    left = max(open_share(score) for score in best.scores.values())
+    return not follows(best.scores["train"], DECISION.follows) and left >= DECISION.closed
+
+
 def _with_joints(done: Simulated, run: Run) -> Simulated:
     """Add the fit of the standard joints, which folds of the recordings made.
 
-    It is asked for unless a combination follows the recordings already, or has closed nearly all of the error, of those
-    kept aside too: it may take longer than all else.
     The simulation has to be decisively better with it, since it holds most simple laws as special cases. It gives no
-    names where another combination explains the error, nor at joints of which a number stops at a bound. Where a
-    measured torque cuts the chain in two it is not asked for: it knows of no cut.
+    names where another combination explains the error, nor at joints of which a number stops at a bound, nor where the
+    motion asks for something, one after the other.
     """
-    if not done.trials or done.stopped or run.late() or done.proposed.drive is not None:
+    if not _asks_simulation(done, run):
         return done
     ready, best = done.proposed.located.ready, done.trials[decided_by(done.trials)[0]]
-    left = {split: open_share(score) for split, score in best.scores.items()}
-    if follows(best.scores["train"], DECISION.follows) or max(left.values()) < DECISION.closed:
-        return done
     judge = done.trials[0].proposal.judge
     try:
         fitted = standard_joints_of(ready.given, run)
         if fitted is None:
             return done
         torques = in_torques(judge, fitted)
-        names = left["train"] > STATEMENT.explained and bool(torques.fit.terms)
+        asked = any(t.proposal.motion for t in done.trials)
+        names = open_share(best.scores["train"]) > STATEMENT.explained and bool(torques.fit.terms) and not asked
         proposal = Proposal(judge, torques, DECISION.behind if names else np.inf, on_trial=True, joints=True)
         trial = scored(proposal, _without_small(fitted, ready.given), ready)
     except KeyboardInterrupt:

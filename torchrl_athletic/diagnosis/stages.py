@@ -138,6 +138,9 @@ class Simulated:
     proposed: Proposed
     trials: tuple[Trial, ...] = ()
     untried: tuple[Proposal, ...] = ()
+    asked: Mapping[Key, float] | None = None
+    """Class and joint that the motion was asked about -> share of the error that comes back without it; None where it
+    was not asked."""
     stopped: bool = False
     """By Ctrl-C."""
 
@@ -154,6 +157,8 @@ class Decided:
     """Others that may follow better: what the torques speak for most, and the standard joints."""
     is_open: bool = False
     """Whether some joint misses torque that noise does not explain, with all numbers within their tolerances."""
+    asked: Mapping[Key, float] | None = None
+    """What the motion asks for (see :attr:`Simulated.asked`)."""
     sets: Mapping[Key, Sequence[StandIn]] = field(default_factory=dict)
     """Term of the chosen trial or of the drive -> who could stand in its place."""
 

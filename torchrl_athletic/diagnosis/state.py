@@ -117,7 +117,7 @@ def _findings(decided: Decided) -> tuple[Finding, ...]:
         return ()
     given = ready.given
     findings = judge_findings(
-        decided.evidence, trial.fitted, trial.scores.values(), decided.sets, _closes(decided, trial)
+        decided.evidence, trial.fitted, trial.scores.values(), decided.sets, _closes(decided, trial), decided.asked
     )
     applying = [e for e in given.catalogue if all(e.applies(s) for s in ready.train.signals)]
     return with_alternatives(findings, given.joint_names, applying, _damped(given.recordings))

@@ -280,6 +280,8 @@ class Spending:
     """Share of the time budget after which the search of the torques goes no further [1; budget]."""
     to_try: float = 0.4
     """Share of it after which the standard joints come before a further combination [1; budget]."""
+    to_select: float = 0.55
+    """Share of it after which the motion is asked for no further effect [1; budget]."""
     to_fit: float = 0.6
     """Share of it after which no fit begins [1; budget]."""
     to_fit_joints: float = 0.75

@@ -1,0 +1,57 @@
+"""Recordings replayed in longer physics steps, for a search: two to five times as quick, and nearly the same motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis, draw_windows
+from torchrl_athletic.diagnosis.joint_fit import Problem
+from torchrl_athletic.diagnosis.replay import Take, simulate
+
+Array = NDArray[np.float64]
+
+LONGEST = (5e-3, 2e-3)
+"""Steps that are tried [s]. Motors that follow logged torques bear the first, controllers seldom: their loops are
+stiff."""
+ALIKE = 0.1
+"""Difference to the motion in the model's own steps, per the error of that, up to which a search bears a step [1]."""
+LOOKED_AT = 20
+"""Windows by which the two are compared."""
+
+
+def coarse(takes: Sequence[Take], h: Hypothesis, x: Array, rng: np.random.Generator) -> dict[Take, Take]:
+    """Copies of takes in the longest steps that move as the takes do, to values (P,); else a take itself.
+
+    Returns:
+        Copy of each take -> the take.
+    """
+    copies = {}
+    for take in takes:
+        tried = (take.stepped(n) for n in (_substeps(take, longest) for longest in LONGEST) if n < take.substeps)
+        copies[next((c for c in tried if moves_alike(c, take, h, x, rng)), take)] = take
+    return copies
+
+
+def _substeps(take: Take, longest: float) -> int:
+    return int(np.ceil(take.period / longest - 1e-3))
+
+
+def moves_alike(copy: Take, take: Take, h: Hypothesis, x: Array, rng: np.random.Generator) -> bool:
+    """Whether a copy in other steps moves as the take does, to values (P,), but for a share of the take's error."""
+    if copy is take:
+        return True
+    wrong, error = np.zeros(len(take.address.dof)), np.zeros(len(take.address.dof))
+    for w in draw_windows([take], WINDOW, LOOKED_AT, rng):
+        there, here = (simulate(replace(w, take=t), h.build, x[None])[0] for t in (copy, take))
+        wrong += ((there - here) ** 2).sum((0, 1))
+        error += ((here - w.measured) ** 2).sum((0, 1))
+    return bool(np.mean(wrong / np.maximum(error, 1e-18)) <= ALIKE**2)
+
+
+def in_steps_of(problem: Problem, takes: Mapping[Take, Take]) -> Problem:
+    """The same windows of other copies of their takes."""
+    return replace(problem, windows=tuple(replace(w, take=takes[w.take]) for w in problem.windows))
