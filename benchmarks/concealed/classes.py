@@ -68,6 +68,10 @@ class Statement:
     """Share of the error that the correction closes."""
     closes: float
     """Share of the simulation's error that it closes."""
+    overruled: bool
+    """Whether only the motion asks for it."""
+    share: float
+    """Of its class among all that could stand in its place."""
     senseless: bool
     """Whether its values are none that a robot has: then the class is no likelier than the law."""
     right: bool
@@ -111,6 +115,8 @@ def statements(cases: Sequence[Mapping[str, Any]], of_control: Mapping[str, set[
             alike=min(f["probability"] + sum(p for e, j, p in f["rivals"] if (CLASS[e], j) == _place(f)), closes),
             closed=1.0 - f["grounds"]["open"],
             closes=closes,
+            overruled=f["grounds"].get("overruled", f["grounds"].get("asked", 0.0) > 0.0),
+            share=_share_of_class(f),
             senseless=f["grounds"]["senseless"],
             right=_place(f) in _hidden(case),
             known=_place(f) in of_control[case["bench"]],
@@ -119,6 +125,14 @@ def statements(cases: Sequence[Mapping[str, Any]], of_control: Mapping[str, set[
         for f in case.get("findings", ())
         for closes in (f["grounds"].get("closes", 1.0),)
     ]
+
+
+def _share_of_class(finding: Mapping[str, Any]) -> float:
+    """Of a finding's class, at its joint, among it and its rivals."""
+    likely = [(_place(finding), finding["probability"])]
+    likely += [((CLASS[e], j), p) for e, j, p in finding["rivals"]]
+    whole = sum(p for _, p in likely)
+    return sum(p for place, p in likely if place == _place(finding)) / whole if whole > 0.0 else 1.0
 
 
 def _hidden(case: Mapping[str, Any]) -> set[Place]:
@@ -156,7 +170,8 @@ def probability(s: Statement, weights: Mapping[str, float]) -> float:
     """Of its class, by these weights."""
     if s.senseless:
         return s.law
-    return class_probability(s.law, s.alike, s.closed, s.closes, weights)
+    likely = class_probability(s.law, s.alike, s.closed, s.closes, weights)
+    return max(s.law, min(likely, s.share)) if s.overruled else likely
 
 
 def learn(stated: Sequence[Statement]) -> dict[str, float]:

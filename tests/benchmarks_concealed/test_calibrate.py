@@ -35,7 +35,7 @@ NOTHING = np.zeros(1 + WIDTH)
 GROUNDS = Grounds(
     **{f.name: 1 for f in fields(Grounds)}
     | {"share": 0.9, "left": 0.1, "energy": 0.8, "plain": False, "senseless": False, "leans": False}
-    | {"far": False, "refused": False}
+    | {"far": False, "refused": False, "overruled": False}
 )
 
 

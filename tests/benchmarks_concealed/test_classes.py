@@ -73,6 +73,20 @@ def test_the_table_counts_cases_found_and_wrong_classes_and_judges_none_that_nob
     assert row == f"| as told | 5 | 3 | 2 | 2 | 1 | 2 | 1 | {brier:.3f} |"
 
 
+def test_what_only_the_motion_asks_for_has_its_classes_share_among_what_that_would_take_there():
+    likely = {"level": 9.0, "alike": 1.0, "closes": 0.0}
+    rivals = [("viscous_friction", "elbow", 0.1), ("payload", "elbow", 0.3)]
+    of_motion = finding("coulomb_friction", "elbow", 0.2, rivals=rivals)
+    for overruled, expected in ((False, 0.9), (True, 0.5)):
+        of_motion["grounds"]["overruled"] = overruled
+        [said] = graded(case(of_motion))
+        assert probability(said, likely) == pytest.approx(expected)
+    del of_motion["grounds"]["overruled"]
+    of_motion["grounds"]["asked"] = 0.4  # of an answer from before it was said
+    [said] = graded(case(of_motion))
+    assert said.overruled
+
+
 def test_what_is_right_more_often_is_learnt_to_be_likelier():
     said = [
         *graded(*[case(finding("coulomb_friction", "elbow", 0.6))] * 9),

@@ -28,7 +28,7 @@ def take(samples: int = 200, **more) -> Recording:
 
 def test_the_cases_have_names_of_their_own_and_truths_of_the_catalogue():
     names = [c.name for c in cases()]
-    assert len(set(names)) == len(names) == 142
+    assert len(set(names)) == len(names) == 159
     assert all(name.isascii() and "/" not in name and " " not in name for name in names)
     assert {effect for c in cases() for effect, _ in c.truths} <= {e.name for e in CATALOGUE}
     injected = [c for c in cases() if c.kind == "injected" and c.bench not in ARMS]

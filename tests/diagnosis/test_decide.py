@@ -253,7 +253,7 @@ def test_beside_the_chosen_one_stay_the_first_of_the_torques_and_the_standard_jo
     monkeypatch.setattr(deciding, "others_than", lambda *_: ())
     monkeypatch.setattr(deciding, "torque_is_open", lambda trial: False)
     proposed = SimpleNamespace(located=None, drive=None)
-    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=()))
+    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=(), asked=None))
     assert found.trial.fitted is trials[preferred].fitted
     assert list(found.beside) == [trials[k] for k in kept]
 
@@ -267,7 +267,7 @@ def test_what_the_simulation_says_against_each_combination_is_told_beside_it(mon
     monkeypatch.setattr(deciding, "decided_by", lambda trials: (0, np.array([0.0, 7.0]), [True, False]))
     monkeypatch.setattr(deciding, "torque_is_open", lambda trial: False)
     proposed = SimpleNamespace(located=None, drive=None)
-    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=()))
+    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=(), asked=None))
     told = {next(iter(names))[0]: against for names, against in found.trial.proposal.simulated.items()}
     assert told == {"mass": 0.0, "play": 7.0}
     assert found.trial.proposal.others == ()  # what is not taken is no other explanation
@@ -318,7 +318,7 @@ def test_only_what_the_simulation_does_not_refute_may_need_its_terms(monkeypatch
     monkeypatch.setattr(deciding, "torque_is_open", lambda trial: False)
     monkeypatch.setattr(deciding, "answer_set", lambda part, term: ())
     proposed = SimpleNamespace(located=None, drive=None)
-    deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=()))
+    deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=(), asked=None))
     assert asked == [[{("friction", "hip")}, set()]]
 
 
@@ -332,11 +332,11 @@ def test_only_what_is_stated_is_asked_who_could_stand_in_its_place(monkeypatch):
     monkeypatch.setattr(deciding, "torque_is_open", lambda trial: True)
     monkeypatch.setattr(deciding, "answer_set", lambda part, term: asked.append(term) or "set")
     proposed = SimpleNamespace(located="where", drive=None)
-    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=(trial,), untried=()))
+    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=(trial,), untried=(), asked=None))
     assert asked == [friction]
     assert found.sets == {("friction", "hip"): "set"}
     assert found.is_open
-    nothing = deciding.decide(SimpleNamespace(proposed=proposed, trials=(), untried=()))
+    nothing = deciding.decide(SimpleNamespace(proposed=proposed, trials=(), untried=(), asked=None))
     assert (nothing.located, nothing.trial) == ("where", None)
 
 
@@ -352,7 +352,7 @@ def test_of_the_standard_joints_only_what_the_motion_asks_for_is_a_finding(monke
     proposed, h = SimpleNamespace(located="where", drive=None), hypothesis([much.candidate, little.candidate])
     for joints, stated in ((True, [much]), (False, [much, little])):
         trial = Trial(Proposal(None, best, joints=joints), h, {}, np.zeros((1, 1)), np.zeros(1), closes)
-        found = deciding.decide(SimpleNamespace(proposed=proposed, trials=(trial,), untried=()))
+        found = deciding.decide(SimpleNamespace(proposed=proposed, trials=(trial,), untried=(), asked=None))
         assert list(found.sets) == [a.candidate.key for a in stated]
 
 
@@ -366,6 +366,32 @@ def test_the_fit_of_the_standard_joints_speaks_for_no_combination_of_the_same_na
     monkeypatch.setattr(deciding, "torque_is_open", lambda trial: True)
     monkeypatch.setattr(deciding, "answer_set", lambda part, term: "set")
     proposed = SimpleNamespace(located="where", drive=None)
-    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=()))
+    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=(), asked=None))
     assert found.trial.proposal.simulated == {frozenset({friction.candidate.key}): 0.0}
     assert found.trial.proposal.others == ()
+
+
+@pytest.mark.parametrize(
+    ("spoken_for", "families", "chosen"),
+    [
+        (0, ("friction", "inertia"), 2),
+        (1, ("friction",), 2),
+        (0, ("friction", "transmission"), 0),
+        (0, (), 2),
+        (2, (), 2),
+    ],
+)
+def test_what_the_motion_asks_for_takes_the_place_of_more_unless_that_holds_what_it_was_not_asked_about(
+    spoken_for, families, chosen
+):
+    def term(family):
+        return SimpleNamespace(effect=SimpleNamespace(family=family), joint_name="hip")
+
+    asked = {("friction", "hip"): 0.5, ("inertia", "hip"): 0.0, ("transmission", "knee"): 0.0}
+    rich = hypothesis([term(f) for f in families])
+    trials = [
+        Trial(Proposal(None, None, motion=motion), fitted, {}, np.zeros((1, 1)), np.zeros(1))
+        for motion, fitted in ((False, rich), (False, rich), (True, hypothesis([term("friction")])))
+    ]
+    assert deciding.fewest(spoken_for, trials, asked) == chosen
+    assert deciding.fewest(spoken_for, trials[:2], {}) == spoken_for  # where nothing was asked

@@ -467,7 +467,11 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
     best = SimpleNamespace(fit=SimpleNamespace(terms=[], strain=3.0))
     bank = SimpleNamespace(prediction=lambda fit, term: f"torque of {term.candidate.effect.name}")
     part = SimpleNamespace(
-        judge=SimpleNamespace(bank=bank), best=best, left_of=lambda c: 0.11 * c.joint, excess_of=lambda c: 0.7 * c.joint
+        judge=SimpleNamespace(bank=bank),
+        best=best,
+        motion=False,
+        left_of=lambda c: 0.11 * c.joint,
+        excess_of=lambda c: 0.7 * c.joint,
     )
     grounds, of_class, asked = [], [], []
     monkeypatch.setattr(gates, "_sentence", lambda candidate, named, grounds: str(named))
@@ -485,10 +489,11 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
     ]
     term = SimpleNamespace(candidate=one)
     found = gates._finding(
-        part, term, fitted, one, rated, 0.3, {beside.key}, frozenset({"wrist"}), 0.85, ["elbow", "elbow"]
-    )
+        part, term, fitted, one, rated, 0.3, {beside.key}, frozenset({"wrist"}), 0.85, ["elbow", "elbow"],
+        {(one.effect.family, "elbow"): 0.4, (one.effect.family, "wrist"): 0.9},
+    )  # fmt: skip
     (g,) = grounds
-    assert (g.sure, g.plain, g.closes) == (7.0, True, 0.85)
+    assert (g.sure, g.plain, g.closes, g.asked) == (7.0, True, 0.85, 0.4)
     assert asked[:2] == [(bank, best.fit, term), (part, term)]
     for c, values, drawn in asked[2:]:
         assert c is one
@@ -515,12 +520,15 @@ def test_what_the_fit_says_of_a_term_is_stated_with_its_own_numbers_rivals_and_c
     beside_it = gates._finding(
         part, SimpleNamespace(candidate=beside), fitted, beside,
         [SimpleNamespace(atom=SimpleNamespace(candidate=c), share=0.5) for c in (beside, alike)], 0.3, {beside.key},
-        frozenset({"elbow"}), 1.0, ["elbow"],
+        frozenset({"elbow"}), 1.0, ["elbow"], {(one.effect.family, "elbow"): 0.4},
     )  # fmt: skip
     assert (grounds[1].senseless, grounds[1].leans, grounds[1].far) == (True, False, True)
+    assert grounds[1].asked < 0  # the motion was not asked about its class
     assert beside_it.class_probability == beside_it.probability  # nonsense speaks for no class
     monkeypatch.setattr(gates, "probability", lambda g, effect: 0.0)
-    assert gates._finding(part, term, fitted, one, rated[1:2], 0.3, (), frozenset(), 1.0, []).law_probability == 0.0
+    assert (
+        gates._finding(part, term, fitted, one, rated[1:2], 0.3, (), frozenset(), 1.0, [], None).law_probability == 0.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -567,7 +575,7 @@ def test_terms_beside_a_finding_are_those_of_its_own_joint_and_of_the_robot_all(
     bank = SimpleNamespace(prediction=lambda fit, term: None)
     part = SimpleNamespace(
         judge=SimpleNamespace(bank=bank), best=SimpleNamespace(fit=SimpleNamespace(strain=0.0)),
-        left_of=lambda c: 0.0, excess_of=lambda c: 0.0,
+        left_of=lambda c: 0.0, excess_of=lambda c: 0.0, motion=False,
     )  # fmt: skip
     monkeypatch.setattr(gates, "_sentence", lambda *_: "")
     monkeypatch.setattr(gates, "scatter", lambda *_: 0.0)
@@ -577,8 +585,8 @@ def test_terms_beside_a_finding_are_those_of_its_own_joint_and_of_the_robot_all(
     rated = [SimpleNamespace(atom=SimpleNamespace(candidate=c), share=1.0)]
     without = {h.terms[k].key for k in senseless}
     term, places = SimpleNamespace(candidate=c), [c.joint_name for c in h.terms]
-    gates._finding(part, term, fitted, c, rated, 0.0, without, frozenset(far), 1.0, places)
-    gates._finding(part, term, fitted, c, rated, 0.0, without, frozenset(far), None, [c.joint_name])
+    gates._finding(part, term, fitted, c, rated, 0.0, without, frozenset(far), 1.0, places, None)
+    gates._finding(part, term, fitted, c, rated, 0.0, without, frozenset(far), None, [c.joint_name], None)
     g, alone = grounds
     assert (g.terms, g.leans, g.far) == expected
     assert (alone.terms, alone.closes) == (1, 1.0)  # what is not stated does not count, nor what was not asked
@@ -609,12 +617,15 @@ def test_each_term_of_each_part_is_stated_with_its_own_number_stand_ins_and_far_
     monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a) or FINDING)
     monkeypatch.setattr(gates, "far_joints", lambda scores: frozenset({f"far in {len(scores)}"}))
     sets = {c.key: f"beside {c.effect.name} of {c.joint_name}" for c in kept}
-    gates.judge_findings([drive, mechanics], fitted, [score(0.2, 4.0)], sets, {kept[0].key: 0.25})
+    gates.judge_findings(
+        [drive, mechanics], fitted, [score(0.2, 4.0)], sets, {kept[0].key: 0.25}, "what the motion asks for"
+    )
     expected = [(drive, soft, kept[1]), (mechanics, elsewhere, kept[2]), (mechanics, dry, kept[0])]
-    for (part, term, own, chosen, rated, _, _, far, closes, beside), (its_part, c, its_own) in zip(
+    for (part, term, own, chosen, rated, _, _, far, closes, beside, asked), (its_part, c, its_own) in zip(
         told, expected, strict=True
     ):
         assert part is its_part
+        assert asked == "what the motion asks for"
         assert (term.candidate, chosen) == (c, its_own)
         assert chosen is its_own
         assert (own, rated, far) == (fitted, sets[c.key], {"far in 1"})
@@ -720,3 +731,38 @@ def test_a_refused_name_is_held_back_with_its_class_and_its_rivals_and_says_so()
     assert [r.probability for r in second.rivals] == [STATEMENT.refused]
     assert second.sentence == "Viscous. Recordings that were kept aside refuse it."
     assert second.grounds["refused"]
+
+
+@pytest.mark.parametrize(("backed", "rated_share", "most"), [(True, 0.3, 1.0), (False, 0.3, 0.3), (False, 0.9, 0.9)])
+def test_what_only_the_motion_asks_for_has_its_share_among_what_that_would_take_in_its_place(
+    monkeypatch, backed, rated_share, most
+):
+    one, _, elsewhere = terms()
+    rival = dataclasses.replace(elsewhere, joint=1, joint_name="elbow", effect=JointSpring())
+    h = Hypothesis((one,))
+    fitted = Fitted(h, np.array([0.5]), np.linspace(0.4, 0.6, 21)[:, None], 0.0)
+    term, grounds = SimpleNamespace(candidate=one), []
+    part = SimpleNamespace(
+        judge=SimpleNamespace(bank=SimpleNamespace(prediction=lambda fit, term: None)), motion=True,
+        best=SimpleNamespace(fit=SimpleNamespace(strain=0.0)), left_of=lambda c: 0.0, excess_of=lambda c: 0.0,
+        backing=lambda key: term if backed and key == one.key else None,
+    )  # fmt: skip
+    for name in ("scatter", "_energy_share"):
+        monkeypatch.setattr(gates, name, lambda *_: 0.0)
+    monkeypatch.setattr(gates, "_sentence", lambda *_: "")
+    monkeypatch.setattr(gates, "regime_of", lambda *_: "everywhere")
+    monkeypatch.setattr(gates, "probability", lambda g, effect: grounds.append(g) or 0.1)
+    monkeypatch.setattr(gates, "class_probability", lambda *_: 0.95)
+    rated = [
+        SimpleNamespace(atom=SimpleNamespace(candidate=c), share=share)
+        for c, share in ((one, rated_share), (rival, 1.0 - rated_share))
+    ]
+    found = gates._finding(part, term, fitted, one, rated, 0.0, (), frozenset(), 1.0, ["elbow"], {})
+    assert grounds[0].overruled is not backed
+    assert found.class_probability == pytest.approx(min(0.95, most))
+
+
+def test_a_law_that_the_torques_do_not_speak_for_has_one_half_at_most():
+    clear = Grounds(share=0.99, left=0, excess=0, scatter=0.01, open=0, energy=1, terms=1, strain=1, sure=30)
+    assert probability(clear) > 0.8
+    assert probability(dataclasses.replace(clear, overruled=True)) == 0.5

@@ -179,3 +179,91 @@ def test_a_joint_of_which_a_number_stops_at_a_bound_has_no_names(monkeypatch, st
     h = SimpleNamespace(terms=tuple(atoms), values_of=lambda c, values: None)
     found = joints.in_torques(SimpleNamespace(score=score), SimpleNamespace(hypothesis=h, values=None))
     assert [a.name for a in found.fit.terms] == named
+
+
+def asked_for(*names):
+    """What the motion asks for: effects of the elbow with the shares that come back without them."""
+    classes = {"friction": "friction", "drag": "friction", "rotor": "inertia"}
+    effects = {n: SimpleNamespace(name=n, family=classes[n], grid_of=lambda *_: [{}]) for n in classes}
+    p = Parameter("p", "1", 0.0, 0.0, 1.0, 1.0)
+    terms = tuple(Candidate(effects[n], 1, "elbow", (p,)) for n, _ in names)
+    fitted = Fitted(Hypothesis(terms), np.full(len(terms), 0.5), np.full((200, len(terms)), 0.5), 0.0)
+    offered = (("friction", "elbow"), ("inertia", "elbow"), ("timing", "elbow"))
+    rivals = tuple((joints.Rival(Candidate(effects["rotor"], 1, "elbow", (p,)), np.array([0.3]), 4.0),) for _ in names)
+    return joints.Asked(fitted, tuple(share for _, share in names), rivals, offered)
+
+
+def test_a_class_is_asked_for_by_the_effect_that_is_missed_most_and_one_that_is_not_asked_for_has_nothing():
+    assert asked_for(("friction", 0.2), ("drag", 0.6)).classes == {
+        ("friction", "elbow"): 0.6, ("inertia", "elbow"): 0.0, ("timing", "elbow"): 0.0,
+    }  # fmt: skip
+    assert set(asked_for().classes.values()) == {0.0}
+
+
+def test_rivals_of_the_motion_are_told_as_far_as_the_torques_show_them(monkeypatch):
+    asked = asked_for(("friction", 0.2))
+    monkeypatch.setattr(joints, "_atom", lambda judge, c, values: (c.effect.name, values.tolist()))
+    assert joints.rivals_in_torques(None, asked) == {("friction", "elbow"): ((("rotor", [0.3]), 4.0),)}
+    monkeypatch.setattr(joints, "_atom", lambda judge, c, values: None)
+    assert joints.rivals_in_torques(None, asked) == {("friction", "elbow"): ()}
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """Recordings of two links, the lower of which has dry friction that the model lacks."""
+    from diagnosis.test_selection import arm, command, record
+
+    from torchrl_athletic.diagnosis.prepare import prepare
+    from torchrl_athletic.diagnosis.stages import Ready
+
+    model = mujoco.MjModel.from_xml_string(arm())
+    taken = record(arm(lower='damping="0.02" frictionloss="0.06"'), command())
+    given = Given(model, arm(), "", (taken,), (), tuple(CATALOGUE))
+    return Ready(given, prepare([taken], model), None)
+
+
+def test_the_motion_is_offered_the_standard_joints_what_links_lack_and_what_the_torques_propose(arm):
+    hypothesis, starts = joints._offered(arm, ())
+    keys = [c.key for c in hypothesis.terms]
+    assert len(set(keys)) == len(keys)
+    assert {("coulomb_friction", "upper"), ("reflected_inertia", "lower"), ("link_mass", "upper")} <= set(keys)
+    assert ("gravity_tilt", None) in keys
+    assert ("offset_payload", "lower") not in keys  # of fewer than three joints the torques do not look for it
+    assert starts == {}
+    from diagnosis.plants import candidate
+
+    from torchrl_athletic.effects import Compliance, StribeckFriction
+
+    stribeck, soft = (
+        candidate(e, arm.given.recordings[0], arm.given.xml, 1) for e in (StribeckFriction(), Compliance())
+    )
+    known = next(c for c in hypothesis.terms if c.key == ("coulomb_friction", "lower"))
+    h = Hypothesis((stribeck, soft, known))
+    values = h.nominal + 0.1
+    more, starts = joints._offered(arm, [Fitted(h, values, values[None], 0.0)])
+    assert more.terms[-1] is stribeck
+    assert len(more.terms) == len(hypothesis.terms) + 1  # a gear is not offered, nor twice what is known
+    assert list(starts) == [stribeck]
+    np.testing.assert_array_equal(starts[stribeck], h.values_of(stribeck, values))
+
+
+def test_the_motion_asks_once_and_its_answer_comes_back_from_a_checkpoint(arm, monkeypatch):
+    from torchrl_athletic.diagnosis.checkpoint import Checkpoint
+    from torchrl_athletic.diagnosis.progress import Progress
+    from torchrl_athletic.diagnosis.stages import Run
+
+    kept = Checkpoint(None, "inputs")
+    run = Run(Progress(), kept)
+    first = joints.asked_of_motion(arm, run, ())
+    assert first.fitted.hypothesis.terms[0].key == ("coulomb_friction", "lower")
+    assert first.fitted.values[0] == pytest.approx(0.06, rel=0.05)
+    assert first.classes["friction", "lower"] > 0.5
+    assert first.classes["timing", "upper"] == 0.0
+    json.dumps(kept._results)  # plain numbers
+    monkeypatch.setattr(joints, "select", lambda *_: pytest.fail("asked again"))
+    again = joints.asked_of_motion(arm, run, ())
+    assert again.shares == first.shares
+    assert [c.key for c in again.fitted.hypothesis.terms] == [c.key for c in first.fitted.hypothesis.terms]
+    np.testing.assert_array_equal(again.fitted.values, first.fitted.values)
+    for ours, theirs in zip(again.rivals, first.rivals, strict=True):
+        assert [(r.candidate.key, r.against) for r in ours] == [(r.candidate.key, r.against) for r in theirs]

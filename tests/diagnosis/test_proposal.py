@@ -146,3 +146,35 @@ def test_numbers_of_the_standard_joints_have_no_rivals_in_the_torques_that_the_s
     (own,) = answer_set(Proposal(None, best, joints=True), term)
     assert (own.atom, own.scored, own.share) == (term, best, 1.0)
     assert [o.atom for o in answer_set(Proposal(None, best), term)] == [rival, term]
+
+
+def allowing(name: str, joint: str = "elbow", beside=lambda other: True):
+    return SimpleNamespace(candidate=SimpleNamespace(key=(name, joint), joint_name=joint, allows=beside))
+
+
+def test_what_the_motion_asks_for_shares_with_what_it_would_take_in_its_place(monkeypatch):
+    kept, term, rival = allowing("payload"), allowing("rotor"), allowing("lag")
+    barred = allowing("mass", beside=lambda other: other is not kept.candidate)
+    monkeypatch.setattr(proposal, "as_rival", lambda judge, best, atoms: atoms)
+    part = Proposal(
+        "judge", scored(7.0, kept, term), motion=True, rivals={("rotor", "elbow"): ((rival, 4.0), (barred, 0.0))}
+    )
+    found = answer_set(part, term)
+    assert [o.atom for o in found] == [term, rival]
+    assert [o.scored for o in found] == [part.best, [kept, rival]]
+    assert found[1].share / found[0].share == pytest.approx(np.exp(-2.0))
+    assert sum(o.share for o in found) == pytest.approx(1.0)
+    assert [o.share for o in answer_set(part, kept)] == [1.0]  # nothing else was tried there
+
+
+def test_a_name_that_the_torques_speak_for_as_well_has_its_share_from_them(monkeypatch):
+    term, own, rival = atom("rotor"), atom("rotor"), atom("lag")
+    options = [scored(100.0, own), scored(102.0, rival)]
+    monkeypatch.setattr(proposal, "alternatives", lambda judge, best, of: options if of is own else [])
+    torques = Proposal(None, options[0])
+    part = Proposal(None, scored(7.0, term), motion=True, torques=torques)
+    assert part.backing(("rotor", "elbow")) is own
+    assert part.backing(("lag", "elbow")) is None
+    assert [(o.atom, o.share) for o in answer_set(part, term)] == [
+        (own, pytest.approx(1 / (1 + np.exp(-1.0)))), (rival, pytest.approx(1 / (1 + np.exp(1.0)))),
+    ]  # fmt: skip

@@ -20,8 +20,8 @@ from diagnosis.sample import ARM, SAMPLES, Sample, arm, partial, slider, unexpla
 from torchrl_athletic.diagnosis.report import page as page_module
 from torchrl_athletic.diagnosis.report import terminal_summary, write_report
 from torchrl_athletic.diagnosis.report.page import render
-from torchrl_athletic.diagnosis.report.words import lead, next_takes, would_change
-from torchrl_athletic.diagnosis.result import Answer, Estimate, Location, Score
+from torchrl_athletic.diagnosis.report.words import grounds_words, lead, next_takes, would_change
+from torchrl_athletic.diagnosis.result import Answer, Estimate, Finding, Location, Score
 
 VOID = {"meta", "link", "input", "br", "img", "hr"}
 HEADINGS = {
@@ -547,3 +547,15 @@ def test_of_many_joints_those_that_matter_get_notes_and_findings_stand_in_their_
     page_module._robot(replace(answer, verdict="nothing_missing", findings=()), "model")
     assert set(told[1][2].values()) == {""}
     assert page_module._robot(answer, None) is None
+
+
+def test_what_the_motion_asks_for_is_said_among_the_grounds():
+    found = Finding("backlash", "elbow", 0.4, "", {}, "", grounds={"asked": 0.34, "overruled": True})
+    assert grounds_words(found) == [
+        "The motion asks for its class: without, 34 % of the error comes back.",
+        "The torques speak for something else, so that its law has one half at most.",
+    ]
+    assert grounds_words(replace(found, grounds={"asked": 0.0})) == [
+        "The motion asks for a few others, and not for its class."
+    ]
+    assert grounds_words(replace(found, grounds={"asked": -1.0, "overruled": False})) == []  # it was not asked

@@ -12,7 +12,7 @@ from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis
 from torchrl_athletic.diagnosis.proposal import Proposal
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.diagnosis.simulate import _asked_alone, _with_joints, key_of
+from torchrl_athletic.diagnosis.simulate import _asked_alone, _with_joints, _with_motion, key_of
 from torchrl_athletic.diagnosis.stages import Simulated, Trial
 from torchrl_athletic.diagnosis.thresholds import DECISION, SIMULATION
 from torchrl_athletic.effects import Parameter
@@ -395,12 +395,58 @@ def test_the_standard_joints_lose_their_names_to_what_was_tried_after_them_and_e
     assert stage._explained(alone) is alone
 
 
-def test_what_was_proposed_is_tried_first_then_the_standard_joints_and_then_each_effect_alone(monkeypatch):
-    """In a hurry the standard joints come before what is left of the proposals."""
+def test_what_was_proposed_is_tried_first_then_what_the_motion_asks_for_and_then_each_effect_alone(monkeypatch):
+    """In a hurry that and the standard joints come before what is left of the proposals."""
     told = []
-    for name in ("_tried_all", "_with_joints", "_asked_alone"):
+    for name in ("_tried_all", "_with_motion", "_with_joints", "_asked_alone"):
         monkeypatch.setattr(stage, name, lambda *given, name=name: told.append((name, *given[1:])) or given[0])
     proposed = SimpleNamespace(options=("a", "b"))
     done = stage.simulate(proposed, "run")
-    assert told == [("_tried_all", "run", 0.4), ("_with_joints", "run"), ("_tried_all", "run"), ("_asked_alone", "run")]
+    asked = [("_with_motion", "run"), ("_with_joints", "run")]
+    assert told == [("_tried_all", "run", 0.4), *asked, ("_tried_all", "run"), ("_asked_alone", "run")]
     assert (done.proposed, done.trials, done.untried, done.stopped) == (proposed, (), ("a", "b"), False)
+
+
+@pytest.mark.parametrize("terms", [(), ("friction",)])
+def test_what_the_motion_asks_for_is_a_trial_and_its_classes_are_told_even_if_it_asks_for_nothing(monkeypatch, terms):
+    work, told = Started(monkeypatch, 0.5, True, True, 9.0), []
+    fitted = SimpleNamespace(hypothesis=SimpleNamespace(terms=terms))
+    asked = SimpleNamespace(fitted=fitted, classes={("friction", "hip"): 0.4 * len(terms)})
+    monkeypatch.setattr(stage, "asked_of_motion", lambda ready, run, proposed: told.append(proposed) or asked)
+    monkeypatch.setattr(stage, "as_chosen", lambda judge, fitted: f"{len(fitted.hypothesis.terms)} in torques")
+    monkeypatch.setattr(stage, "rivals_in_torques", lambda judge, asked: {"friction": "rivals"})
+    monkeypatch.setattr(stage, "_without_small", lambda fitted, given: fitted)
+    monkeypatch.setattr(stage, "scored", lambda *given: SimpleNamespace(proposal=given[0], fitted=given[1]))
+
+    def of_joints(*names):
+        given = SimpleNamespace(joint_names=names)
+        return SimpleNamespace(located=SimpleNamespace(ready=SimpleNamespace(given=given)), drive=None)
+
+    begun = replace(work.begun, proposed=of_joints("hip", "knee"))
+    run = SimpleNamespace(late=lambda share=None: False)
+    done = _with_motion(begun, run)
+    assert told == [[t.fitted for t in begun.trials]]  # what the torques speak for is offered
+    assert done.asked == asked.classes
+    assert [t.proposal.best for t in done.trials[len(begun.trials) :]] == ["1 in torques"] * len(terms)
+    for trial in done.trials[len(begun.trials) :]:
+        p = trial.proposal
+        assert (p.motion, p.on_trial, p.behind, p.rivals) == (True, True, DECISION.behind, {"friction": "rivals"})
+        assert p.by_simulation
+    unasked = replace(begun, proposed=SimpleNamespace(located=None, drive="drive"))
+    assert _with_motion(unasked, run) is unasked  # a measured torque cuts the chain
+    alone = replace(begun, proposed=of_joints("hip"))
+    assert _with_motion(alone, run) is alone  # a single joint's torques are its own
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stage, "asked_of_motion", stopped)
+    assert _with_motion(begun, run).stopped
+
+
+def test_the_standard_joints_give_no_names_beside_what_the_motion_asks_for(monkeypatch):
+    work = Started(monkeypatch, 0.5, True, True, 9.0)
+    motion = work.trial(Proposal(None, None, motion=True), True, 0.5, 9.0)
+    work.begun = replace(work.begun, trials=(*work.begun.trials, motion))
+    monkeypatch.setattr(stage, "decided_by", lambda trials: (0,))
+    assert joints_added(monkeypatch, work, ["term"])[-1].behind == np.inf

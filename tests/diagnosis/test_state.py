@@ -266,7 +266,8 @@ def test_another_name_is_that_of_an_effect_that_acts_in_every_take(monkeypatch):
     ]
     asked = []
 
-    def judged(evidence, fitted, scores, sets, closes):
+    def judged(evidence, fitted, scores, sets, closes, of_motion):
+        assert of_motion == {("friction", "hip"): 0.5}
         asked.append((evidence, fitted, list(scores), sets, closes))
         return "findings"
 
@@ -278,7 +279,9 @@ def test_another_name_is_that_of_an_effect_that_acts_in_every_take(monkeypatch):
     )
     located = SimpleNamespace(ready=SimpleNamespace(given=given, train=SimpleNamespace(signals=("one", "two"))))
     own = trial(2.0)
-    found, names, applying, damped = stating._findings(Decided(located, "drive", own, sets={"term": "stand-ins"}))
+    found, names, applying, damped = stating._findings(
+        Decided(located, "drive", own, asked={("friction", "hip"): 0.5}, sets={"term": "stand-ins"})
+    )
     (of_evidence, *of_fit) = asked[0]
     assert of_evidence == ("drive", own.proposal)
     assert of_fit == [own.fitted, list(own.scores.values()), {"term": "stand-ins"}, "what each closes of 2.0"]

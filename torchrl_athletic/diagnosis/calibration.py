@@ -48,16 +48,19 @@ class Grounds:
     closes: float = 1.0
     """Share of the simulation's error that it closes, 0..1, alone and with other findings
     (see :func:`~torchrl_athletic.diagnosis.fit.shares_closed`)."""
+    refused: bool = False
+    """Whether recordings kept aside are followed worse with what was found at its joint than by the given model."""
+    overruled: bool = False
+    """Whether only the motion asks for it, and what the torques speak for has it not."""
     asked: float = -1.0
     """Share of the simulation's error that comes back without its class at its joint where few effects explain the
     motion, 0..1 (see :mod:`~torchrl_athletic.diagnosis.selection`); below 0 where the motion was not asked."""
-    refused: bool = False
-    """Whether recordings kept aside are followed worse with what was found at its joint than by the given model."""
 
     @property
     def most(self) -> float:
         """The probability that it may have at most."""
         most = min(STATEMENT.senseless if self.senseless else self.share, self.closes)
+        most = min(most, STATEMENT.likely) if self.overruled else most
         return min(most, STATEMENT.refused) if self.refused else most
 
     def features(self) -> dict[str, float]:

@@ -29,8 +29,14 @@ def decide(simulated: Simulated) -> Decided:
     told = {keys(t.proposal.best.fit.terms): float(a) for t, a in combinations}
     needed = [needed_by(t) if ok else frozenset[Key]() for t, ok in zip(trials, taken, strict=True)]
     options = (*(t.proposal for t in trials), *simulated.untried)
-    others = others_than(chosen, options, needed)
-    trial = replace(trials[chosen], proposal=replace(trials[chosen].proposal, simulated=told, others=others))
+
+    def compared(k: int) -> Proposal:
+        return replace(trials[k].proposal, simulated=told, others=others_than(k, options, needed))
+
+    proposal = compared(chosen)
+    if proposal.motion:
+        proposal = replace(proposal, torques=compared(0 if trials[spoken_for].proposal.by_simulation else spoken_for))
+    trial = replace(trials[chosen], proposal=proposal)
     beside = tuple(
         t for k, t in enumerate(trials) if (t.proposal.by_simulation or k in (0, spoken_for)) and k != chosen
     )
@@ -57,10 +63,9 @@ def fewest(spoken_for: int, trials: Sequence[Trial], asked: Collection[Key]) -> 
         trials: All of them.
         asked: Classes and joints that the motion was asked about.
     """
-    terms = trials[spoken_for].fitted.hypothesis.terms
-    if any((c.effect.family, c.joint_name) not in asked for c in terms):
-        return spoken_for
-    return next((k for k, t in enumerate(trials) if t.proposal.motion), spoken_for)
+    motion = next((k for k, t in enumerate(trials) if t.proposal.motion), spoken_for)
+    terms = trials[spoken_for].fitted.hypothesis.terms if motion != spoken_for else ()
+    return motion if all((c.effect.family, c.joint_name) in asked for c in terms) else spoken_for
 
 
 def torque_is_open(trial: Trial) -> bool:

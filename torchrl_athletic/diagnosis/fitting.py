@@ -20,8 +20,10 @@ from torchrl_athletic.diagnosis.extension import extend, with_gear
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.joint_fit import (
+    MOST,
     Linearised,
     Problem,
+    affordable,
     best_of,
     descend,
     linearise,
@@ -49,6 +51,9 @@ SCHEMA = "torchrl_athletic/fit/1"
 STAGES = {"quality": 2.0, "search": 40.0, "extend": 25.0, "prune": 20.0, "score": 10.0}
 DRAWS = 24
 """Starts by chance."""
+SCARCE = 100
+"""Windows of half a second, fewer of which a search can afford only of six joints or so: then it takes longer physics
+steps, and so many windows."""
 SLOPES = 3
 """Jacobians at most after what is not needed has gone."""
 LONGEST = 300.0
@@ -209,10 +214,11 @@ def fit(
 
     progress.stage("search")
     begin = starts(h, train, seen, _rng(seed, "starts"), DRAWS)
-    takes = coarse(train.takes, h, h.nominal, _rng(seed, "coarse"))
-    near = search(
-        h, tuple(takes), begin, _rng(seed, "search"), deadline.part(0.5), agreement(h, train), progress.update
-    )
+    takes, most = {take: take for take in train.takes}, MOST
+    if affordable(h, train.takes, deadline) < SCARCE:
+        takes, most = coarse(train.takes, h, h.nominal, _rng(seed, "coarse")), SCARCE
+    rng, until = _rng(seed, "search"), deadline.part(0.5)
+    near = search(h, tuple(takes), begin, rng, until, agreement(h, train), most, progress.update)
     if extended:
         progress.stage("extend")
         near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.6))
@@ -222,7 +228,7 @@ def fit(
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
     x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
-    fine = in_steps_of(near.problem, {**dict(zip(train.takes, train.takes, strict=True)), **takes})
+    fine = in_steps_of(near.problem, {**{take: take for take in train.takes}, **takes})
     y = best_of(fine, (y, np.where(needed, x, h.nominal)), 1)[0]
     y = descend(weighed(fine, y), y, needed, SLOPES, deadline.part(0.76))
     again = linearise(weighed(fine, y), y, needed)

@@ -236,6 +236,7 @@ def _finding(
     values, samples = h.values_of(chosen, fitted.values), h.values_of(chosen, fitted.samples)
     band = h.values_of(chosen, fitted.interval().T).T
     own = next(option.share for option in rated if option.atom.candidate.key == candidate.key)
+    of_motion = (asked or {}).get((candidate.effect.family, candidate.joint_name))
     grounds = Grounds(
         share=own,
         left=part.left_of(candidate),
@@ -251,7 +252,8 @@ def _finding(
         leans=any(c.key in senseless and c.joint_name == chosen.joint_name for c in h.terms if c.key != chosen.key),
         far=bool(far) if candidate.joint_name is None else candidate.joint_name in far,
         closes=1.0 if closes is None else closes,
-        asked=(asked or {}).get((candidate.effect.family, candidate.joint_name), -1.0),
+        overruled=part.motion and part.backing(candidate.key) is None,
+        asked=-1.0 if of_motion is None else of_motion,
     )
     likely = probability(grounds, candidate.effect.name)
     effect, joint = candidate.effect, candidate.where
@@ -271,6 +273,9 @@ def _finding(
     of_class = likely
     if not grounds.senseless:
         of_class = class_probability(likely, likely + alike, 1.0 - still_open, closes)
+        if grounds.overruled:  # what else the motion would take there has its share
+            alike_share = sum(o.share for o in rated if _is_alike(o.atom.candidate, candidate))
+            of_class = max(likely, min(of_class, alike_share))
     explained = bank.prediction(part.best.fit, term)
     return Finding(
         effect=effect.name,

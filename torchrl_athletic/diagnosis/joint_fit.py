@@ -46,7 +46,7 @@ GRAIN = 0.005
 """Between samples of a window that are compared [s]: half a second holds no faster motion worth it."""
 AT_ONCE = 200
 """Windows simulated at a time: bounds the memory."""
-WORK = 2.5e6
+WORK = 5e6
 """Physics steps of all windows, parameters and joints that one Jacobian may cost; more windows are thinned."""
 SHARE = 0.02
 """Share of a time budget that one Jacobian may take [1]."""
@@ -401,6 +401,7 @@ def search(
     rng: np.random.Generator,
     deadline: Deadline,
     torques: Agreement | None = None,
+    most: int = MOST,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Linearised:
     """Fit from several starts, over growing horizons.
@@ -412,13 +413,14 @@ def search(
         rng: Draws windows.
         deadline: When to come to an end.
         torques: What they say of the parameters.
+        most: Windows of half a second at most.
         progress: Told the finished fraction.
 
     Returns:
         The problem of the stated error about its solution.
     """
     free = h.bounds[1] > h.bounds[0]
-    count = affordable(h, takes, deadline)
+    count = min(affordable(h, takes, deadline), most)
     full = problem_of(h, takes, WINDOW, count, rng, begin[0], torques)
     few = problem_of(h, takes, WINDOW, COMPARED, rng, begin[0], torques) if count > COMPARED else full
     points = list(begin)

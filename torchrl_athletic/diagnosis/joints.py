@@ -118,7 +118,8 @@ def _offered(ready: Ready, proposed: Sequence[Fitted]) -> tuple[Hypothesis, dict
     standard = [c for c in standard_joints(train, seen_in(train)).terms if c.effect.name in named]
     known = {c.key for c in standard}
     links = [e for e in ready.given.catalogue if e.name in BESIDE and all(e.applies(s) for s in train.signals)]
-    beside = [c for c in candidates_for(train.signals, links) if c.key not in known]
+    shown = [c for c in candidates_for(train.signals, links) if c.effect.grid_of(train.signals, c.joint)]
+    beside = [c for c in shown if c.key not in known]
     known |= {c.key for c in beside}
     starts: dict[Candidate, Array] = {}
     for fitted in proposed:

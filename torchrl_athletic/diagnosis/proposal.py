@@ -31,6 +31,8 @@ class Proposal:
     """Whether it is what the fit of the standard joints needs."""
     motion: bool = False
     """Whether it is what the motion asks for, one effect after the other."""
+    torques: Proposal | None = None
+    """What the torques speak for beside it."""
     rivals: Mapping[Key, Sequence[tuple[Atom, float]]] = field(default_factory=dict)
     """Of such a term, what could stand in its place: twice the log odds that the motion gives against it."""
     simulated: Mapping[frozenset[Key], float] = field(default_factory=dict)
@@ -42,6 +44,11 @@ class Proposal:
     def by_simulation(self) -> bool:
         """Whether the simulation has chosen it, whatever the torques say."""
         return self.joints or self.motion
+
+    def backing(self, key: Key) -> Atom | None:
+        """The term of that name that the torques speak for as well."""
+        terms = self.torques.best.fit.terms if self.torques is not None else ()
+        return next((a for a in terms if a.candidate.key == key), None)
 
     def left_of(self, candidate: Candidate) -> float:
         """Share of the excess that is left where an effect acts: on its joint, or on the one explained worst."""
@@ -77,10 +84,13 @@ def answer_set(part: Proposal, term: Atom) -> list[StandIn]:
     """Who could stand in a term's place, itself included, with the share of the evidence that each has.
 
     Each other effect in its place, beside all other terms; and an effect that alone does what this term and others of
-    its joint do together, as gains that are off do of a rotor with a lag. Of what the simulation has chosen,
-    against the torques, only the motion says what could stand in its place.
+    its joint do together, as gains that are off do of a rotor with a lag. Of what the simulation has chosen
+    and the torques do not speak for, only the motion says what could stand in its place.
     """
     if part.by_simulation:
+        backing = part.backing(term.candidate.key)
+        if part.torques is not None and backing is not None:
+            return answer_set(part.torques, backing)
         return _by_simulation(part, term)
     found = keys(part.best.fit.terms)
     beside = found - {term.candidate.key}

@@ -64,9 +64,10 @@ def _tried_all(done: Simulated, run: Run, share: float = SPENDING.to_fit) -> Sim
 def _with_motion(done: Simulated, run: Run) -> Simulated:
     """Add what the motion asks for, one effect after the other, where no combination closes nearly all of the error.
 
-    The simulation has to be decisively better with it than with what the torques speak for most.
+    The simulation has to be decisively better with it than with what the torques speak for most. A single joint's
+    torques are its own, so that they say more than its motion.
     """
-    if not _asks_simulation(done, run):
+    if not _asks_simulation(done, run) or len(done.proposed.located.ready.given.joint_names) < 2:
         return done
     ready, judge = done.proposed.located.ready, done.trials[0].proposal.judge
     try:

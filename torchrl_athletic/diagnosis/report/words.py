@@ -94,8 +94,14 @@ def grounds_words(finding: Finding) -> list[str]:
         "closes": "Where the rest stays, it closes {} of the simulation's error.",
     }
     words = [text.format(percent(g[name])) for name, text in said.items() if name in g]
+    if (asked := g.get("asked", -1.0)) > 0:
+        words.append(f"The motion asks for its class: without, {percent(asked)} of the error comes back.")
+    elif asked == 0:
+        words.append("The motion asks for a few others, and not for its class.")
     if "sure" in g:
         words.append(f"Its numbers lie {g['sure']:.2g} standard deviations from the given model's.")
+    if g.get("overruled"):
+        words.append("The torques speak for something else, so that its law has one half at most.")
     if g.get("far"):
         at = finding.joint or "some joint"
         words.append(
