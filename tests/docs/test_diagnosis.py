@@ -9,14 +9,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from torchrl_athletic.diagnosis import Answer, Finding, Location, Rival, Score, joint_fit, standard, thresholds
+from torchrl_athletic.diagnosis import (
+    Answer,
+    Finding,
+    Location,
+    Rival,
+    Score,
+    joint_fit,
+    selection,
+    standard,
+    thresholds,
+)
 from torchrl_athletic.diagnosis.calibration import Grounds
 from torchrl_athletic.diagnosis.corrected import SCHEMA
 from torchrl_athletic.diagnosis.result import SCHEMA as ANSWER_SCHEMA
 from torchrl_athletic.diagnosis.thresholds import SEARCH
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, TRIMS
 
-fitting, standard_fit = (importlib.import_module(f"torchrl_athletic.diagnosis.{name}") for name in ("fit", "fitting"))
+fitting, standard_fit, coarse = (
+    importlib.import_module(f"torchrl_athletic.diagnosis.{name}") for name in ("fit", "fitting", "coarse")
+)
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "diagnosis.md").read_text(encoding="utf-8")
 FILES = PAGE[PAGE.index("## What is written") : PAGE.index("## Stopping")]
@@ -113,7 +125,7 @@ def test_schemas_and_what_mjcf_can_say():
     assert all(word in FILES for word in (*words.values(), "offset", "limit of its torque", "scale", "lag", "`delay`"))
 
 
-COUNTED = {2: "two", 3: "three", 4: "four", 8: "eight", 10: "ten"}
+COUNTED = {2: "two", 3: "three", 4: "four", 5: "five", 8: "eight", 10: "ten"}
 SHARES = {0.1: "a tenth", 0.25: "a quarter", 0.5: "half"}
 S, D, M, T, P = (getattr(thresholds, name) for name in ("SEARCH", "DECISION", "SIMULATION", "STATEMENT", "SPENDING"))
 SAID = {
@@ -128,7 +140,11 @@ SAID = {
         f"is fitted there, with up to {COUNTED[D.most_fits - 1]} more",
         f"where these leave more than {SHARES[D.lost]} of the motion's error energy, or where nothing was named and "
         f"the trims alone leave more than {D.follows:g} floors",
-        f"where nothing follows the recordings to {D.follows:g} floors, or closes {100 * (1 - D.closed):.0f} % of the",
+        f"Where nothing follows the recordings of several joints to {D.follows:g} floors, or closes "
+        f"{100 * (1 - D.closed):.0f} % of the",
+        f"is tried at {COUNTED[selection.SIZES]} sizes to either side, the {COUNTED[selection.FITTED]} effects",
+        f"if it saves {100 * selection.LEAST:.0f} % of the windows' cost and {COUNTED[selection.SURE]} standard errors",
+        f"the torques' combination lacks it: {T.likely:g} at most",
         f"leaves more than {100 * T.explained:.0f} % of the error energy, and the simulation with them is better by "
         f"odds of 150 to 1 and leaves {SHARES[S.richer]} less",
         "first of {:g} s and then of {:g} s".format(*fitting.SHOOTING),
@@ -146,13 +162,16 @@ SAID = {
         f"at most {100 * T.partly:.0f} % is left",
         f"predict more than {100 * S.predictable:.0f} % of the missing torque",
         f"Once {100 * P.to_propose:.0f} % of `--time-budget` is spent, the search of the torques comes to an end",
-        f"From {100 * P.to_try:.0f} % on the standard joints come before further combinations",
+        f"From {100 * P.to_try:.0f} % on the motion is asked, until {100 * P.to_select:.0f} %, and the standard joints "
+        "come before further combinations",
         f"none of which begins after {100 * P.to_fit:.0f} %",
         f"At {100 * P.to_find:.0f} % what was found is stated",
         f"{SHARES[P.share]} of what is free], stretches of {P.stretch:.0f} s spread evenly",
     ],
     "fitting": [
         "Windows grow from {:g} s over {:g} s to {:g} s".format(*joint_fit.HORIZONS, joint_fit.WINDOW),
+        f"physics steps of {1e3 * coarse.LONGEST[0]:g} ms, or of {1e3 * coarse.LONGEST[1]:g} where",
+        f"but for {SHARES[coarse.ALIKE]} of its error, and {standard_fit.SCARCE} windows",
         f"cut into {COUNTED[joint_fit.FOLDS]} folds",
         f"{COUNTED[standard.ROOM]} times what their torques, speeds and accelerations allow",
         f"At most {standard_fit.LONGEST:.0f} s of recordings are fitted",

@@ -58,9 +58,10 @@ def diagnose(
         base: Of a floating robot: ``"recorded"`` takes its pose from the recordings, ``"fixed"`` holds it where the
             model has it.
         seed: Of the bootstrap and of the choice of windows.
-        time_budget: Wall-clock time of the whole [s]. The search of the torques ends once 30 % of it are spent, the
-            standard joints come before further combinations from 40 % on and end at 75 %, no fit begins after 60 %,
-            and what was found is stated once 85 % are; without a signal of time, as in another thread, after the stage.
+        time_budget: Wall-clock time of the whole [s]. The search of the torques ends once 30 % of it are spent. From
+            40 % on the motion is asked, until 55 %, and the standard joints come before further combinations and end at
+            75 %. No fit begins after 60 %, and what was found is stated once 85 % are; without a signal of time, as in
+            another thread, after the stage.
         memory: That it may take [GB]; half of what is free if None. Of longer logs, stretches are used.
         highest_frequency: Of the experiment that is planned for rivals [Hz]; as high as the logs allow if None.
         output: Folder for the report. Without it nothing is written, and nothing can be resumed.
