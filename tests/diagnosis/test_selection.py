@@ -92,6 +92,16 @@ def test_what_stands_in_for_a_later_one_goes_again():
     np.testing.assert_array_equal(h.values_of(gone, x), [p.nominal for p in gone.parameters])
 
 
+def test_what_no_robot_can_have_is_not_chosen_however_well_it_follows(monkeypatch):
+    h, takes, torques = problem(arm(lower='damping="0.3"'))
+    viscous = next(c for c in h.terms if c.key == ("viscous_friction", "lower"))
+    monkeypatch.setattr(type(viscous.effect), "is_physical", lambda self, parameters, values: bool(values[0] < 0.1))
+    found = select(h, takes, np.random.default_rng(1), Deadline(), torques)
+    assert found.hypothesis.terms
+    assert viscous not in found.hypothesis.terms
+    assert all(r.candidate is not viscous for rivals in found.rivals for r in rivals)
+
+
 def test_nothing_is_tried_once_the_time_is_over():
     h, takes, torques = problem(arm(lower='damping="0.3"'))
     found = select(h, takes, np.random.default_rng(1), Deadline(0.0), torques)

@@ -151,7 +151,8 @@ def _next(
         if deadline.over:
             break
         y = descend(problem, begin, _free(h, [*chosen, c]), SLOPES, deadline)
-        tried.append((c, y, _cost(problem, y)))
+        if c.effect.is_physical(c.parameters, h.values_of(c, y)):  # no robot has the others
+            tried.append((c, y, _cost(problem, y)))
     if not tried:
         return None
     count = independent(problem)
