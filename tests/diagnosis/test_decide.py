@@ -371,27 +371,53 @@ def test_the_fit_of_the_standard_joints_speaks_for_no_combination_of_the_same_na
     assert found.trial.proposal.others == ()
 
 
+def few_and_many(few=0.3, many=0.1, offered=("friction", "inertia"), named=("friction",), kept=("friction",)):
+    """What the torques speak for first and second, and what the motion asks for, which leave shares of the error."""
+    rich = hypothesis([SimpleNamespace(key=("friction", "hip")), SimpleNamespace(key=("inertia", "hip"))])
+    best = SimpleNamespace(fit=SimpleNamespace(terms=[atom(name) for name in named]))
+    motion = Proposal(None, best, motion=True, offered=frozenset((name, "hip") for name in offered))
+    sparse = hypothesis([SimpleNamespace(key=(name, "hip")) for name in kept])
+    parts = ((Proposal(None, None), rich, many), (Proposal(None, None), rich, many), (motion, sparse, few))
+    return [Trial(p, f, {"train": leaving(left)}, np.zeros((1, 1)), np.zeros(1)) for p, f, left in parts]
+
+
 @pytest.mark.parametrize(
-    ("spoken_for", "families", "chosen"),
+    ("change", "takes"),
     [
-        (0, ("friction", "inertia"), 2),
-        (1, ("friction",), 2),
-        (0, ("friction", "transmission"), 0),
-        (0, (), 2),
-        (2, (), 2),
+        ({}, True),
+        ({"few": 0.54}, True),
+        ({"few": 0.56}, False),  # less than half of the nine tenths that more effects close
+        ({"many": 0.9, "few": 0.94}, True),
+        ({"offered": ("friction",)}, False),  # what the torques name was not offered
+        ({"offered": ()}, False),  # nor was anything, as there was no time to ask for all
+        ({"named": ()}, False),  # the torques show none of it, so that it has no names
+        ({"kept": ()}, False),  # all of it is within its tolerance
+        ({"named": ("inertia",)}, False),
     ],
 )
-def test_what_the_motion_asks_for_takes_the_place_of_more_unless_that_holds_what_it_was_not_asked_about(
-    spoken_for, families, chosen
-):
-    def term(family):
-        return SimpleNamespace(effect=SimpleNamespace(family=family), joint_name="hip")
+def test_few_effects_of_the_motion_take_the_place_of_many_that_were_offered_to_it(change, takes):
+    trials = few_and_many(**change)
+    for spoken_for in (0, 1):
+        assert deciding.fewest(spoken_for, trials) == (2 if takes else spoken_for)
+    assert deciding.fewest(2, trials) == 2
+    assert deciding.fewest(1, trials[:2]) == 1  # where nothing was asked
 
-    asked = {("friction", "hip"): 0.5, ("inertia", "hip"): 0.0, ("transmission", "knee"): 0.0}
-    rich = hypothesis([term(f) for f in families])
-    trials = [
-        Trial(Proposal(None, None, motion=motion), fitted, {}, np.zeros((1, 1)), np.zeros(1))
-        for motion, fitted in ((False, rich), (False, rich), (True, hypothesis([term("friction")])))
-    ]
-    assert deciding.fewest(spoken_for, trials, asked) == chosen
-    assert deciding.fewest(spoken_for, trials[:2], {}) == spoken_for  # where nothing was asked
+
+@pytest.mark.parametrize(("preferred", "spoken_for"), [(0, 0), (1, 1), (2, 1)])
+def test_the_torques_behind_few_effects_are_the_best_of_theirs_whatever_the_simulation_prefers(
+    monkeypatch, preferred, spoken_for
+):
+    """Of theirs alone the second is best where the simulation prefers what it has chosen itself."""
+    trials = tuple(few_and_many())
+    for t, name in zip(trials, ("zero", "one"), strict=False):
+        object.__setattr__(t.proposal, "best", SimpleNamespace(fit=SimpleNamespace(terms=[atom(name)])))
+    told = lambda some: (preferred if len(some) == 3 else spoken_for, np.zeros(len(some)), [True] * len(some))  # noqa: E731
+    monkeypatch.setattr(deciding, "decided_by", told)
+    monkeypatch.setattr(deciding, "torque_is_open", lambda trial: False)
+    monkeypatch.setattr(deciding, "answer_set", lambda part, term: ())
+    proposed = SimpleNamespace(located=None, drive=None)
+    found = deciding.decide(SimpleNamespace(proposed=proposed, trials=trials, untried=(), asked={"asked": 0.5}))
+    assert found.trial.proposal.motion
+    assert found.trial.proposal.torques.best is trials[spoken_for].proposal.best
+    assert found.asked == {"asked": 0.5}
+    assert set(found.trial.proposal.simulated) == {frozenset({("zero", "hip")}), frozenset({("one", "hip")})}

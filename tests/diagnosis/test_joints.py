@@ -15,6 +15,7 @@ from torchrl_athletic.diagnosis.fitting import JointParameter
 from torchrl_athletic.diagnosis.joints import _decode, _encode, _with_draws, standard_joints_of
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.stages import Given
+from torchrl_athletic.diagnosis.standard import LIMITS
 from torchrl_athletic.diagnosis.thresholds import SIMULATION
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, JointAddress, Parameter
 
@@ -188,9 +189,10 @@ def asked_for(*names):
     p = Parameter("p", "1", 0.0, 0.0, 1.0, 1.0)
     terms = tuple(Candidate(effects[n], 1, "elbow", (p,)) for n, _ in names)
     fitted = Fitted(Hypothesis(terms), np.full(len(terms), 0.5), np.full((200, len(terms)), 0.5), 0.0)
-    offered = (("friction", "elbow"), ("inertia", "elbow"), ("timing", "elbow"))
+    late = SimpleNamespace(name="late", family="timing")
+    offered = tuple(Candidate(e, 1, "elbow", (p,)) for e in (*effects.values(), late))
     rivals = tuple((joints.Rival(Candidate(effects["rotor"], 1, "elbow", (p,)), np.array([0.3]), 4.0),) for _ in names)
-    return joints.Asked(fitted, tuple(share for _, share in names), rivals, offered)
+    return joints.Asked(fitted, tuple(share for _, share in names), rivals, offered, complete=True)
 
 
 def test_a_class_is_asked_for_by_the_effect_that_is_missed_most_and_one_that_is_not_asked_for_has_nothing():
@@ -229,7 +231,10 @@ def test_the_motion_is_offered_the_standard_joints_what_links_lack_and_what_the_
     assert {("coulomb_friction", "upper"), ("reflected_inertia", "lower"), ("link_mass", "upper")} <= set(keys)
     assert ("gravity_tilt", None) in keys
     assert ("offset_payload", "lower") not in keys  # of fewer than three joints the torques do not look for it
-    assert starts == {}
+    assert {c.key for c in starts} == {("torque_saturation", "upper"), ("torque_saturation", "lower")}
+    asked = np.abs(arm.given.recordings[0].torque_command).max(0)
+    for c, sizes in starts.items():  # which would have none from its unit to its bound
+        np.testing.assert_allclose(np.concatenate(sizes) / asked[c.joint], LIMITS, rtol=0.1)
     from diagnosis.plants import candidate
 
     from torchrl_athletic.effects import Compliance, StribeckFriction
@@ -243,8 +248,9 @@ def test_the_motion_is_offered_the_standard_joints_what_links_lack_and_what_the_
     more, starts = joints._offered(arm, [Fitted(h, values, values[None], 0.0)])
     assert more.terms[-1] is stribeck
     assert len(more.terms) == len(hypothesis.terms) + 1  # a gear is not offered, nor twice what is known
-    assert list(starts) == [stribeck]
-    np.testing.assert_array_equal(starts[stribeck], h.values_of(stribeck, values))
+    np.testing.assert_array_equal(starts[stribeck], [h.values_of(stribeck, values)])
+    again = next(c for c in more.terms if c.key == ("coulomb_friction", "lower"))
+    np.testing.assert_array_equal(starts[again], [h.values_of(known, values)])  # what the torques say of it
 
 
 def test_the_motion_asks_once_and_its_answer_comes_back_from_a_checkpoint(arm, monkeypatch):
@@ -255,6 +261,7 @@ def test_the_motion_asks_once_and_its_answer_comes_back_from_a_checkpoint(arm, m
     kept = Checkpoint(None, "inputs")
     run = Run(Progress(), kept)
     first = joints.asked_of_motion(arm, run, ())
+    assert first.complete
     assert first.fitted.hypothesis.terms[0].key == ("coulomb_friction", "lower")
     assert first.fitted.values[0] == pytest.approx(0.06, rel=0.05)
     assert first.classes["friction", "lower"] > 0.5
@@ -262,8 +269,22 @@ def test_the_motion_asks_once_and_its_answer_comes_back_from_a_checkpoint(arm, m
     json.dumps(kept._results)  # plain numbers
     monkeypatch.setattr(joints, "select", lambda *_: pytest.fail("asked again"))
     again = joints.asked_of_motion(arm, run, ())
-    assert again.shares == first.shares
+    assert (again.shares, again.complete) == (first.shares, True)
     assert [c.key for c in again.fitted.hypothesis.terms] == [c.key for c in first.fitted.hypothesis.terms]
     np.testing.assert_array_equal(again.fitted.values, first.fitted.values)
     for ours, theirs in zip(again.rivals, first.rivals, strict=True):
         assert [(r.candidate.key, r.against) for r in ours] == [(r.candidate.key, r.against) for r in theirs]
+
+
+def test_an_answer_of_no_effects_comes_back_from_a_checkpoint_and_one_that_was_cut_short_says_so(arm, tmp_path):
+    from torchrl_athletic.diagnosis.checkpoint import Checkpoint
+    from torchrl_athletic.diagnosis.progress import Progress
+    from torchrl_athletic.diagnosis.stages import Run
+
+    path = tmp_path / "progress.json"
+    for _ in range(2):
+        over = Run(Progress(), Checkpoint(path, "inputs"), time_budget=1.0, started=-1e9)
+        asked = joints.asked_of_motion(arm, over, ())
+        assert asked.fitted.hypothesis.terms == ()
+        assert not asked.complete
+    assert path.exists()

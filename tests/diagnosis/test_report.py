@@ -556,6 +556,6 @@ def test_what_the_motion_asks_for_is_said_among_the_grounds():
         "The torques speak for something else, so that its law has one half at most.",
     ]
     assert grounds_words(replace(found, grounds={"asked": 0.0})) == [
-        "The motion asks for a few others, and not for its class."
+        "Asked for few effects, the motion does without its class."
     ]
     assert grounds_words(replace(found, grounds={"asked": -1.0, "overruled": False})) == []  # it was not asked

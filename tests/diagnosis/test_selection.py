@@ -107,6 +107,23 @@ def test_nothing_is_tried_once_the_time_is_over():
     found = select(h, takes, np.random.default_rng(1), Deadline(0.0), torques)
     assert found.hypothesis.terms == ()
     assert found.values.shape == (0,)
+    assert not found.complete
+
+
+def test_a_limit_that_clips_is_asked_for_from_where_it_is_known_to_begin():
+    """From its unit to its bound it has no size below the torques that were asked for."""
+    logged = command()
+    taken = record(arm(), np.stack([logged[:, 0], np.clip(logged[:, 1], -0.25, 0.25)], 1))
+    prepared = prepare([replace(taken, torque_command=logged)], mujoco.MjModel.from_xml_string(arm()))
+    h = standard_joints(prepared, seen_in(prepared))
+    limit = next(c for c in h.terms if c.key == ("torque_saturation", "lower"))
+    takes = tuple(coarse(prepared.takes, h, h.nominal, np.random.default_rng(0)))
+    asked = np.abs(logged[:, 1]).max()
+    starts = {limit: [np.array([share * asked]) for share in (0.4, 0.7, 0.9)]}
+    found = select(h, takes, np.random.default_rng(1), Deadline(), agreement(h, prepared), starts)
+    assert found.hypothesis.terms[0] is limit
+    assert found.values[0] == pytest.approx(0.25, rel=0.05)
+    assert found.complete
 
 
 def test_sizes_reach_from_a_unit_to_the_bound_on_either_side_and_leave_the_rest():

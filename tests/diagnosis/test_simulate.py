@@ -411,7 +411,10 @@ def test_what_was_proposed_is_tried_first_then_what_the_motion_asks_for_and_then
 def test_what_the_motion_asks_for_is_a_trial_and_its_classes_are_told_even_if_it_asks_for_nothing(monkeypatch, terms):
     work, told = Started(monkeypatch, 0.5, True, True, 9.0), []
     fitted = SimpleNamespace(hypothesis=SimpleNamespace(terms=terms))
-    asked = SimpleNamespace(fitted=fitted, classes={("friction", "hip"): 0.4 * len(terms)})
+    asked = SimpleNamespace(
+        fitted=fitted, classes={("friction", "hip"): 0.4 * len(terms)}, complete=True,
+        offered=[SimpleNamespace(key=("friction", "hip"))],
+    )  # fmt: skip
     monkeypatch.setattr(stage, "asked_of_motion", lambda ready, run, proposed: told.append(proposed) or asked)
     monkeypatch.setattr(stage, "as_chosen", lambda judge, fitted: f"{len(fitted.hypothesis.terms)} in torques")
     monkeypatch.setattr(stage, "rivals_in_torques", lambda judge, asked: {"friction": "rivals"})
@@ -432,6 +435,12 @@ def test_what_the_motion_asks_for_is_a_trial_and_its_classes_are_told_even_if_it
         p = trial.proposal
         assert (p.motion, p.on_trial, p.behind, p.rivals) == (True, True, DECISION.behind, {"friction": "rivals"})
         assert p.by_simulation
+        assert p.offered == {("friction", "hip")}
+    asked.complete = False  # there was no time to ask for all: nothing is said of what it does without
+    cut = _with_motion(begun, run)
+    assert cut.asked is None
+    assert all(t.proposal.offered == frozenset() for t in cut.trials[len(begun.trials) :])
+    asked.complete = True
     unasked = replace(begun, proposed=SimpleNamespace(located=None, drive="drive"))
     assert _with_motion(unasked, run) is unasked  # a measured torque cuts the chain
     alone = replace(begun, proposed=of_joints("hip"))
@@ -446,7 +455,9 @@ def test_what_the_motion_asks_for_is_a_trial_and_its_classes_are_told_even_if_it
 
 def test_the_standard_joints_give_no_names_beside_what_the_motion_asks_for(monkeypatch):
     work = Started(monkeypatch, 0.5, True, True, 9.0)
-    motion = work.trial(Proposal(None, None, motion=True), True, 0.5, 9.0)
-    work.begun = replace(work.begun, trials=(*work.begun.trials, motion))
+    first = work.begun.trials
     monkeypatch.setattr(stage, "decided_by", lambda trials: (0,))
-    assert joints_added(monkeypatch, work, ["term"])[-1].behind == np.inf
+    for offered, behind in ((frozenset({("friction", "hip")}), np.inf), (frozenset(), DECISION.behind)):
+        motion = work.trial(Proposal(None, None, motion=True, offered=offered), True, 0.5, 9.0)
+        work.begun = replace(work.begun, trials=(*first, motion))
+        assert joints_added(monkeypatch, work, ["term"])[-1].behind == behind  # unless there was no time to ask for all

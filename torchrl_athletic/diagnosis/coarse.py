@@ -45,11 +45,12 @@ def moves_alike(copy: Take, take: Take, h: Hypothesis, x: Array, rng: np.random.
     if copy is take:
         return True
     wrong, error = np.zeros(len(take.address.dof)), np.zeros(len(take.address.dof))
-    for w in draw_windows([take], WINDOW, LOOKED_AT, rng):
+    windows = draw_windows([take], WINDOW, LOOKED_AT, rng)
+    for w in windows:
         there, here = (simulate(replace(w, take=t), h.build, x[None])[0] for t in (copy, take))
         wrong += ((there - here) ** 2).sum((0, 1))
         error += ((here - w.measured) ** 2).sum((0, 1))
-    return bool(np.mean(wrong / np.maximum(error, 1e-18)) <= ALIKE**2)
+    return bool(windows) and bool(np.mean(wrong / np.maximum(error, 1e-18)) <= ALIKE**2)
 
 
 def in_steps_of(problem: Problem, takes: Mapping[Take, Take]) -> Problem:

@@ -24,7 +24,7 @@ def decide(simulated: Simulated) -> Decided:
     if not trials:
         return Decided(located, drive)
     spoken_for, against, taken = decided_by(trials)
-    chosen = fewest(spoken_for, trials, simulated.asked or {})
+    chosen = fewest(spoken_for, trials)
     combinations = [(t, a) for t, a in zip(trials, against, strict=True) if not t.proposal.by_simulation]
     told = {keys(t.proposal.best.fit.terms): float(a) for t, a in combinations}
     needed = [needed_by(t) if ok else frozenset[Key]() for t, ok in zip(trials, taken, strict=True)]
@@ -35,7 +35,9 @@ def decide(simulated: Simulated) -> Decided:
 
     proposal = compared(chosen)
     if proposal.motion:
-        proposal = replace(proposal, torques=compared(0 if trials[spoken_for].proposal.by_simulation else spoken_for))
+        of_torques = [k for k, t in enumerate(trials) if not t.proposal.by_simulation]
+        best = decided_by([trials[k] for k in of_torques])[0]
+        proposal = replace(proposal, torques=compared(of_torques[best]))
     trial = replace(trials[chosen], proposal=proposal)
     beside = tuple(
         t for k, t in enumerate(trials) if (t.proposal.by_simulation or k in (0, spoken_for)) and k != chosen
@@ -53,19 +55,24 @@ def decide(simulated: Simulated) -> Decided:
     return replace(decided, sets=sets)
 
 
-def fewest(spoken_for: int, trials: Sequence[Trial], asked: Collection[Key]) -> int:
-    """What the motion asks for, one after the other, in place of more that follow it as well or better.
+def fewest(spoken_for: int, trials: Sequence[Trial]) -> int:
+    """What the motion asks for, one after the other, in place of what torques and simulation speak for.
 
-    Each of those was offered to it. What holds something that was not stays.
+    Of many effects, each offered to the motion, most only stand in. Few take their place that have names and close a
+    good part of what those close, though more of them follow better. What holds something that was not offered stays.
 
     Args:
         spoken_for: Which trial torques and simulation speak for.
         trials: All of them.
-        asked: Classes and joints that the motion was asked about.
     """
     motion = next((k for k, t in enumerate(trials) if t.proposal.motion), spoken_for)
-    terms = trials[spoken_for].fitted.hypothesis.terms if motion != spoken_for else ()
-    return motion if all((c.effect.family, c.joint_name) in asked for c in terms) else spoken_for
+    if motion == spoken_for:
+        return spoken_for
+    few, many = trials[motion], trials[spoken_for]
+    closed = [1.0 - open_share(t.scores["train"]) for t in (few, many)]
+    named = {c.key for c in few.fitted.hypothesis.terms} & keys(few.proposal.best.fit.terms)
+    offered = all(c.key in few.proposal.offered for c in many.fitted.hypothesis.terms)
+    return motion if named and offered and closed[0] >= DECISION.few * closed[1] else spoken_for
 
 
 def torque_is_open(trial: Trial) -> bool:

@@ -18,7 +18,7 @@ from torchrl_athletic.diagnosis.screen import Atom, Candidate, Key, candidates_f
 from torchrl_athletic.diagnosis.search import Judge, Scored
 from torchrl_athletic.diagnosis.selection import Rival, select
 from torchrl_athletic.diagnosis.stages import Given, Ready, Run
-from torchrl_athletic.diagnosis.standard import agreement, seen_in, standard_joints
+from torchrl_athletic.diagnosis.standard import LIMITS, agreement, seen_in, standard_joints
 from torchrl_athletic.diagnosis.thresholds import SIMULATION, SPENDING
 from torchrl_athletic.effects import CATALOGUE, FIT_TRIMS, Effect, Parameter
 
@@ -60,13 +60,15 @@ class Asked:
     """Share of the error that comes back without each term, 0..1."""
     rivals: tuple[tuple[Rival, ...], ...]
     """What else was fitted in each term's place."""
-    offered: tuple[Key, ...]
-    """Classes and joints that it might have asked for."""
+    offered: tuple[Candidate, ...]
+    """What it might have asked for."""
+    complete: bool
+    """Whether there was time to ask for all."""
 
     @property
     def classes(self) -> dict[Key, float]:
         """Class and joint -> the most that comes back without one of its effects; 0 of what it does without."""
-        out = dict.fromkeys(self.offered, 0.0)
+        out = {(c.effect.family, c.joint_name): 0.0 for c in self.offered}
         for c, share in zip(self.fitted.hypothesis.terms, self.shares, strict=True):
             place = c.effect.family, c.joint_name
             out[place] = max(out[place], share)
@@ -83,7 +85,6 @@ def asked_of_motion(ready: Ready, run: Run, proposed: Sequence[Fitted]) -> Asked
     """
     given, train = ready.given, ready.train
     h, starts = _offered(ready, proposed)
-    offered = tuple(dict.fromkeys((c.effect.family, c.joint_name) for c in h.terms))
 
     def compute() -> Asked:
         takes = coarse(train.takes, h, h.nominal, given.rng("coarse"))
@@ -91,16 +92,16 @@ def asked_of_motion(ready: Ready, run: Run, proposed: Sequence[Fitted]) -> Asked
         deadline = Deadline(np.inf if left is None else left)
         found = select(h, tuple(takes), given.rng("motion"), deadline, agreement(h, train), starts)
         fitted = fit_of(found.hypothesis, train.takes, found.values, given.rng("fit"))
-        return Asked(fitted, found.shares, found.rivals, offered)
+        return Asked(fitted, found.shares, found.rivals, h.terms, found.complete)
 
     def encode(asked: Asked) -> dict[str, Any]:
         rivals = [[[*r.candidate.key, r.values.tolist(), r.against] for r in of] for of in asked.rivals]
-        return {**_encode(asked.fitted), "shares": list(asked.shares), "rivals": rivals}
+        return {**_encode(asked.fitted), "shares": list(asked.shares), "rivals": rivals, "complete": asked.complete}
 
     def decode(content: dict[str, Any]) -> Asked:
         of = {c.key: c for c in h.terms}
         rivals = tuple(tuple(Rival(of[e, j], np.array(x), z) for e, j, x, z in some) for some in content["rivals"])
-        return Asked(_decode(content, known), tuple(content["shares"]), rivals, offered)
+        return Asked(_decode(content, known), tuple(content["shares"]), rivals, h.terms, content["complete"])
 
     key = " ".join(["motion", *(f"{c.effect.name}/{c.where}" for c in starts)])
     key += "" if run.time_budget is None else f" in {run.time_budget:g} s"
@@ -108,26 +109,28 @@ def asked_of_motion(ready: Ready, run: Run, proposed: Sequence[Fitted]) -> Asked
     return run.checkpoint.result(key, compute, encode, decode)
 
 
-def _offered(ready: Ready, proposed: Sequence[Fitted]) -> tuple[Hypothesis, dict[Candidate, Array]]:
+def _offered(ready: Ready, proposed: Sequence[Fitted]) -> tuple[Hypothesis, dict[Candidate, list[Array]]]:
     """What the motion may ask for, as far as it has names, and the values that are known of some of it.
 
     The standard joints, what links and clock may lack, and what the torques speak for; but no gears, which stand still
     in steps of a search.
     """
     train, named = ready.train, {e.name for e in ready.given.catalogue}
-    standard = [c for c in standard_joints(train, seen_in(train)).terms if c.effect.name in named]
+    seen = seen_in(train)
+    standard = [c for c in standard_joints(train, seen).terms if c.effect.name in named]
     known = {c.key for c in standard}
     links = [e for e in ready.given.catalogue if e.name in BESIDE and all(e.applies(s) for s in train.signals)]
     shown = [c for c in candidates_for(train.signals, links) if c.effect.grid_of(train.signals, c.joint)]
     beside = [c for c in shown if c.key not in known]
-    known |= {c.key for c in beside}
-    starts: dict[Candidate, Array] = {}
+    offered = {c.key: c for c in (*standard, *beside)}
+    limits = [c for c in standard if c.effect.name == "torque_saturation"]  # any size above the asked torque is none
+    starts = {c: [np.array([share * seen.asked[c.joint]]) for share in LIMITS] for c in limits}
     for fitted in proposed:
         for c in fitted.hypothesis.terms:
-            if c.key not in known and not c.effect.of_accelerations:
-                starts[c] = fitted.hypothesis.values_of(c, fitted.values)
-                known.add(c.key)
-    return Hypothesis((*standard, *beside, *starts)), starts
+            if not c.effect.of_accelerations:
+                own = offered.setdefault(c.key, c)
+                starts.setdefault(own, []).append(fitted.hypothesis.values_of(c, fitted.values))
+    return Hypothesis(tuple(offered.values())), starts
 
 
 def as_chosen(judge: Judge, fitted: Fitted) -> Scored:
@@ -212,5 +215,5 @@ def _decode(content: dict[str, Any], known: dict[str, Effect]) -> Fitted:
         for e in content["parts"]
     ]
     h = Hypothesis(tuple(c for c, trim in parts if not trim), tuple(c for c, trim in parts if trim))
-    samples = np.array(content["samples"]).reshape(-1, len(content["values"]))
+    samples = np.array(content["samples"]).reshape(len(content["samples"]), len(content["values"]))
     return Fitted(h, np.array(content["values"]), samples, 0.0)

@@ -31,6 +31,8 @@ class Proposal:
     """Whether it is what the fit of the standard joints needs."""
     motion: bool = False
     """Whether it is what the motion asks for, one effect after the other."""
+    offered: frozenset[Key] = frozenset()
+    """What the motion might have asked for; nothing where the time did not suffice to ask for all."""
     torques: Proposal | None = None
     """What the torques speak for beside it."""
     rivals: Mapping[Key, Sequence[tuple[Atom, float]]] = field(default_factory=dict)

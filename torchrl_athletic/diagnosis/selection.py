@@ -6,7 +6,7 @@ motion of the joints says which of them alone would move the model most of the w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +73,8 @@ class Selection:
     """Share of the error that comes back without each effect, the others fitted anew, 0..1."""
     rivals: tuple[tuple[Rival, ...], ...]
     """What else was fitted in each one's place when it was chosen."""
+    complete: bool
+    """Whether the time sufficed to choose as long as something was asked for."""
 
 
 def select(
@@ -81,8 +83,7 @@ def select(
     rng: np.random.Generator,
     deadline: Deadline,
     torques: Agreement | None = None,
-    starts: Mapping[Candidate, Array] | None = None,
-    progress: Callable[[float], None] = lambda fraction: None,
+    starts: Mapping[Candidate, Sequence[Array]] | None = None,
 ) -> Selection:
     """Choose effects one by one, as long as each closes a share of the motion's error that is beyond doubt.
 
@@ -92,10 +93,9 @@ def select(
         h: Effects to choose from.
         takes: Recordings.
         rng: Draws windows.
-        deadline: After which no effect is tried.
+        deadline: After which nothing is tried.
         torques: What they say of the parameters.
         starts: Values to try of some effects beside those from the unit to the bound. Shapes (its P,).
-        progress: Told the finished fraction.
     """
     problem = problem_of(h, takes, WINDOW, COMPARED, rng, h.nominal, torques)
     few = _thinned(problem, SCREENED)
@@ -105,11 +105,10 @@ def select(
         if found is None:
             break
         c, x, chosen[c] = found
-        progress(len(chosen) / MOST)
     x, shares = _needed(weighed(problem, x), x, tuple(chosen), deadline)
     kept = Hypothesis(tuple(shares))
     values = np.concatenate([h.values_of(c, x) for c in shares] or [np.zeros(0)])
-    return Selection(kept, values, tuple(shares.values()), tuple(chosen[c] for c in shares))
+    return Selection(kept, values, tuple(shares.values()), tuple(chosen[c] for c in shares), not deadline.over)
 
 
 def _needed(
@@ -117,7 +116,7 @@ def _needed(
 ) -> tuple[Array, dict[Candidate, float]]:
     """Values of the chosen effects that are needed, and the share of the error that comes back without each.
 
-    The others are fitted anew without it. That which is missed least goes first.
+    The others are fitted anew without it, as long as there is time. That which is missed least goes first.
     """
     h, left = problem.hypothesis, list(chosen)
     while True:
@@ -140,7 +139,7 @@ def _next(
     x: Array,
     chosen: Sequence[Candidate],
     deadline: Deadline,
-    starts: Mapping[Candidate, Array],
+    starts: Mapping[Candidate, Sequence[Array]],
 ) -> tuple[Candidate, Array, tuple[Rival, ...]] | None:
     """The effect that closes most beside those that are chosen, the values with it, and what was tried in its place."""
     h = problem.hypothesis
@@ -170,7 +169,7 @@ def _against(worse: Array, count: int) -> float:
 
 
 def _most_promising(
-    problem: Problem, x: Array, chosen: Sequence[Candidate], starts: Mapping[Candidate, Array]
+    problem: Problem, x: Array, chosen: Sequence[Candidate], starts: Mapping[Candidate, Sequence[Array]]
 ) -> list[tuple[Candidate, Array]]:
     """Effects at the size that moves the model nearest to the recordings, the nearest first."""
     h = problem.hypothesis
@@ -216,13 +215,12 @@ def _sizes(h: Hypothesis, c: Candidate, x: Array) -> list[Array]:
     return out
 
 
-def _started(h: Hypothesis, c: Candidate, x: Array, starts: Mapping[Candidate, Array]) -> list[Array]:
-    """Values with an effect at the size that is known from elsewhere."""
-    if c not in starts:
-        return []
-    y = x.copy()
-    h.values_of(c, y)[:] = starts[c]
-    return [y]
+def _started(h: Hypothesis, c: Candidate, x: Array, starts: Mapping[Candidate, Sequence[Array]]) -> list[Array]:
+    """Values with an effect at the sizes that are known from elsewhere."""
+    out = [x.copy() for _ in starts.get(c, ())]
+    for y, start in zip(out, starts.get(c, ()), strict=True):
+        h.values_of(c, y)[:] = start
+    return out
 
 
 def _free(h: Hypothesis, terms: Sequence[Candidate]) -> Mask:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.compare import follows, open_share, score, well_started
-from torchrl_athletic.diagnosis.decide import decided_by, torque_is_open
+from torchrl_athletic.diagnosis.decide import decided_by, fewest, torque_is_open
 from torchrl_athletic.diagnosis.fit import (
     Fitted,
     Hypothesis,
@@ -64,7 +64,8 @@ def _tried_all(done: Simulated, run: Run, share: float = SPENDING.to_fit) -> Sim
 def _with_motion(done: Simulated, run: Run) -> Simulated:
     """Add what the motion asks for, one effect after the other, where no combination closes nearly all of the error.
 
-    The simulation has to be decisively better with it than with what the torques speak for most. A single joint's
+    It is chosen where the simulation is decisively better with it than with what the torques speak for most, or where
+    :func:`~torchrl_athletic.diagnosis.decide.fewest` prefers its few names. A single joint's
     torques are its own, so that they say more than its motion.
     """
     if not _asks_simulation(done, run) or len(done.proposed.located.ready.given.joint_names) < 2:
@@ -72,11 +73,12 @@ def _with_motion(done: Simulated, run: Run) -> Simulated:
     ready, judge = done.proposed.located.ready, done.trials[0].proposal.judge
     try:
         asked = asked_of_motion(ready, run, [t.fitted for t in done.trials])
-        done = replace(done, asked=asked.classes)
+        done = replace(done, asked=asked.classes if asked.complete else None)
         if not asked.fitted.hypothesis.terms:
             return done
         best, rivals = as_chosen(judge, asked.fitted), rivals_in_torques(judge, asked)
-        proposal = Proposal(judge, best, DECISION.behind, on_trial=True, motion=True, rivals=rivals)
+        offered = frozenset(c.key for c in asked.offered) if asked.complete else frozenset()
+        proposal = Proposal(judge, best, DECISION.behind, on_trial=True, motion=True, rivals=rivals, offered=offered)
         trial = scored(proposal, _without_small(asked.fitted, ready.given), ready)
     except KeyboardInterrupt:
         return replace(done, stopped=True)
@@ -112,7 +114,7 @@ def _with_joints(done: Simulated, run: Run) -> Simulated:
         if fitted is None:
             return done
         torques = in_torques(judge, fitted)
-        asked = any(t.proposal.motion for t in done.trials)
+        asked = any(t.proposal.motion and t.proposal.offered for t in done.trials)
         names = open_share(best.scores["train"]) > STATEMENT.explained and bool(torques.fit.terms) and not asked
         proposal = Proposal(judge, torques, DECISION.behind if names else np.inf, on_trial=True, joints=True)
         trial = scored(proposal, _without_small(fitted, ready.given), ready)
@@ -165,13 +167,13 @@ def _asked_alone(done: Simulated, run: Run) -> Simulated:
 
 def _is_lost(done: Simulated) -> bool:
     """Whether most of the motion is still open, and torque that noise does not explain."""
-    trial = done.trials[decided_by(done.trials)[0]]
+    trial = done.trials[fewest(decided_by(done.trials)[0], done.trials)]
     return open_share(trial.scores["train"]) >= DECISION.lost and torque_is_open(trial)
 
 
 def _is_unnamed(done: Simulated) -> bool:
     """Whether nothing is named and the simulation does not follow."""
-    trial = done.trials[decided_by(done.trials)[0]]
+    trial = done.trials[fewest(decided_by(done.trials)[0], done.trials)]
     return not trial.fitted.hypothesis.terms and not follows(trial.scores["train"], DECISION.follows)
 
 
@@ -186,7 +188,7 @@ def _trial(proposal: Proposal, proposed: Proposed, run: Run) -> Trial:
         return fit(hypothesis, takes, start, given.rng("fit"))
 
     def decode(content: dict[str, Any]) -> Fitted:
-        samples = np.array(content["samples"]).reshape(-1, len(content["values"]))
+        samples = np.array(content["samples"]).reshape(len(content["samples"]), len(content["values"]))
         return Fitted(hypothesis, np.array(content["values"]), samples, content["cost"])
 
     fitted = run.checkpoint.result(key_of(hypothesis, start), compute, _encode, decode)

@@ -154,7 +154,7 @@ class Decided:
     trial: Trial | None = None
     """The chosen one; none if nothing was simulated."""
     beside: tuple[Trial, ...] = ()
-    """Others that may follow better: what the torques speak for most, and the standard joints."""
+    """Others that may follow better: what the torques speak for, what the motion asks for, and the standard joints."""
     is_open: bool = False
     """Whether some joint misses torque that noise does not explain, with all numbers within their tolerances."""
     asked: Mapping[Key, float] | None = None

@@ -244,12 +244,11 @@ def agreement(h: Hypothesis, prepared: Prepared) -> Agreement:
         index, given = [], []
         for c, parts_of in prints:
             both = np.concatenate([part[:, j] for part in parts_of])
-            for k in range(both.shape[1]):
-                p = c.parameters[k]
-                if p.upper > p.lower and both[:, k].any():
-                    columns.append(both[:, k])
+            for k, p in zip(_linear(c, prepared), both.T, strict=False):
+                if c.parameters[k].upper > c.parameters[k].lower and p.any():
+                    columns.append(p)
                     index.append(index_of[id(c), k])
-                    given.append(p.nominal)
+                    given.append(c.parameters[k].nominal)
         scale = scales.get(j, -1)
         a = np.stack(columns, -1)[good]
         y = np.concatenate([s.missing[:, j] for s in prepared.signals])[good]
@@ -263,6 +262,13 @@ def agreement(h: Hypothesis, prepared: Prepared) -> Agreement:
         root = np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T
         parts.append((np.array(index, dtype=np.intp), np.array(given), scale, root, best))
     return Agreement(tuple(parts))
+
+
+def _linear(c: Candidate, prepared: Prepared) -> list[int]:
+    """Which of a term's parameters its columns stand for: those that its grid does not hold."""
+    grids = (c.effect.grid(s, c.joint) for s in prepared.signals if c.effect.applies(s))
+    held = next((grid[0] for grid in grids if grid), {})
+    return [k for k, p in enumerate(c.parameters) if p.name not in held]
 
 
 def columns_of(c: Candidate, prepared: Prepared) -> list[Array]:

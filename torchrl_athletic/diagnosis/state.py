@@ -158,7 +158,9 @@ def _best_followed(decided: Decided) -> Correction:
     own, other = trial.scores[split], best.scores[split]
     if own.after <= max(WORSE * other.after, NOISE * own.floor):
         return Correction(trial.fitted, trial.scores)
-    what = "the standard joints" if best.proposal.joints else "what the torques alone speak for"
+    of = best.proposal
+    what = "the standard joints" if of.joints else "what the torques alone speak for"
+    what = "what the motion asks for" if of.motion else what
     kind = "recordings that were kept aside" if split == "heldout" else "the fitted recordings"
     said = f"The corrected simulation has {what} instead of what is named: {kind} are followed"
     return Correction(best.fitted, best.scores, (f"{said} with {100 * other.after / own.after:.0f} % of the error.",))

@@ -135,6 +135,9 @@ class Decision:
 
     most_fits: int = 4
     """Combinations that the simulation is asked about at first [1; budget]."""
+    few: float = 0.5
+    """Share of what the torques' combination closes of the error energy that the few effects of the motion must close
+    to give the names in its place [1; tuned]."""
     asked: float = 6.0
     """Evidence behind which a rival is not asked about in the simulation: a twentieth of the odds [twice the log odds;
     statistical]."""

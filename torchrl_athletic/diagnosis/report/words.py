@@ -97,7 +97,7 @@ def grounds_words(finding: Finding) -> list[str]:
     if (asked := g.get("asked", -1.0)) > 0:
         words.append(f"The motion asks for its class: without, {percent(asked)} of the error comes back.")
     elif asked == 0:
-        words.append("The motion asks for a few others, and not for its class.")
+        words.append("Asked for few effects, the motion does without its class.")
     if "sure" in g:
         words.append(f"Its numbers lie {g['sure']:.2g} standard deviations from the given model's.")
     if g.get("overruled"):
