@@ -5,9 +5,13 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from diagnosis.plants import double_pendulum, pendulum, record, smooth_torque
+from diagnosis.plants import candidate, double_pendulum, pendulum, record, smooth_torque
 
+from torchrl_athletic.diagnosis.coarse import coarse
+from torchrl_athletic.diagnosis.deadline import Deadline
+from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.selection import select
 from torchrl_athletic.diagnosis.standard import (
     DELAYS,
     LIMITS,
@@ -20,6 +24,7 @@ from torchrl_athletic.diagnosis.standard import (
     starts,
     torque_domain,
 )
+from torchrl_athletic.effects import JointStop
 from torchrl_athletic.effects.torque import torque_bound
 
 SEEN = Seen(*(np.array([x]) for x in (5.0, 8.0, 2.0, 4.0, 0.1, 1.0)), period=0.03)
@@ -325,3 +330,28 @@ def test_gains_are_told_by_the_takes_that_follow_targets_beside_others_that_do_n
     assert h.values_of(gain, x) == pytest.approx([1.2, 1.0], abs=0.05)
     cost = (agreement(h, takes).rows(np.stack([h.nominal, x])) ** 2).sum(0)
     assert cost[1] < 0.1 * cost[0]
+
+
+def test_the_columns_of_an_effect_are_of_the_numbers_that_its_grid_does_not_hold(driven):
+    """A stop's columns are its spring's and its damper's, wherever it is: where it stands contradicts no torque."""
+    h = standard_joints(driven, seen_in(driven))
+    stop = candidate(JointStop(), driven.takes[0].recording, pendulum())
+    both = Hypothesis((*h.terms, stop))
+    told, size = agreement(both, driven), len(both.nominal)
+    place = [p.name for p in stop.parameters].index("position")
+    moved = np.tile(both.nominal, (2, 1))
+    moved[1, size - len(stop.parameters) + place] = stop.parameters[place].upper
+    rows = (told.rows(moved) ** 2).sum(0)
+    assert rows[0] == pytest.approx(rows[1])
+
+
+def test_a_servo_that_sticks_is_asked_about_along_its_targets():
+    """Position targets close the loop in the simulation, whose steps are finer."""
+    robot = pendulum(joint='damping="0.05" frictionloss="0.15"')
+    targets = smooth_torque(8.0, 1.5, 1)
+    takes = prepared(record(robot, targets, **gains(8.0, 0.5)))
+    h = standard_joints(takes, seen_in(takes))
+    copies = tuple(coarse(takes.takes, h, h.nominal, np.random.default_rng(0)))
+    found = select(h, copies, np.random.default_rng(1), Deadline(), agreement(h, takes))
+    assert found.hypothesis.terms[0].effect.name == "coulomb_friction"
+    assert found.values[0] == pytest.approx(0.15, rel=0.1)
