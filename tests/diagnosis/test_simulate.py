@@ -461,3 +461,24 @@ def test_the_standard_joints_give_no_names_beside_what_the_motion_asks_for(monke
         motion = work.trial(Proposal(None, None, motion=True, offered=offered), True, 0.5, 9.0)
         work.begun = replace(work.begun, trials=(*first, motion))
         assert joints_added(monkeypatch, work, ["term"])[-1].behind == behind  # unless there was no time to ask for all
+
+
+@pytest.mark.parametrize(
+    ("left", "over", "terms", "asked"),
+    [
+        (0.5, 9.0, 1, True),
+        (0.5, 2.0, 3, False),  # what follows needs no other
+        (0.009, 9.0, 2, False),  # the error has fallen to a tenth
+        (0.009, 9.0, 3, True),  # by more effects than joints
+    ],
+)
+def test_the_motion_is_asked_where_nothing_follows_or_more_effects_than_joints_close_the_error(
+    monkeypatch, left, over, terms, asked
+):
+    work = Started(monkeypatch, left, True, True, over)
+    work.begun.trials[0].fitted.hypothesis.terms = (None,) * terms
+    given = SimpleNamespace(joint_names=("hip", "knee"))
+    proposed = SimpleNamespace(located=SimpleNamespace(ready=SimpleNamespace(given=given)), drive=None)
+    begun = replace(work.begun, proposed=proposed)
+    assert stage._asks_motion(begun, SimpleNamespace(late=lambda share=None: False)) is asked
+    assert not stage._asks_motion(begun, SimpleNamespace(late=lambda share=None: True))

@@ -68,7 +68,7 @@ def _with_motion(done: Simulated, run: Run) -> Simulated:
     :func:`~torchrl_athletic.diagnosis.decide.fewest` prefers its few names. A single joint's
     torques are its own, so that they say more than its motion.
     """
-    if not _asks_simulation(done, run) or len(done.proposed.located.ready.given.joint_names) < 2:
+    if not _asks_motion(done, run):
         return done
     ready, judge = done.proposed.located.ready, done.trials[0].proposal.judge
     try:
@@ -85,17 +85,36 @@ def _with_motion(done: Simulated, run: Run) -> Simulated:
     return replace(done, trials=(*done.trials, trial))
 
 
+def _asks_motion(done: Simulated, run: Run) -> bool:
+    """Whether several joints are neither followed nor nearly all of their error closed, by no more effects than joints.
+
+    What falls without one of its frictions leaves so much error that many effects close nearly all of it.
+    """
+    if not _is_asked(done, run) or (joints := len(done.proposed.located.ready.given.joint_names)) < 2:
+        return False
+    best = done.trials[decided_by(done.trials)[0]]
+    return len(best.fitted.hypothesis.terms) > joints or _asks_simulation(done, run)
+
+
 def _asks_simulation(done: Simulated, run: Run) -> bool:
     """Whether the torques' combinations neither follow the recordings nor close nearly all of the error.
 
-    Of those kept aside too: what is asked then may take longer than all else. Where a measured torque cuts the chain in
-    two nothing is asked, which knows of no cut.
+    Of those kept aside too: what is asked then may take longer than all else.
+    """
+    if not _is_asked(done, run):
+        return False
+    best = done.trials[decided_by(done.trials)[0]]
+    return max(open_share(score) for score in best.scores.values()) >= DECISION.closed
+
+
+def _is_asked(done: Simulated, run: Run) -> bool:
+    """Whether there is time and no combination follows the recordings.
+
+    Where a measured torque cuts the chain in two nothing is asked, which knows of no cut.
     """
     if not done.trials or done.stopped or run.late() or done.proposed.drive is not None:
         return False
-    best = done.trials[decided_by(done.trials)[0]]
-    left = max(open_share(score) for score in best.scores.values())
-    return not follows(best.scores["train"], DECISION.follows) and left >= DECISION.closed
+    return not follows(done.trials[decided_by(done.trials)[0]].scores["train"], DECISION.follows)
 
 
 def _with_joints(done: Simulated, run: Run) -> Simulated:
