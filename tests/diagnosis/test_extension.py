@@ -385,20 +385,21 @@ def test_a_gear_is_searched_for_from_the_given_and_the_fitted_joint_at_many_stif
 
     def search(h, takes, begin, rng, deadline, torques):
         searched.append((h, begin))
-        assert (takes, rng, torques) == ("takes", "dice", ("torques", h, prepared))
+        assert (takes, rng, torques) == (("one", "two"), "dice", ("torques", h, prepared))  # in the fit's own steps
         assert deadline.seconds == 42.0
         return found
 
     own = SimpleNamespace(parameters=(Parameter("drag", "1", 1.0, 0.0, 9.0, 1.0),))
-    near = SimpleNamespace(problem=SimpleNamespace(hypothesis=extension.Hypothesis((own,))), values=np.array([2.0]),
-                           seconds=2.0)  # fmt: skip
+    windows = [SimpleNamespace(take=take) for take in ("one", "two", "one")]
+    problem = SimpleNamespace(hypothesis=extension.Hypothesis((own,)), windows=windows)
+    near = SimpleNamespace(problem=problem, values=np.array([2.0]), seconds=2.0)
     found = SimpleNamespace()
     hints = [hint(0.1, 10.0), hint(0.2, 20.0)]
     monkeypatch.setattr(extension, "_hints", lambda h, prepared: hints)
     monkeypatch.setattr(extension, "search", search)
     monkeypatch.setattr(extension, "agreement", lambda h, prepared: ("torques", h, prepared))
     monkeypatch.setattr(extension, "stated", lambda n: size if n is near else after * size)
-    prepared = SimpleNamespace(takes="takes")
+    prepared = SimpleNamespace(takes="in the model's own steps")
     assert with_gear(near, prepared, "dice", Deadline(42.0)) is (found if taken else near)
     ((h, begin),) = searched
     assert h.terms == (own, hints[0].candidate)

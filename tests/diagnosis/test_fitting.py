@@ -633,6 +633,9 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
     stand_ins = {
         "prepare": prepare, "score": score, "seen_in": lambda train: "seen", "standard_joints": lambda train, seen: h,
         "starts": note("starts", "starts"), "search": note("search", near), "agreement": lambda *given: given,
+        "affordable": lambda h, takes, deadline: fitting.SCARCE - extended,
+        "coarse": lambda takes, h, x, rng: {"in longer steps": "take"},
+        "in_steps_of": lambda problem, takes: told.update(steps=takes) or problem,
         "with_gear": note("gear", near), "extend": note("extend", near), "prune": note("prune", needed),
         "best_of": note("best_of", [np.array([1.0, 2.0, 0.125, 0.25, 0.375])]), "Deadline": Clock,
         "weighed": lambda problem, x: (problem, x.tolist()), "descend": note("descend", again.values),
@@ -654,14 +657,20 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
     assert stages == [name for name in fitting.STAGES if extended or name != "extend"]
     assert (told["done"], told["budget"]) == (1.0, 60.0)
     assert told["step"] == ([True] * 3, [False, False, True, True])
+    if extended:  # where a search can afford too few windows, it takes longer steps, and what is needed the model's own
+        assert (told["search"][1], told["search"][6]) == (("in longer steps",), fitting.SCARCE)
+        assert told["steps"]["in longer steps"] == "take"
+    else:
+        assert (told["search"][1], told["search"][6]) == (tuple(dict.fromkeys("train")), fitting.MOST)
+        assert told["steps"] == {letter: letter for letter in "train"}
     pruned = [1.0, 2.0, 0.125, 0.25, 0.375]
     assert told["descend"][:3] == ((problem, pruned), pytest.approx(pruned), needed)
     assert [x.tolist() for x in told["best_of"][1]] == [pruned, [5.0, 5.0, 0.125, 0.25, 0.375]]
     train = told["starts"][1]
     assert train.takes == "train"
     assert (told["starts"][0], told["starts"][2]) == (h, "seen")
-    assert told["search"][:3] == (h, "train", "starts")
-    assert told["search"][5:] == ((h, train), progress.update)
+    assert (told["search"][0], told["search"][2]) == (h, "starts")
+    assert (told["search"][5], told["search"][7]) == ((h, train), progress.update)
     assert ("extend" in told, "gear" in told) == (extended, extended)
     if extended:
         assert told["gear"][:2] == (near, train)
