@@ -1,6 +1,7 @@
 """What the motion asks for, one effect after the other: what is missing, nothing else, and what could stand there."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -147,3 +148,20 @@ def test_rivals_are_weighed_by_how_surely_they_follow_worse():
     assert _against(0.1 * noise + 0.02, 100) == pytest.approx(4.0)  # a tenth over the root of a hundred, twice
     assert _against(np.full(10, 1.0), 10) == ODDS**2
     assert _against(np.full(10, -1.0), 10) == 0.0  # one that follows better is no worse
+
+
+@pytest.mark.parametrize(
+    ("steps", "joints", "targets", "windows"),
+    [(100, 6, False, (40, 24)), (250, 2, False, (40, 24)), (250, 6, True, (16, 10)), (500, 7, True, (10, 10))],
+)
+def test_arms_that_follow_targets_are_asked_over_fewer_windows(monkeypatch, steps, joints, targets, windows):
+    recording = SimpleNamespace(position_target=targets or None)
+    model = SimpleNamespace(opt=SimpleNamespace(timestep=0.5 / steps))
+    take = SimpleNamespace(recording=recording, model=model, address=SimpleNamespace(dof=range(joints)))
+    asked = []
+    monkeypatch.setattr(selection, "problem_of", lambda h, takes, seconds, most, *_: asked.append(most) or "problem")
+    monkeypatch.setattr(selection, "_thinned", lambda problem, count: asked.append(count))
+    monkeypatch.setattr(selection, "weighed", lambda problem, x: problem)
+    monkeypatch.setattr(selection, "_needed", lambda problem, x, chosen, deadline: (x, {}))
+    select(Hypothesis(()), [take], np.random.default_rng(0), Deadline(0.0))
+    assert tuple(asked) == windows

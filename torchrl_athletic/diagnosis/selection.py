@@ -35,6 +35,11 @@ SCREENED = 24
 """Windows by which every effect is tried at several sizes."""
 COMPARED = 40
 """Windows by which those that moved the model most are fitted and compared."""
+FEWEST = 10
+"""Windows of either kind at least."""
+WORK = 48_000
+"""Physics steps, times joints, of the windows by which effects are compared; where a controller closes the loop, which
+is looked at step by step, they count twice. Of arms that follow targets fewer windows are looked at."""
 SIZES = 5
 """Sizes of an effect that are tried, on either side of the given number."""
 FITTED = 4
@@ -97,8 +102,10 @@ def select(
         torques: What they say of the parameters.
         starts: Values to try of some effects beside those from the unit to the bound. Shapes (its P,).
     """
-    problem = problem_of(h, takes, WINDOW, COMPARED, rng, h.nominal, torques)
-    few = _thinned(problem, SCREENED)
+    share = min(1.0, WORK / (COMPARED * _cost_of_window(takes[0])))
+    compared, screened = (max(FEWEST, round(share * most)) for most in (COMPARED, SCREENED))
+    problem = problem_of(h, takes, WINDOW, compared, rng, h.nominal, torques)
+    few = _thinned(problem, screened)
     x, chosen = h.nominal, dict[Candidate, tuple[Rival, ...]]()
     while len(chosen) < MOST and not deadline.over:
         found = _next(few, problem, x, tuple(chosen), deadline, starts or {})
@@ -109,6 +116,12 @@ def select(
     kept = Hypothesis(tuple(shares))
     values = np.concatenate([h.values_of(c, x) for c in shares] or [np.zeros(0)])
     return Selection(kept, values, tuple(shares.values()), tuple(chosen[c] for c in shares), not deadline.over)
+
+
+def _cost_of_window(take: Take) -> float:
+    """Physics steps, times joints, of a window of half a second."""
+    twice = 2 if take.recording.position_target is not None else 1
+    return twice * len(take.address.dof) * WINDOW / float(take.model.opt.timestep)
 
 
 def _needed(
