@@ -160,7 +160,8 @@ def test_arms_that_follow_targets_are_asked_over_fewer_windows(monkeypatch, step
     take = SimpleNamespace(recording=recording, model=model, address=SimpleNamespace(dof=range(joints)))
     asked = []
     monkeypatch.setattr(selection, "problem_of", lambda h, takes, seconds, most, *_: asked.append(most) or "problem")
-    monkeypatch.setattr(selection, "_thinned", lambda problem, count: asked.append(count))
+    monkeypatch.setattr(selection, "evenly", lambda problem, count: asked.append(count))
+    monkeypatch.setattr(selection, "part_of", lambda problem, chosen: problem)
     monkeypatch.setattr(selection, "weighed", lambda problem, x: problem)
     monkeypatch.setattr(selection, "_needed", lambda problem, x, chosen, deadline: (x, {}))
     select(Hypothesis(()), [take], np.random.default_rng(0), Deadline(0.0))

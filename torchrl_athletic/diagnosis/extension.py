@@ -20,6 +20,7 @@ from torchrl_athletic.diagnosis.joint_fit import (
     Linearised,
     Mask,
     descend,
+    evenly,
     folded,
     folds_of,
     follows_better,
@@ -283,9 +284,7 @@ def _with(near: Linearised, chosen: Sequence[Offer], prepared: Prepared, deadlin
 
 def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> list[Offer]:
     """Choose for each joint the law that helps folds most, the best first; no joint has two at a time."""
-    problem, count = near.problem, len(near.problem.weight)
-    mask = np.zeros(count, dtype=bool)
-    mask[np.linspace(0, count - 1, min(SCREENED, count)).astype(int)] = True
+    problem, mask = near.problem, evenly(near.problem, SCREENED)
     rows = mask[problem.window]
     part, nothing = replace(part_of(problem, mask), torques=None), np.zeros((0, int(near.free.sum())))
     few = replace(

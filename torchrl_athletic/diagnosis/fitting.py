@@ -228,7 +228,7 @@ def fit(
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
     x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
-    fine = in_steps_of(near.problem, {**{take: take for take in train.takes}, **takes})
+    fine = in_steps_of(near.problem, takes)
     y = best_of(fine, (y, np.where(needed, x, h.nominal)), 1)[0]
     y = descend(weighed(fine, y), y, needed, SLOPES, deadline.part(0.76))
     again = linearise(weighed(fine, y), y, needed)

@@ -101,6 +101,10 @@ class Problem:
             return np.zeros((0, len(values)))
         return np.sqrt(TORQUES * len(self.weight)) * self.torques.rows(values)
 
+    def charge(self, values: Array) -> Array:
+        """What those rows add to the mean cost of a window and joint. Shape (K,) for values (K, P)."""
+        return np.asarray((self.pull(values) ** 2).sum(0) / (len(self.weight) * len(self.unit)), dtype=np.float64)
+
     def predict(self, values: Array) -> Iterator[tuple[Windows, Array]]:
         """Errors of blocks of windows, thinned. Shapes (K, W, length, J) for values (K, P)."""
         for w in self.windows:
@@ -454,7 +458,7 @@ def best_of(problem: Problem, points: Sequence[Array], count: int) -> list[Array
     square = problem.mean_square(np.stack(distinct))
     unit = np.sqrt(np.maximum(typical(problem, square).min(0), 1e-18))
     cost = window_cost(replace(problem, unit=unit), square).mean(1)
-    cost = cost + (problem.pull(np.stack(distinct)) ** 2).sum(0) / (len(problem.weight) * len(unit))
+    cost = cost + problem.charge(np.stack(distinct))
     return [distinct[k] for k in np.argsort(cost)[:count]]
 
 
@@ -657,6 +661,13 @@ def apart_from(problem: Problem, aside: Mask) -> Mask:
         far = np.abs(w.start[:, None] - w.start[aside[own]]) >= w.length
         apart[own] &= far.all(axis=1)
     return apart if apart.any() else ~aside
+
+
+def evenly(problem: Problem, count: int) -> Mask:
+    """So many of the windows, evenly over all of them. Shape (W,)."""
+    chosen = np.zeros(len(problem.weight), dtype=bool)
+    chosen[np.linspace(0, len(chosen) - 1, min(count, len(chosen))).astype(int)] = True
+    return chosen
 
 
 def part_of(problem: Problem, chosen: Mask) -> Problem:

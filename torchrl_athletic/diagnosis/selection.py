@@ -18,6 +18,7 @@ from torchrl_athletic.diagnosis.joint_fit import (
     Mask,
     Problem,
     descend,
+    evenly,
     gain_of,
     independent,
     part_of,
@@ -105,7 +106,7 @@ def select(
     share = min(1.0, WORK / (COMPARED * _cost_of_window(takes[0])))
     compared, screened = (max(FEWEST, round(share * most)) for most in (COMPARED, SCREENED))
     problem = problem_of(h, takes, WINDOW, compared, rng, h.nominal, torques)
-    few = _thinned(problem, screened)
+    few = part_of(problem, evenly(problem, screened))
     x, chosen = h.nominal, dict[Candidate, tuple[Rival, ...]]()
     while len(chosen) < MOST and not deadline.over:
         found = _next(few, problem, x, tuple(chosen), deadline, starts or {})
@@ -194,7 +195,7 @@ def _most_promising(
             sets.append(trial)
             of.append(k)
     both = np.stack(sets)
-    cost = window_cost(problem, problem.mean_square(both)).mean(1) + _pull(problem, both)
+    cost = window_cost(problem, problem.mean_square(both)).mean(1) + problem.charge(both)
     best: dict[int, int] = {}
     for n in np.argsort(cost[1:], kind="stable") + 1:
         if cost[n] < cost[0]:
@@ -204,11 +205,7 @@ def _most_promising(
 
 def _cost(problem: Problem, x: Array) -> Array:
     """Cost of each window, and what the torques have against the values (P,). Shape (W,)."""
-    return np.asarray(window_cost(problem, problem.mean_square(x[None]))[0] + _pull(problem, x[None])[0])
-
-
-def _pull(problem: Problem, values: Array) -> Array:
-    return np.asarray((problem.pull(values) ** 2).sum(0) / (len(problem.weight) * len(problem.unit)))
+    return np.asarray(window_cost(problem, problem.mean_square(x[None]))[0] + problem.charge(x[None])[0])
 
 
 def _sizes(h: Hypothesis, c: Candidate, x: Array) -> list[Array]:
@@ -241,9 +238,3 @@ def _free(h: Hypothesis, terms: Sequence[Candidate]) -> Mask:
     for c in terms:
         h.values_of(c, free)[:] = [p.upper > p.lower for p in c.parameters]
     return free
-
-
-def _thinned(problem: Problem, count: int) -> Problem:
-    mask = np.zeros(len(problem.weight), dtype=bool)
-    mask[np.linspace(0, len(mask) - 1, min(count, len(mask))).astype(int)] = True
-    return part_of(problem, mask)
