@@ -441,6 +441,7 @@ def test_what_has_no_number_of_its_own_goes_unless_the_motion_is_followed_worse_
 ):
     """What another number does as well stays, and so does the unknown that was not needed."""
     started = []
+    monkeypatch.setattr(fitting, "held_back", lambda h, torques, x, gone: np.where(gone, h.nominal, x))
     monkeypatch.setattr(fitting, "_reasons", lambda *_: ["no recording shows it", f"{fitting.ALSO} drag", "", "unseen"])
     monkeypatch.setattr(fitting, "weighed", lambda problem, x: problem)
     monkeypatch.setattr(
@@ -455,15 +456,16 @@ def test_what_has_no_number_of_its_own_goes_unless_the_motion_is_followed_worse_
     again.problem.squares = lambda errors: errors
     again.problem.mean_square = lambda x: np.where(x[:, :1] == 5.0, 0.01, 0.01 * worse)
     needed = np.array([True, True, False, True, False])
-    found, left = fitting._without_unknown(near, again, needed, None, "deadline")
+    found, left = fitting._without_unknown(near, again, needed, None, "torques", "deadline")
     assert started == [([1.0, 6.0, 7.0, 8.0, 9.0], [False, True, False, True, False], 2, "deadline")]
     assert left.tolist() == ([False, True, False, True, False] if goes else needed.tolist())
     assert (found is again) is not goes
-    assert fitting._without_unknown(near, again, np.array([False, True, True, True, False]), None, None)[0] is again
+    assert fitting._without_unknown(near, again, needed[[2, 0, 0, 0, 2]], None, None, None)[0] is again
 
 
 def test_of_what_is_not_known_well_that_goes_which_is_not_missed_where_all_of_it_together_is(monkeypatch):
     """Without the second number the motion is followed twice as badly, without the others by 0.4, 0.5 and 0.6 %."""
+    monkeypatch.setattr(fitting, "held_back", lambda h, torques, x, gone: np.where(gone, h.nominal, x))
     monkeypatch.setattr(fitting, "_reasons", lambda *_: ["its interval is wide"] * 4)
     monkeypatch.setattr(fitting, "weighed", lambda problem, x: problem)
     monkeypatch.setattr(fitting, "descend", lambda problem, x, *_: x)
@@ -477,18 +479,22 @@ def test_of_what_is_not_known_well_that_goes_which_is_not_missed_where_all_of_it
     again.problem.mean_square = lambda x: cost(x)[:, None]
     needed = np.array([True, True, True, True])
     again.seconds = 10.0
-    found, left = fitting._without_unknown(near, again, needed, None, Deadline())
+    found, left = fitting._without_unknown(near, again, needed, None, None, Deadline())
     assert left.tolist() == [False, True, False, True]
     assert found.values.tolist() == [1.0, 6.0, 3.0, 8.0]
-    assert fitting._without_unknown(near, again, needed, None, Deadline(35.0)) == (again, needed)  # no time to ask
+    assert fitting._without_unknown(near, again, needed, None, None, Deadline(35.0)) == (
+        again,
+        needed,
+    )  # no time to ask
     missed[:] = 1.0
-    assert fitting._without_unknown(near, again, needed, None, Deadline()) == (again, needed)
+    assert fitting._without_unknown(near, again, needed, None, None, Deadline()) == (again, needed)
 
 
 def test_a_number_that_is_dropped_for_its_interval_is_not_identified_and_keeps_that_interval(monkeypatch):
     """A limit of 0.46 that the last fit does not know, and the fit of all did: the given 9 is put in its place."""
     monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
     monkeypatch.setattr(fitting, "_doubts", lambda near, seen: ["", ""])
+    monkeypatch.setattr(fitting, "held_back", lambda h, torques, x, gone: np.where(gone, h.nominal, x))
     monkeypatch.setattr(fitting, "weighed", lambda problem, x: problem)
     monkeypatch.setattr(fitting, "descend", lambda problem, x, *_: x)
     monkeypatch.setattr(fitting, "window_cost", lambda problem, square: square)
@@ -504,7 +510,7 @@ def test_a_number_that_is_dropped_for_its_interval_is_not_identified_and_keeps_t
     )
     needed = np.array([True, True])
     before = fitting._parameters(h, near, again, again.values, needed, None)
-    last, left = fitting._without_unknown(near, again, needed, None, None)
+    last, left = fitting._without_unknown(near, again, needed, None, None, None)
     assert left.tolist() == [False, True]
     after = fitting._parameters(h, near, last, last.values, left, None)
     pull, drag = fitting._still_unknown(after, before, needed & ~left)
@@ -636,6 +642,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         "affordable": lambda h, takes, deadline: fitting.SCARCE - extended,
         "coarse": lambda takes, h, x, rng: {"in longer steps": "take"},
         "in_steps_of": lambda problem, takes: told.update(steps=takes) or problem,
+        "with_given_scales": note("given scales", near),
         "with_gear": note("gear", near), "extend": note("extend", near), "prune": note("prune", needed),
         "best_of": note("best_of", [np.array([1.0, 2.0, 0.125, 0.25, 0.375])]), "Deadline": Clock,
         "weighed": lambda problem, x: (problem, x.tolist()), "descend": note("descend", again.values),
@@ -678,12 +685,14 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         assert told["extend"][4] is progress.update
     assert told["prune"][0] is near
     assert told["prune"][2] is progress.update
-    assert told["without"][:4] == (near, again, needed, "seen")
+    assert told["given scales"][:2] == (near, (h, train))
+    assert told["without"][:5] == (near, again, needed, "seen", (h, train))
     assert told["parameters"][:3] == (h, near, again)
     assert told["parameters"][5] == "seen"
     # each stage has time until a later share of all
-    parts = [told["search"][4], *((told["gear"][3], told["extend"][3]) if extended else ()), told["prune"][1],
-             told["descend"][4], SimpleNamespace(share=told["allowed"][0]), told["without"][4]]  # fmt: skip
+    gears = (told["gear"][3], told["extend"][3]) if extended else ()
+    stages = (told["search"][4], told["given scales"][2], *gears, told["prune"][1], told["descend"][4])
+    parts = [*stages, SimpleNamespace(share=told["allowed"][0]), told["without"][5]]
     shares = [part.share for part in parts]
     assert shares == sorted(set(shares))
     assert 0.0 < shares[0] < shares[-1] < 1.0

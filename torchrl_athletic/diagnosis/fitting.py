@@ -19,6 +19,7 @@ from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.extension import extend, with_gear
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.folder import locked
+from torchrl_athletic.diagnosis.given_scale import held_back, with_given_scales
 from torchrl_athletic.diagnosis.joint_fit import (
     MOST,
     Linearised,
@@ -39,7 +40,7 @@ from torchrl_athletic.diagnosis.prepare import Drive, Prepared, prepare
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.diagnosis.standard import Seen, agreement, seen_in, standard_joints, starts
+from torchrl_athletic.diagnosis.standard import Agreement, Seen, agreement, seen_in, standard_joints, starts
 from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
 from torchrl_athletic.effects import Parameter
 from torchrl_athletic.recordings import Recording, cut_stretches, recorded_time
@@ -217,14 +218,15 @@ def fit(
     takes, most = {take: take for take in train.takes}, MOST
     if affordable(h, train.takes, deadline) < SCARCE:
         takes, most = coarse(train.takes, h, h.nominal, _rng(seed, "coarse")), SCARCE
-    rng, until = _rng(seed, "search"), deadline.part(0.5)
-    near = search(h, tuple(takes), begin, rng, until, agreement(h, train), most, progress.update)
+    rng, until, torques = _rng(seed, "search"), deadline.part(0.5), agreement(h, train)
+    near = search(h, tuple(takes), begin, rng, until, torques, most, progress.update)
+    near = with_given_scales(near, torques, deadline.part(0.55))
     if extended:
         progress.stage("extend")
         near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.6))
         near = extend(near, train, seen, deadline.part(0.62), progress.update)
         h = near.problem.hypothesis
-        free = h.bounds[1] > h.bounds[0]
+        free, torques = h.bounds[1] > h.bounds[0], agreement(h, train)
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
     x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
@@ -234,7 +236,7 @@ def fit(
     again = linearise(weighed(fine, y), y, needed)
     asked, before = needed, _parameters(h, near, again, y, needed, seen)
     if deadline.part(0.78).allows(3 * again.seconds):
-        again, needed = _without_unknown(near, again, needed, seen, deadline.part(0.8))
+        again, needed = _without_unknown(near, again, needed, seen, torques, deadline.part(0.8))
         y = again.values
 
     progress.stage("score")
@@ -355,7 +357,12 @@ def _reasons(near: Linearised, again: Linearised, needed: NDArray[np.bool_], see
 
 
 def _without_unknown(
-    near: Linearised, again: Linearised, needed: NDArray[np.bool_], seen: Seen, deadline: Deadline
+    near: Linearised,
+    again: Linearised,
+    needed: NDArray[np.bool_],
+    seen: Seen,
+    torques: Agreement,
+    deadline: Deadline,
 ) -> tuple[Linearised, NDArray[np.bool_]]:
     """The fit with what has no number of its own as the given model has it, unless it follows the motion worse then.
 
@@ -364,20 +371,21 @@ def _without_unknown(
     unknown = np.zeros(len(needed), dtype=bool)
     unknown[near.free] = [bool(why) and not why.startswith(ALSO) for why in _reasons(near, again, needed, seen)]
     unknown &= needed
-    without = _without(again, unknown, needed, deadline)
+    without = _without(again, unknown, needed, torques, deadline)
     if without is None and unknown.sum() > 1 and deadline.allows(4 * again.seconds):
-        without = _without(again, _not_missed(again.problem, again.values, unknown), needed, deadline)
+        unknown = _not_missed(again.problem, again.values, unknown)
+        without = _without(again, unknown, needed, torques, deadline)
     return (again, needed) if without is None else without
 
 
 def _without(
-    near: Linearised, gone: NDArray[np.bool_], needed: NDArray[np.bool_], deadline: Deadline
+    near: Linearised, gone: NDArray[np.bool_], needed: NDArray[np.bool_], torques: Agreement, deadline: Deadline
 ) -> tuple[Linearised, NDArray[np.bool_]] | None:
     """The fit with some parameters (P,) as the given model has them; None where it follows the motion worse."""
     if not gone.any():
         return None
     problem, left = near.problem, needed & ~gone
-    x = np.where(gone, problem.hypothesis.nominal, near.values)
+    x = held_back(problem.hypothesis, torques, near.values, gone)
     x = descend(weighed(problem, x), x, left, 2, deadline)
     costs = [
         window_cost(problem, problem.squares(problem.errors(v[None])[:, 0])[None]).mean() for v in (near.values, x)

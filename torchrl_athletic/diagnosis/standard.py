@@ -6,7 +6,7 @@ gains where positions were commanded.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -222,6 +222,19 @@ class Agreement:
             found = (values[:, index] - given) * inverse[:, None]
             out.append(root @ (np.column_stack([1.0 - inverse, found]) - best).T)
         return np.concatenate(out)
+
+    def at_given_scales(self, x: Array, low: Array, high: Array) -> Iterator[tuple[NDArray[np.intp], Array]]:
+        """For each joint with another torque scale by values (P,): numbers that ask for the same torques at the given.
+
+        Yields indices, of the scale first and of the joint's linear parameters, and their values within bounds (P,).
+        """
+        for index, given, scale, root, _ in self.parts:
+            if scale < 0 or x[scale] == 1.0:
+                continue
+            torque = root @ np.append(1.0 - 1.0 / x[scale], (x[index] - given) / x[scale])
+            a = root[:, 1:]
+            found = bounded_least_squares(a.T @ a, a.T @ torque, low[index] - given, high[index] - given)
+            yield np.append(scale, index), np.append(1.0, given + found)
 
 
 def agreement(h: Hypothesis, prepared: Prepared) -> Agreement:
