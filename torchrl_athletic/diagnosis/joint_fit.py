@@ -38,9 +38,6 @@ STEPS = 5
 """Steps by one Jacobian, which each of them mends (Broyden 1965)."""
 DAMPING = (0.0, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Damping of the steps that are tried at once (Levenberg, Marquardt), per the normal equations' diagonal [1]."""
-CLOSE, MANY = 0.03, 30
-"""Share of the cost that the last steps may save for the Jacobian before them, as they mended it, to stand for the one
-after them [1]; and parameters of which it does, since of fewer it costs little."""
 HIDDEN = 2e-4
 """Change of a window's error, in typical errors, that a unit of a parameter must make to be moved [1]."""
 FLAT = 1e-3
@@ -222,9 +219,9 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
         for way, slopes in ((other, 1), (problem, SLOPES[2])):
             if not deadline.allows((2 + slopes) * near.seconds):
                 break
-            start = solve(
-                in_units(way, problem.squares(start.errors)), start.values, near.free, slopes, deadline, start
-            )
+            way = in_units(way, problem.squares(start.errors))
+            x = descend(way, start.values, near.free, slopes, deadline, start)
+            start = trusted(linearise(weighed(way, x), x, near.free))
             if (error := stated(start)) < least:
                 best, least = start, error
     return best
@@ -243,11 +240,12 @@ def without_torques(near: Linearised, deadline: Deadline) -> Linearised:
         return near
     alone = replace(problem, torques=None, tuning=TUNING, pooled=False)
     for way in (replace(alone, tuning=np.inf), alone):
-        if not deadline.allows((2 + SLOPES[2]) * near.seconds):
+        if not deadline.allows((1 + SLOPES[2]) * near.seconds):
             break
         start = replace(start, pull=start.pull[:0], pull_columns=start.pull_columns[:0])
         way = in_units(way, problem.squares(start.errors))
-        start = solve(way, start.values, near.free, SLOPES[2], deadline, start)
+        x = descend(way, start.values, near.free, SLOPES[2], deadline, start)
+        start = trusted(linearise(weighed(way, x), x, near.free))
         ridge = max(best.ridge, start.ridge)
         if follows_better(replace(best, ridge=ridge), replace(start, ridge=ridge), SURE_WITHOUT):
             best = start
@@ -346,41 +344,22 @@ def descend(
         deadline: After which none is begun.
         first: The first Jacobian, if it is known; of any weights.
     """
-    return _descended(problem, x, free, slopes, deadline, first)[0] if free.any() else x
-
-
-def solve(
-    problem: Problem, x: Array, free: Mask, slopes: int, deadline: Deadline, first: Linearised | None = None
-) -> Linearised:
-    """:func:`descend` to a solution that is to be descended from again, or asked what folds say of it.
-
-    Its Jacobian is the last one, as the steps since have mended it, where those saved next to nothing.
-    """
-    x, near = _descended(problem, x, free, slopes, deadline, first)
-    if near is None:
-        return trusted(linearise(weighed(problem, x), x, free))
-    return trusted(replace(near, problem=in_units(problem, problem.squares(near.errors))))
-
-
-def _descended(
-    problem: Problem, x: Array, free: Mask, slopes: int, deadline: Deadline, first: Linearised | None
-) -> tuple[Array, Linearised | None]:
-    """The end of a descent, and the last Jacobian unless it is of somewhere else."""
-    seconds, near, saved = 0.0, None, 1.0
+    if not free.any():
+        return x
+    seconds = 0.0
     for k in range(slopes):
         if not deadline.allows(1.3 * seconds):
             break
-        at = first if first is not None and not k else linearise(problem, x, free)
-        seconds = at.seconds
-        near, saved = _steps(problem, at, deadline)
-        x = near.values
+        near = first if first is not None and not k else linearise(problem, x, free)
+        seconds = near.seconds
+        x, saved = _steps(problem, near, deadline)
         if saved < FLAT:
             break
-    return x, near if saved < CLOSE and int(free.sum()) >= MANY else None
+    return x
 
 
-def _steps(problem: Problem, near: Linearised, deadline: Deadline) -> tuple[Linearised, float]:
-    """Where a few steps by one Jacobian lead, with the Jacobian as they mend it, and the share of the cost saved."""
+def _steps(problem: Problem, near: Linearised, deadline: Deadline) -> tuple[Array, float]:
+    """Values after a few steps by one Jacobian, and the share of the cost that they save."""
     h, free, weight = problem.hypothesis, near.free, problem.row_weight
     scale = h.scale[free]
     low, high = (side[free] / scale for side in h.bounds)
@@ -407,18 +386,8 @@ def _steps(problem: Problem, near: Linearised, deadline: Deadline) -> tuple[Line
         x, r, cost = trials[best], errors[:, best], float(costs[best])
         if saved < FLAT or deadline.over:
             break
-    values = near.values.copy()
-    values[free] = np.clip(x * scale, h.bounds[0][free], h.bounds[1][free])
-    rows = len(weight)
-    out = replace(
-        near,
-        problem=problem,
-        values=values,
-        errors=r[:rows] / weight,
-        columns=d[:rows] / weight[:, None],
-        pull=r[rows:],
-        pull_columns=d[rows:],
-    )
+    out = near.values.copy()
+    out[free] = np.clip(x * scale, h.bounds[0][free], h.bounds[1][free])
     return out, 1.0 - cost / max(begin, 1e-300)
 
 
@@ -472,10 +441,10 @@ def search(
     ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
     progress(0.7)
     x = best_of(full, [*ends, *points], 1)[0]
-    near = solve(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
+    x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
+    near = trusted(linearise(weighed(full, x), x, free))
     progress(0.9)
-    near = without_torques(more_telling(near, deadline), deadline)
-    return near if int(free.sum()) < MANY else trusted(linearise(near.problem, near.values, free))
+    return without_torques(more_telling(near, deadline), deadline)
 
 
 def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Array]:
