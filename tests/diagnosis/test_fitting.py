@@ -617,7 +617,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         def part(self, share):
             return SimpleNamespace(share=share, allows=lambda seconds: told.update(allowed=(share, seconds)) or True)
 
-    problem = SimpleNamespace(hypothesis=h)
+    problem = SimpleNamespace(hypothesis=h, torques=None)
     near = SimpleNamespace(problem=problem, normal=np.zeros((3, 1, 1)), step=step, values=np.full(5, 5.0), seconds=0.0)
     again = SimpleNamespace(seconds=2.0, values=np.array([1.5, 2.5, 0.125, 0.25, 0.375]))
     joint = {"before": 1.0, "after": 1.0, "floor": 0.0625}

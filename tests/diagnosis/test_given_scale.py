@@ -14,6 +14,7 @@ from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.standard import agreement, seen_in, standard_joints
 
 WEAK = 0.2
+REAL = 'armature="0.5" damping="0.3"'
 
 
 def solution(xml, true_xml, **values):
@@ -31,9 +32,9 @@ def solution(xml, true_xml, **values):
 
 @pytest.fixture(scope="module")
 def turntable():
-    """A rotor of 0.5 kg·m² and friction of 0.03 N·m, followed by a fifth of them behind a fifth of the torque.
+    """A rotor of 0.5 kg·m² with a damping of 0.3 N·m·s/rad, followed by a fifth of all behind a fifth of the torque.
 
-    The table's own 0.1 kg·m² is no part of the rotor: a fifth of all is a rotor of 0.02.
+    The table's own 0.1 kg·m² stays: a fifth of all is a rotor of 0.02.
     """
     xml, true = (TABLE.format(0.1).replace('axis="0 0 1"', f'axis="0 0 1" {has}') for has in ("", REAL))
     values = {
@@ -42,9 +43,6 @@ def turntable():
         "viscous_friction__damping": WEAK * 0.3,
     }
     return solution(xml, true, **values)
-
-
-REAL = 'armature="0.5" damping="0.3"'
 
 
 def test_a_motor_that_turns_as_the_given_one_does_is_the_given_one(turntable):

@@ -226,7 +226,7 @@ def fit(
         near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.6))
         near = extend(near, train, seen, deadline.part(0.62), progress.update)
         h = near.problem.hypothesis
-        free, torques = h.bounds[1] > h.bounds[0], agreement(h, train)
+        free, torques = h.bounds[1] > h.bounds[0], near.problem.torques or agreement(h, train)
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
     x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
