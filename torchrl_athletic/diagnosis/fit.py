@@ -144,12 +144,11 @@ def _with_telling(
     values: Array,
     drawn: list[Windows],
     rng: np.random.Generator,
-    most: int = SIMULATION.looked_at,
 ) -> list[Windows]:
     """The windows that were drawn, and those in which each term acts most: chance would miss what happens seldom."""
     if not h.terms:
         return drawn
-    full = draw_windows(takes, WINDOW, most, rng)
+    full = draw_windows(takes, WINDOW, _looked_at(takes), rng)
     moved, error, _ = _actions(h, full, values)
     act = (moved / np.maximum(error, 1e-24)).max(2)
     telling = {int(k) for row in act for k in np.argsort(row)[-SIMULATION.telling :]}
@@ -160,6 +159,12 @@ def _with_telling(
         first += len(w.start)
     length = {w.take: w.length for w in (*drawn, *full)}
     return [Windows(take, np.array(sorted(s), dtype=np.intp), length[take]) for take, s in starts.items() if s]
+
+
+def _looked_at(takes: Sequence[Take]) -> int:
+    """Windows among which those are looked for in which a term acts: fewer where a controller closes the loop."""
+    stepped = any(take.recording.position_target is not None for take in takes)
+    return SIMULATION.looked_at // 3 if stepped else SIMULATION.looked_at
 
 
 def _solve(problem: _Problem, x: Array, low: Array, high: Array, max_iter: int) -> Array:
@@ -196,16 +201,14 @@ def _follows(hypothesis: Hypothesis, whole: Windows, values: Array, typical: Arr
     return bool((error < near).all())
 
 
-def idle_terms(
-    fitted: Fitted, takes: Sequence[Take], rng: np.random.Generator, most: int = SIMULATION.looked_at
-) -> tuple[Candidate, ...]:
+def idle_terms(fitted: Fitted, takes: Sequence[Take], rng: np.random.Generator) -> tuple[Candidate, ...]:
     """Terms that the simulation does without: nowhere do they move it by what is left of the error, and to its good.
 
     They were named for what another term, still coarse in the torque domain, left over. A term that acts in two windows
     of a hundred, as a joint's stop does, is not idle.
     """
     h, values = fitted.hypothesis, fitted.values
-    windows = draw_windows(takes, WINDOW, most, rng)
+    windows = draw_windows(takes, WINDOW, _looked_at(takes), rng)
     moved, error, error_without = _actions(h, windows, values)
     acts = moved > SIMULATION.acts**2 * error
     helps = acts & (error_without - error > SIMULATION.helps * moved)

@@ -96,13 +96,13 @@ class Take:
         """Time between samples [s]."""
         return self.substeps * float(self.model.opt.timestep)
 
-    @property
-    def commands(self) -> Callable[[float], Array]:
-        """``commands(delay)``: mean command over each physics step, ``delay`` late. Shape (S * substeps, J)."""
+    def commands(self, delay: float, joint: int | slice = slice(None)) -> Array:
+        """Mean command over each physics step, ``delay`` late, of all joints or of one. Shape (S * substeps, J)."""
         if self.pieces:
-            return lambda delay: np.concatenate([piece.commands(delay) for piece in self.pieces])
+            return np.concatenate([piece.commands(delay, joint) for piece in self.pieces])
         edges = self.time[0] + float(self.model.opt.timestep) * np.arange(len(self.time) * self.substeps + 1)
-        return lambda delay: held_command(self.recording.time, self.recording.command, edges - delay)
+        command = self.recording.command[:, joint].reshape(len(self.recording.time), -1)
+        return held_command(self.recording.time, command, edges - delay)
 
     @cached_property
     def torque(self) -> Array:
@@ -554,15 +554,16 @@ def _delayed_commands(windows: Windows, plant: Plant, sets: int) -> Array:
     delay, lag = (plant.delay + plant.clock_offset[:, None])[::count], plant.lag[::count]  # one a set
     torques = take.recording.position_target is None
     out = np.empty((sets, count, first.shape[1], delay.shape[1]))
-    for value in np.unique(delay):
-        late = take.commands(float(value))
-        for k, joint in np.argwhere(delay == value):
-            command = late[:, joint]
-            if torques and lag[k, joint]:  # a window starts with what the commands before it in its part left there
-                parts = np.split(command[:, None], take.begins[1:] * take.substeps)
-                passed = [low_pass(part, float(lag[k, joint]), float(take.model.opt.timestep)) for part in parts]
-                command = np.concatenate(passed)[:, 0]
-            out[k][:, :, joint] = command[first]
+    for joint in range(delay.shape[1]):
+        for value in np.unique(delay[:, joint]):
+            late = take.commands(float(value), joint)[:, 0]
+            for k in np.flatnonzero(delay[:, joint] == value):
+                command = late
+                if torques and lag[k, joint]:  # a window starts with what the commands before left there, in its part
+                    parts = np.split(late[:, None], take.begins[1:] * take.substeps)
+                    passed = [low_pass(part, float(lag[k, joint]), float(take.model.opt.timestep)) for part in parts]
+                    command = np.concatenate(passed)[:, 0]
+                out[k][:, :, joint] = command[first]
     return out.reshape(sets * count, first.shape[1], -1)
 
 
@@ -577,16 +578,19 @@ def _lag_state(windows: Windows, plant: Plant, sets: int) -> Array:
     assert r.kd is not None
     q, v = _until_next(take.position), _until_next(take.velocity)
     late = plant.delay + plant.clock_offset[:, None]
+    laws = np.stack([late, plant.kp_scale, plant.kd_scale, np.maximum(plant.lag, 1e-6)], axis=2)[::count]  # one a set
     out = np.empty((sets, count, len(r.kp)))
-    for k in range(sets):
-        row = k * count
-        for j in range(len(r.kp)):
-            target = take.commands(float(late[row, j]))[:, j].reshape(len(q), -1).mean(1)
-            torque = r.kp[j] * plant.kp_scale[row, j] * (target - q[:, j]) - r.kd[j] * plant.kd_scale[row, j] * v[:, j]
-            keep = np.exp(-take.period / max(plant.lag[row, j], 1e-6))
+    for j in range(len(r.kp)):
+        own, of = np.unique(laws[:, j], axis=0, return_inverse=True)  # most sets of a Jacobian leave a joint as it is
+        begun = np.empty((len(own), count))
+        for k, (delay, kp_scale, kd_scale, lag) in enumerate(own):
+            target = take.commands(float(delay), j).reshape(len(q), -1).mean(1)
+            torque = r.kp[j] * kp_scale * (target - q[:, j]) - r.kd[j] * kd_scale * v[:, j]
+            keep = np.exp(-take.period / lag)
             parts = np.split(torque, take.begins[1:])
             before = [np.append(p[0], lfilter([1 - keep], [1, -keep], p, zi=[keep * p[0]])[0][:-1]) for p in parts]
-            out[k, :, j] = np.concatenate(before)[windows.start]
+            begun[k] = np.concatenate(before)[windows.start]
+        out[:, :, j] = begun[of.reshape(-1)]
     return out.reshape(sets * count, -1)
 
 

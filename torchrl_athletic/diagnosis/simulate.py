@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_athletic.diagnosis.coarse import coarse
 from torchrl_athletic.diagnosis.compare import follows, open_share, score, well_started
 from torchrl_athletic.diagnosis.decide import decided_by, fewest, torque_is_open
 from torchrl_athletic.diagnosis.fit import (
@@ -31,6 +32,7 @@ from torchrl_athletic.diagnosis.joints import (
     standard_joints_of,
 )
 from torchrl_athletic.diagnosis.proposal import Proposal
+from torchrl_athletic.diagnosis.replay import Take
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate, Key, is_trim, trims_for
 from torchrl_athletic.diagnosis.search import keys, singles
@@ -199,9 +201,10 @@ def _is_unnamed(done: Simulated) -> bool:
 def _trial(proposal: Proposal, proposed: Proposed, run: Run) -> Trial:
     """Fit a combination beside the trims that may move in all fits alike, and score it."""
     ready, drive = proposed.located.ready, proposed.drive
-    given, takes = ready.given, ready.train.takes
+    given = ready.given
     adjusted = set().union(*map(_adjusted, proposed.options))
     hypothesis, start = _hypothesis(proposal, drive, adjusted)
+    takes = _in_long_steps(ready, hypothesis, start)
 
     def compute() -> Fitted:
         return fit(hypothesis, takes, start, given.rng("fit"))
@@ -214,6 +217,18 @@ def _trial(proposal: Proposal, proposed: Proposed, run: Run) -> Trial:
     direct = keys(drive.best.fit.terms) if drive else ()  # two channels show it
     idle = [c for c in idle_terms(fitted, takes, given.rng("idle")) if c.key not in direct]
     return scored(proposal, _without_small(without(fitted, idle), given), ready)
+
+
+def _in_long_steps(ready: Ready, hypothesis: Hypothesis, start: Array) -> Sequence[Take]:
+    """Recordings to fit: of an arm that follows targets, which is looked at step by step, in fewer steps.
+
+    But not of gears, whose teeth meet within a step.
+    """
+    takes = ready.train.takes
+    stepped = any(take.recording.position_target is not None for take in takes)
+    if not stepped or any(c.effect.of_accelerations for c in hypothesis.terms):
+        return takes
+    return tuple(coarse(takes, hypothesis, start, ready.given.rng("coarse")))
 
 
 def _without_small(fitted: Fitted, given: Given) -> Fitted:

@@ -116,7 +116,8 @@ class Simulation:
     telling: int = 4
     """Windows of a fit in which a term acts most, beside those drawn at random [1; budget]."""
     looked_at: int = 1000
-    """Windows among which those are looked for in which a term acts, as many as 500 s have [1; budget]."""
+    """Windows among which those are looked for in which a term acts, as many as 500 s have; a third of them where a
+    controller closes the loop, step by step [1; budget]."""
     at_once: int = 200
     """Windows that are simulated at a time: bounds the memory [1; budget]."""
     windows: int = 400
