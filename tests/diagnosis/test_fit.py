@@ -390,7 +390,7 @@ def test_windows_in_which_a_term_acts_are_always_fitted():
     t = take(free, r, 1e-4)
     h = Hypothesis((candidate(JointStop(), r, free),))
     drawn = draw_windows([t], 0.5, 3, np.random.default_rng(0))
-    (windows,) = _with_telling(h, [t], np.array([0.7, 1.0, 100.0]), drawn, np.random.default_rng(0), 200)
+    (windows,) = _with_telling(h, [t], np.array([0.7, 1.0, 100.0]), drawn, np.random.default_rng(0))
     met = np.flatnonzero(r.position[:, 0] > 0.7)
     assert any(((met >= s) & (met < s + windows.length)).any() for s in windows.start)
     assert set(drawn[0].start.tolist()) <= set(windows.start.tolist())
@@ -473,6 +473,18 @@ def test_the_state_is_looked_at_each_step_where_a_loop_closes(monkeypatch, targe
     assert _is_stepped(SimpleNamespace(build=built), t, np.zeros(1)) is stepped
 
 
+@pytest.mark.parametrize(("targets", "most"), [([None, None], 1000), ([None, 1], 333)])
+def test_fewer_windows_are_looked_at_where_a_controller_closes_the_loop(monkeypatch, targets, most):
+    takes = [SimpleNamespace(recording=SimpleNamespace(position_target=t)) for t in targets]
+    monkeypatch.setitem(_with_telling.__globals__, "_actions", lambda *_: (np.ones((1, 1, 1)), np.ones((1, 1)), None))
+    asked = []
+    nothing = lambda takes, seconds, count, rng: asked.append(count) or []  # noqa: E731
+    monkeypatch.setitem(_with_telling.__globals__, "draw_windows", nothing)
+    h = SimpleNamespace(terms=("term",))
+    _with_telling(h, takes, np.zeros(1), [], np.random.default_rng(0))
+    assert asked == [most]
+
+
 # --- terms that do nothing, windows that tell, and what a trim pays, by hand ---
 
 
@@ -523,6 +535,7 @@ def test_telling_windows_of_all_takes_join_those_that_were_drawn(monkeypatch):
     names = _with_telling.__globals__
     monkeypatch.setitem(names, "SIMULATION", replace(names["SIMULATION"], telling=2))
     monkeypatch.setitem(names, "draw_windows", lambda *_: full)
+    monkeypatch.setitem(names, "_looked_at", lambda takes: 5)
     monkeypatch.setitem(names, "_actions", lambda *_: (moved, error, None))
     h = SimpleNamespace(terms=("first", "second"))
     drawn = [Windows("one", np.array([0]), 10)]

@@ -1076,7 +1076,7 @@ def test_a_lag_begins_where_the_torques_before_it_in_its_piece_have_brought_it()
     t = SimpleNamespace(
         position=np.zeros((40, 2)), velocity=np.zeros((40, 2)), period=0.01, begins=np.array([0, 25]),
         recording=SimpleNamespace(kp=np.array([5.0, 7.0]), kd=np.ones(2)),
-        commands=lambda late: asked.append(late) or target.repeat(4, axis=0),
+        commands=lambda late, joint: asked.append(late) or target[:, [joint]].repeat(4, axis=0),
     )  # fmt: skip
     lag, scale = np.array([[0.05, 0.1], [0.02, 0.2]]), np.array([[1.0, 2.0], [0.5, 3.0]])
     plant = SimpleNamespace(
@@ -1087,8 +1087,30 @@ def test_a_lag_begins_where_the_torques_before_it_in_its_piece_have_brought_it()
     final = scale * [10.0, -21.0]
     passed = final * (1 - np.exp(-0.07 / lag))
     np.testing.assert_allclose(found, np.stack([0 * final, passed, final], 1).reshape(6, 2))
-    assert asked == pytest.approx([0.11, 0.12, 0.23, 0.24])
+    assert asked == pytest.approx([0.11, 0.23, 0.12, 0.24])
     t.velocity += 1.0
     plant.kd_scale[:] = scale.repeat(3, 0)
     slowed = replay._lag_state(replay.Windows(t, np.array([5, 17, 30]), 4), plant, 2)
     np.testing.assert_allclose(slowed, found - scale.repeat(3, 0))
+    asked.clear()
+    for table in (plant.delay, plant.kp_scale, plant.kd_scale, plant.lag):
+        table[3:, 1] = table[:3, 1]
+    plant.clock_offset[3:] = plant.clock_offset[:3]
+    shared = replay._lag_state(replay.Windows(t, np.array([5, 17, 30]), 4), plant, 2)
+    np.testing.assert_allclose(shared[:, 1], np.tile(slowed[:3, 1], 2))
+    np.testing.assert_allclose(shared[:3, 0], slowed[:3, 0])
+    assert asked == pytest.approx([0.11, 0.13, 0.12])  # what two sets share is asked once
+
+
+@pytest.mark.parametrize("pieces", [False, True])
+def test_the_commands_of_one_joint_are_its_column(pieces):
+    torque = 0.1 * np.sin(0.1 * np.arange(400)[:, None] * [1.0, 2.0])
+    whole = take(double_pendulum(), record(double_pendulum(), torque), noise=1e-9)
+    if pieces:
+        (whole,) = join([whole, whole])
+        assert len(whole.parts) == 2
+    for delay in (0.0, 0.0037):
+        both = whole.commands(delay)
+        assert both.shape == (len(whole.time) * whole.substeps, 2)
+        for joint in range(2):
+            np.testing.assert_array_equal(whole.commands(delay, joint), both[:, [joint]])

@@ -279,6 +279,7 @@ def test_all_combinations_are_fitted_beside_the_same_trims_and_what_the_drive_sh
     options = [found((friction, 1.0)), found((spring, 2.0))]
     told = {}
     h = Hypothesis((drive, friction, spring))
+    monkeypatch.setattr(stage, "_in_long_steps", lambda ready, h, x: told.update(steps=(ready, h)) or "long takes")
     monkeypatch.setattr(stage, "_adjusted", lambda option: {option.best.fit.terms[0].candidate.effect.name})
     monkeypatch.setattr(
         stage, "_hypothesis", lambda option, drive, adjusted: told.update(adjusted=adjusted) or (h, np.arange(3.0))
@@ -299,9 +300,30 @@ def test_all_combinations_are_fitted_beside_the_same_trims_and_what_the_drive_sh
         trial = stage._trial(options[1], proposed, SimpleNamespace(checkpoint=checkpoint))
         assert trial == (options[1], ("fitted", idle))
     assert told["adjusted"] == {"friction", "spring"}
-    assert told["fit"][:2] + told["fit"][3:] == (h, "takes", "dice for fit")
+    assert told["fit"][:2] + told["fit"][3:] == (h, "long takes", "dice for fit")
     assert told["fit"][2].tolist() == [0.0, 1.0, 2.0]
-    assert told["idle"] == ("fitted", "takes", "dice for idle")
+    assert told["idle"] == ("fitted", "long takes", "dice for idle")
+    assert told["steps"] == (ready, h)
+
+
+@pytest.mark.parametrize(
+    ("targets", "gear", "steps"),
+    [
+        ([None, None], False, "own"),
+        ([None, [0.5]], False, "long"),
+        ([None, [0.5]], True, "own"),  # teeth meet within a step
+    ],
+)
+def test_what_follows_targets_is_tried_in_longer_steps_but_for_gears(monkeypatch, targets, gear, steps):
+    takes = tuple(SimpleNamespace(recording=SimpleNamespace(position_target=t)) for t in targets)
+    ready = SimpleNamespace(train=SimpleNamespace(takes=takes), given=SimpleNamespace(rng=lambda purpose: purpose))
+    terms = (SimpleNamespace(effect=SimpleNamespace(of_accelerations=gear)),)
+    h, told = SimpleNamespace(terms=terms), []
+    copies = {f"copy {k}": take for k, take in enumerate(takes)}
+    monkeypatch.setattr(stage, "coarse", lambda *given: told.append(given) or copies)
+    found = stage._in_long_steps(ready, h, "values")
+    assert found == (takes if steps == "own" else ("copy 0", "copy 1"))
+    assert told == ([] if steps == "own" else [(takes, h, "values", "coarse")])
 
 
 def test_each_set_of_recordings_is_scored_with_its_own_noise_and_windows(monkeypatch):
