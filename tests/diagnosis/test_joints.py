@@ -288,3 +288,23 @@ def test_an_answer_of_no_effects_comes_back_from_a_checkpoint_and_one_that_was_c
         assert asked.fitted.hypothesis.terms == ()
         assert not asked.complete
     assert path.exists()
+
+
+@pytest.mark.parametrize("targets", [False, True])
+def test_what_the_motion_asks_for_is_fitted_in_the_steps_of_the_search_where_a_controller_closes_the_loop(
+    arm, monkeypatch, targets
+):
+    from torchrl_athletic.diagnosis.checkpoint import Checkpoint
+    from torchrl_athletic.diagnosis.progress import Progress
+    from torchrl_athletic.diagnosis.stages import Run
+
+    copies, told = {"copy": arm.train.takes[0]}, []
+    nothing = Hypothesis(())
+    found = SimpleNamespace(hypothesis=nothing, values=np.zeros(0), shares=(), rivals=(), complete=True)
+    monkeypatch.setattr(joints, "coarse", lambda *_: copies)
+    monkeypatch.setattr(joints, "select", lambda h, takes, *_: told.append(takes) or found)
+    monkeypatch.setattr(joints, "follow_targets", lambda takes: takes == arm.train.takes and targets)
+    fitted = Fitted(nothing, np.zeros(0), np.zeros((200, 0)), 0.0)
+    monkeypatch.setattr(joints, "fit_of", lambda h, takes, *_: told.append(takes) or fitted)
+    joints.asked_of_motion(arm, Run(Progress(), Checkpoint(None, "")), ())
+    assert told == [("copy",), ("copy",) if targets else arm.train.takes]

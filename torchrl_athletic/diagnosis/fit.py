@@ -10,7 +10,7 @@ import numpy as np
 from mujoco import minimize
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.replay import Take, Windows, simulate, window_rmse, windows_of
+from torchrl_athletic.diagnosis.replay import Take, Windows, follow_targets, simulate, window_rmse, windows_of
 from torchrl_athletic.diagnosis.screen import Candidate, Key, bounded_least_squares
 from torchrl_athletic.diagnosis.thresholds import SIMULATION
 from torchrl_athletic.effects import Parameter, Plant
@@ -163,8 +163,7 @@ def _with_telling(
 
 def _looked_at(takes: Sequence[Take]) -> int:
     """Windows among which those are looked for in which a term acts: fewer where a controller closes the loop."""
-    stepped = any(take.recording.position_target is not None for take in takes)
-    return SIMULATION.looked_at // 3 if stepped else SIMULATION.looked_at
+    return SIMULATION.looked_at // 3 if follow_targets(takes) else SIMULATION.looked_at
 
 
 def _solve(problem: _Problem, x: Array, low: Array, high: Array, max_iter: int) -> Array:

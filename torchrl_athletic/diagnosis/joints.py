@@ -14,6 +14,7 @@ from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims
 from torchrl_athletic.diagnosis.fit import fit as fit_of
 from torchrl_athletic.diagnosis.fitting import Fit, fit
+from torchrl_athletic.diagnosis.replay import follow_targets
 from torchrl_athletic.diagnosis.screen import Atom, Candidate, Key, candidates_for
 from torchrl_athletic.diagnosis.search import Judge, Scored
 from torchrl_athletic.diagnosis.selection import Rival, select
@@ -87,11 +88,12 @@ def asked_of_motion(ready: Ready, run: Run, proposed: Sequence[Fitted]) -> Asked
     h, starts = _offered(ready, proposed)
 
     def compute() -> Asked:
-        takes = coarse(train.takes, h, h.nominal, given.rng("coarse"))
+        takes = tuple(coarse(train.takes, h, h.nominal, given.rng("coarse")))
         left = run.left(SPENDING.to_select)
         deadline = Deadline(np.inf if left is None else left)
-        found = select(h, tuple(takes), given.rng("motion"), deadline, agreement(h, train), starts)
-        fitted = fit_of(found.hypothesis, train.takes, found.values, given.rng("fit"))
+        found = select(h, takes, given.rng("motion"), deadline, agreement(h, train), starts)
+        long = takes if follow_targets(train.takes) else train.takes  # each step of those has to be looked at
+        fitted = fit_of(found.hypothesis, long, found.values, given.rng("fit"))
         return Asked(fitted, found.shares, found.rivals, h.terms, found.complete)
 
     def encode(asked: Asked) -> dict[str, Any]:

@@ -243,6 +243,11 @@ def _rough_velocity(measured: Array, period: float, longest: float) -> Array:
     return np.asarray(np.gradient(smooth, period, axis=0), dtype=np.float64)
 
 
+def follow_targets(takes: Sequence[Take]) -> bool:
+    """Whether some of the recordings are of a controller, whose loop a replay closes step by step."""
+    return any(take.recording.position_target is not None for take in takes)
+
+
 def join(takes: Sequence[Take]) -> list[Take]:
     """Takes that differ in their data only as one, to be replayed as one batch: a step costs little more for many rows.
 

@@ -32,7 +32,7 @@ from torchrl_athletic.diagnosis.joints import (
     standard_joints_of,
 )
 from torchrl_athletic.diagnosis.proposal import Proposal
-from torchrl_athletic.diagnosis.replay import Take
+from torchrl_athletic.diagnosis.replay import Take, follow_targets
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate, Key, is_trim, trims_for
 from torchrl_athletic.diagnosis.search import keys, singles
@@ -225,8 +225,7 @@ def _in_long_steps(ready: Ready, hypothesis: Hypothesis, start: Array) -> Sequen
     But not of gears, whose teeth meet within a step.
     """
     takes = ready.train.takes
-    stepped = any(take.recording.position_target is not None for take in takes)
-    if not stepped or any(c.effect.of_accelerations for c in hypothesis.terms):
+    if not follow_targets(takes) or any(c.effect.of_accelerations for c in hypothesis.terms):
         return takes
     return tuple(coarse(takes, hypothesis, start, ready.given.rng("coarse")))
 
