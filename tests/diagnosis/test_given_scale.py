@@ -1,11 +1,14 @@
 """Motors that move a joint alike are told as the given one; others stay what they are."""
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 from diagnosis.plants import STEP, pendulum, record, smooth_torque
 from diagnosis.test_joint_fit import TABLE, h_places
 
+from torchrl_athletic.diagnosis import given_scale
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.fit import WINDOW
 from torchrl_athletic.diagnosis.given_scale import held_back, with_given_scales
@@ -54,6 +57,31 @@ def test_a_motor_that_turns_as_the_given_one_does_is_the_given_one(turntable):
     assert found.values[at["viscous_friction.damping"]] == pytest.approx(0.3, rel=0.1)
     assert error(found.values) < 1.05 * error(near.values)
     assert found.free.tolist() == near.free.tolist()  # the scale is asked about again
+
+
+def test_a_motor_whose_links_are_too_heavy_comes_as_near_to_the_given_one_as_they_let_it():
+    """The true table has half the given 0.1 kg·m²: twice the torque and no rotor, or ten times behind one of 0.4."""
+    xml, true = TABLE.format(0.1), TABLE.format(0.05).replace('axis="0 0 1"', 'axis="0 0 1" damping="0.3"')
+    values = {
+        "torque_scale__scale": 10.0,
+        "reflected_inertia__armature": 10.0 * 0.05 - 0.1,
+        "viscous_friction__damping": 10.0 * 0.3,
+    }
+    near, torques, at = solution(xml, true, **values)
+    found = with_given_scales(near, torques, Deadline())
+    assert found.values[at["torque_scale.scale"]] == pytest.approx(2.0, rel=0.1)
+    assert found.values[at["reflected_inertia.armature"]] == pytest.approx(0.0, abs=0.01)
+    assert found.values[at["viscous_friction.damping"]] == pytest.approx(0.6, rel=0.1)
+
+
+def test_a_scale_that_the_windows_tell_is_not_put_nearer(monkeypatch):
+    """It may go a third of the way, and no further."""
+    at = lambda x, low, high, way=1.0: {0: (np.array([0]), np.array([10.0 ** (1.0 - way)]))}  # noqa: E731
+    torques, problem = SimpleNamespace(at_given_scales=at), SimpleNamespace(hypothesis=SimpleNamespace(bounds=(0, 99)))
+    for most, nearest in ((10 ** (2 / 3), None), (10**0.4, 10**0.4)):
+        monkeypatch.setattr(given_scale, "_cost", lambda problem, x, most=most: 1.0 if x[0] >= most else 2.0)
+        found = given_scale._toward_given(problem, torques, np.array([10.0]), 0, 1.01)
+        assert found is None if nearest is None else found[0] == pytest.approx(nearest, rel=0.05)
 
 
 def test_a_weak_motor_on_a_pendulum_stays_weak():

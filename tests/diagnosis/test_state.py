@@ -34,11 +34,18 @@ def trial(aside: float, joints: bool = False, floor: float = 1.0) -> Trial:
 )
 def test_the_standard_joints_are_the_corrected_simulation_where_recordings_kept_aside_say_so(named, standard, taken):
     chosen, joints = trial(named), trial(standard, joints=True)
-    found = _best_followed(Decided(None, None, chosen, (joints,)))
+    found = _best_followed(chosen, (chosen, joints))
     assert (found.fitted is joints.fitted) is taken
     assert found.scores is (joints if taken else chosen).scores
     said = " ".join(found.sentences)
     assert ("standard joints instead of what is named: recordings that were kept aside are" in said) is taken
+
+
+def test_names_that_make_the_simulation_worse_leave_it_to_what_helps():
+    chosen, joints = trial(4.0), trial(5.0, joints=True)
+    found = _best_followed(chosen, (joints,))
+    assert found.fitted is joints.fitted
+    assert "standard joints instead of what is named" in found.sentences[0]
 
 
 def test_nothing_that_was_kept_aside_lets_the_fitted_recordings_say_so():
@@ -46,7 +53,7 @@ def test_nothing_that_was_kept_aside_lets_the_fitted_recordings_say_so():
     for t in (chosen, first):
         del t.scores["heldout"]
     first.scores["train"] = Score(9.0, 1.5, 1.0, 0.0, {})
-    [said] = _best_followed(Decided(None, None, chosen, (first,))).sentences
+    [said] = _best_followed(chosen, (chosen, first)).sentences
     assert "what the torques alone speak for" in said
     assert "the fitted recordings" in said
     assert "with 75 % of the error" in said
@@ -175,35 +182,36 @@ def test_a_remainder_is_looked_for_in_both_sets_where_the_mechanics_alone_were_n
 
 
 @pytest.mark.parametrize(
-    ("verdict", "worse", "trials", "stopped", "corrected"),
+    ("verdict", "worse", "trials", "stopped", "corrected", "helped"),
     [
-        ("explained", False, True, "", True),
-        ("nothing_missing", False, True, "", False),
-        ("partly_explained", True, True, "", False),  # of the fitted recordings
-        ("unexplained", False, False, "simulate", False),
-        ("unexplained", False, False, "", False),
-        ("explained", False, True, "report", True),
+        ("explained", False, True, "", True, False),
+        ("nothing_missing", False, True, "", False, False),
+        ("partly_explained", True, True, "", False, False),  # of the fitted recordings
+        ("unexplained", False, False, "simulate", False, False),
+        ("unexplained", False, False, "", False, False),
+        ("explained", False, True, "report", True, False),
+        ("explained", False, True, "", True, True),  # by another trial: what is named makes it worse
     ],
 )
 @pytest.mark.parametrize("last_of", ["heldout", "train"])
 def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
-    monkeypatch, verdict, worse, trials, stopped, corrected, last_of
+    monkeypatch, verdict, worse, trials, stopped, corrected, last_of, helped
 ):
     own = trial(4.0)
     if last_of == "train":  # nothing was kept aside
         del own.scores["heldout"]
-    own.scores["train"] = Score(9.0, 9.5 if worse else 2.0, 1.0, 0.0, {})
+    own.scores["train"] = Score(9.0, 9.5 if worse or helped else 2.0, 1.0, 0.0, {})
     kept = stating.Correction(SimpleNamespace(hypothesis="laws", values="numbers"), {last_of: "kept"}, ("Why.",))
     told = {"remarked": []}
     given = SimpleNamespace(name="m", seed=7, inputs="digest", model="model", joint_names=("hip",), base="fixed")
     used = {"hip": STATEMENT.exercised, "knee": 0.9 * STATEMENT.exercised}
     ready = SimpleNamespace(given=given, train=SimpleNamespace(used_share=lambda: used))
     located = SimpleNamespace(ready=ready, locations=("where",))
-    decided = Decided(located, None, own if trials else None, is_open=True)
+    decided = Decided(located, None, own if trials else None, (trial(3.0),) if helped else (), is_open=True)
     monkeypatch.setattr(stating, "_findings", lambda decided: ("finding",))
     monkeypatch.setattr(stating, "verdict_of", lambda *a: told.update(judged=a) or (verdict, 0.25))
     best = SimpleNamespace(fitted=own.fitted)
-    monkeypatch.setattr(stating, "_best_followed", lambda decided: best)
+    monkeypatch.setattr(stating, "_best_followed", lambda trial, helpful: best)
     monkeypatch.setattr(stating, "_nameless", lambda fitted, findings: (f"Of {fitted.values}.",))
     monkeypatch.setattr(stating, "_kept", lambda best, ready: told.update(kept=(best, ready)) or kept)
     monkeypatch.setattr(stating, "summarise", lambda *a: told.update(summed=a) or ("Summary.",))
@@ -309,7 +317,7 @@ def test_names_of_what_recordings_kept_aside_refuse_are_held_back_and_the_verdic
     monkeypatch.setattr(stating, "refused", lambda findings, places: (*findings, *places))
     verdicts = []
     monkeypatch.setattr(stating, "verdict_of", lambda *a: verdicts.append(a[1]) or (f"verdict {len(verdicts)}", 0.25))
-    monkeypatch.setattr(stating, "_best_followed", lambda decided: followed)
+    monkeypatch.setattr(stating, "_best_followed", lambda trial, helpful: followed)
     monkeypatch.setattr(stating, "_kept", lambda best, ready: kept)
     monkeypatch.setattr(stating, "summarise", lambda *a: ())
     for name in ("_quality", "_remarks"):

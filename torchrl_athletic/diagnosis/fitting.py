@@ -227,6 +227,7 @@ def fit(
         near = extend(near, train, seen, deadline.part(0.62), progress.update)
         h = near.problem.hypothesis
         free, torques = h.bounds[1] > h.bounds[0], near.problem.torques or agreement(h, train)
+        near = with_given_scales(near, torques, deadline.part(0.64))  # what is scaled alike may be a new law
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
     x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])

@@ -6,7 +6,7 @@ gains where positions were commanded.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -223,18 +223,30 @@ class Agreement:
             out.append(root @ (np.column_stack([1.0 - inverse, found]) - best).T)
         return np.concatenate(out)
 
-    def at_given_scales(self, x: Array, low: Array, high: Array) -> Iterator[tuple[NDArray[np.intp], Array]]:
-        """For each joint with another torque scale by values (P,): numbers that ask for the same torques at the given.
+    def at_given_scales(
+        self, x: Array, low: Array, high: Array, way: float = 1.0
+    ) -> dict[int, tuple[NDArray[np.intp], Array]]:
+        """Numbers that ask for the same torques at the given torque scale, of each joint that has another one.
 
-        Yields indices, of the scale first and of the joint's linear parameters, and their values within bounds (P,).
+        Args:
+            x: Values. Shape (P,).
+            low: Bounds.
+            high: Bounds.
+            way: How far the scale goes to the given one, by equal factors, 0..1.
+
+        Returns:
+            Index of the scale -> indices, of the scale first and of the joint's linear parameters, and their values.
         """
+        out = {}
         for index, given, scale, root, _ in self.parts:
             if scale < 0 or x[scale] == 1.0:
                 continue
-            torque = root @ np.append(1.0 - 1.0 / x[scale], (x[index] - given) / x[scale])
+            to = float(x[scale]) ** (1.0 - way)
+            torque = root @ np.append(1.0 - to / x[scale], to * (x[index] - given) / x[scale])
             a = root[:, 1:]
             found = bounded_least_squares(a.T @ a, a.T @ torque, low[index] - given, high[index] - given)
-            yield np.append(scale, index), np.append(1.0, given + found)
+            out[scale] = np.append(scale, index), np.append(to, given + found)
+        return out
 
 
 def agreement(h: Hypothesis, prepared: Prepared) -> Agreement:

@@ -66,10 +66,11 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
     given, scores = ready.given, trial.scores if trial else {}
     findings = _findings(decided)
     verdict, share = _verdict(decided, findings)
-    harmful = harms(scores.get("train"))
     correction, own = Correction(None, {split: uncorrected(score) for split, score in scores.items()}), False
-    if trial is not None and verdict != "nothing_missing" and not harmful:
-        followed = _best_followed(decided)
+    helpful = [t for t in (trial, *decided.beside) if t is not None and not harms(t.scores["train"])]
+    harmful = trial is not None and not helpful
+    if trial is not None and helpful and verdict != "nothing_missing":
+        followed = _best_followed(trial, helpful)
         correction, own = _kept(followed, ready), followed.fitted is trial.fitted
         if correction.taken_back and own:
             findings = refused(findings, {(c.effect.name, c.joint_name) for c in correction.taken_back})
@@ -146,17 +147,15 @@ def _closes(decided: Decided, trial: Trial) -> dict[Key, float]:
     return {key: share for key, share in trial.closes.items() if key not in direct}
 
 
-def _best_followed(decided: Decided) -> Correction:
-    """The chosen trial, or another with which recordings that were kept aside are followed better.
+def _best_followed(trial: Trial, helpful: Sequence[Trial]) -> Correction:
+    """The chosen trial, or another that helps and with which recordings that were kept aside are followed better.
 
     The names stay.
     """
-    trial = decided.trial
-    assert trial is not None
     split = "heldout" if "heldout" in trial.scores else "train"
-    best = min((trial, *decided.beside), key=lambda t: t.scores[split].after)
+    best = min(helpful, key=lambda t: t.scores[split].after)
     own, other = trial.scores[split], best.scores[split]
-    if own.after <= max(WORSE * other.after, NOISE * own.floor):
+    if trial in helpful and own.after <= max(WORSE * other.after, NOISE * own.floor):
         return Correction(trial.fitted, trial.scores)
     of = best.proposal
     what = "the standard joints" if of.joints else "what the torques alone speak for"
