@@ -215,6 +215,7 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
     monkeypatch.setattr(stating, "_nameless", lambda fitted, findings: (f"Of {fitted.values}.",))
     monkeypatch.setattr(stating, "_kept", lambda best, ready: told.update(kept=(best, ready)) or kept)
     monkeypatch.setattr(stating, "summarise", lambda *a: told.update(summed=a) or ("Summary.",))
+    monkeypatch.setattr(stating, "open_share", lambda score: 0.125 if score == "kept" else 0.5)
     monkeypatch.setattr(stating, "_quality", lambda ready: "quality")
     monkeypatch.setattr(stating, "_remarks", lambda *given: told["remarked"].append(given) or ("remark",))
     monkeypatch.setattr(stating, "_maps", lambda decided: ["map"])
@@ -230,7 +231,8 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
     assert told["judged"] == (decided.evidence, ("finding",), scores.get("train"), scores.get("heldout"), True)
     left = {split: Score(9.0, 9.0, 1.0, 0.0, {}) for split in scores}  # the given model's
     last = None if worse else "kept" if corrected else left.get(last_of)
-    assert told["summed"] == (verdict, ("finding",), ("where",), last, trials and last_of == "heldout", 0.25)
+    share = (0.125 if corrected else 0.5) if trials else 0.25  # that the correction leaves
+    assert told["summed"] == (verdict, ("finding",), ("where",), last, trials and last_of == "heldout", share)
     assert said.answer.fit == (kept.scores if corrected else left)
     sentences = said.answer.summary
     unnamed = bool(stopped) and not trials

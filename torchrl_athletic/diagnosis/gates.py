@@ -151,9 +151,12 @@ def summarise(
     locations: Sequence[Location],
     score: Score | None,
     heldout: bool,
-    share: float,
+    left: float,
 ) -> tuple[str, ...]:
-    """The answer in a few sentences, most important first."""
+    """The answer in a few sentences, most important first.
+
+    ``left``: share of the error energy that the corrected simulation leaves, 0..1.
+    """
     out = []
     if verdict == "nothing_missing":
         out.append(_nothing_missing(score))
@@ -177,7 +180,7 @@ def summarise(
         out.append(
             f"Over 0.5 s windows of {kind} the error falls to {100 * score.after / max(score.before, 1e-12):.0f} % "
             "of what it was; "
-            f"the correction leaves {100 * share:.0f} % of its energy above the sensors' floor."
+            f"the correction leaves {100 * left:.0f} % of its energy above the sensors' floor."
         )
     return tuple(out)
 

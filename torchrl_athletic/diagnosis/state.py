@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.compare import harms, uncorrected
+from torchrl_athletic.diagnosis.compare import harms, open_share, uncorrected
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, without
 from torchrl_athletic.diagnosis.gates import judge_findings, refused, summarise, verdict_of
@@ -81,7 +81,8 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
         corrected = replace(nominal, hypothesis=correction.fitted.hypothesis, values=correction.fitted.values)
     scores = correction.scores
     last = None if harmful else scores.get("heldout", scores.get("train"))
-    summary = summarise(verdict, findings, decided.located.locations, last, "heldout" in scores, share)
+    left = max((open_share(score) for score in scores.values()), default=share)  # by the correction, not by the names
+    summary = summarise(verdict, findings, decided.located.locations, last, "heldout" in scores, left)
     if harmful:
         summary += ("What fits best makes the simulation worse, so that the corrected model is the given one.",)
     summary += correction.sentences
