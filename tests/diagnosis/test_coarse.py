@@ -1,11 +1,13 @@
 """Longer physics steps for a search: taken where the motion stays what it was, refused elsewhere."""
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 from diagnosis.plants import STEP, pendulum, record, smooth_torque
 
-from torchrl_athletic.diagnosis.coarse import ALIKE, LONGEST, coarse, in_steps_of, moves_alike
+from torchrl_athletic.diagnosis.coarse import ALIKE, LONGEST, coarse, fit_in_steps_of, in_steps_of, moves_alike
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis
 from torchrl_athletic.diagnosis.joint_fit import problem_of
 from torchrl_athletic.diagnosis.prepare import prepare
@@ -43,6 +45,18 @@ def test_how_alike_is_measured_by_the_error_that_there_is():
     takes = takes_of(pendulum(STEP))  # nothing is missing: what the steps change is all there is
     assert set(coarse(takes, NOTHING, np.zeros(0), np.random.default_rng(0))) == set(takes)
     assert 0 < ALIKE < 1
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_what_was_found_in_long_steps_is_fitted_again_in_the_takes_own_where_these_move_otherwise(monkeypatch, alike):
+    names, told = fit_in_steps_of.__globals__, []
+    found = iter([SimpleNamespace(values="first"), SimpleNamespace(values="second")])
+    monkeypatch.setitem(names, "fit", lambda *given: told.append(given) or next(found))
+    monkeypatch.setitem(names, "moves_alike", lambda copy, take, h, x, rng: alike or (copy, take, x) == ("b", "B", ""))
+    fitted = fit_in_steps_of({"a": "A", "b": "B"}, "laws", "start", lambda purpose: purpose)
+    assert told[0] == ("laws", ("a", "b"), "start", "fit")
+    assert told[1:] == ([] if alike else [("laws", ("A", "B"), "first", "fit")])
+    assert fitted.values == ("first" if alike else "second")
 
 
 def test_a_problem_keeps_its_windows_in_other_steps():

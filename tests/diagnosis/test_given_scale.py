@@ -82,6 +82,8 @@ def test_a_scale_that_the_windows_tell_is_not_put_nearer(monkeypatch):
         monkeypatch.setattr(given_scale, "_cost", lambda problem, x, most=most: 1.0 if x[0] >= most else 2.0)
         found = given_scale._toward_given(problem, torques, np.array([10.0]), 0, 1.01)
         assert found is None if nearest is None else found[0] == pytest.approx(nearest, rel=0.05)
+    monkeypatch.setattr(given_scale, "_cost", lambda problem, x: np.nan)
+    assert given_scale._toward_given(problem, torques, np.array([10.0]), 0, 1.01) is None
 
 
 def test_a_weak_motor_on_a_pendulum_stays_weak():

@@ -305,6 +305,6 @@ def test_what_the_motion_asks_for_is_fitted_in_the_steps_of_the_search_where_a_c
     monkeypatch.setattr(joints, "select", lambda h, takes, *_: told.append(takes) or found)
     monkeypatch.setattr(joints, "follow_targets", lambda takes: takes == arm.train.takes and targets)
     fitted = Fitted(nothing, np.zeros(0), np.zeros((200, 0)), 0.0)
-    monkeypatch.setattr(joints, "fit_of", lambda h, takes, *_: told.append(takes) or fitted)
+    monkeypatch.setattr(joints, "fit_in_steps_of", lambda copies, *_: told.append(copies) or fitted)
     joints.asked_of_motion(arm, Run(Progress(), Checkpoint(None, "")), ())
-    assert told == [("copy",), ("copy",) if targets else arm.train.takes]
+    assert told == [("copy",), copies if targets else {take: take for take in arm.train.takes}]

@@ -10,6 +10,7 @@ import pytest
 
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis
 from torchrl_athletic.diagnosis.proposal import Proposal
+from torchrl_athletic.diagnosis.replay import Take
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.simulate import _asked_alone, _with_joints, _with_motion, key_of
@@ -279,12 +280,14 @@ def test_all_combinations_are_fitted_beside_the_same_trims_and_what_the_drive_sh
     options = [found((friction, 1.0)), found((spring, 2.0))]
     told = {}
     h = Hypothesis((drive, friction, spring))
-    monkeypatch.setattr(stage, "_in_long_steps", lambda ready, h, x: told.update(steps=(ready, h)) or "long takes")
+    copies = {"long take": "take"}
+    monkeypatch.setattr(stage, "_in_long_steps", lambda ready, h, x: told.setdefault("steps", []).append(x) or copies)
     monkeypatch.setattr(stage, "_adjusted", lambda option: {option.best.fit.terms[0].candidate.effect.name})
     monkeypatch.setattr(
         stage, "_hypothesis", lambda option, drive, adjusted: told.update(adjusted=adjusted) or (h, np.arange(3.0))
     )
-    monkeypatch.setattr(stage, "fit", lambda *given: told.update(fit=given) or "fitted")
+    fitted = SimpleNamespace(values="found")
+    monkeypatch.setattr(stage, "fit_in_steps_of", lambda *given: told.update(fit=given) or fitted)
     monkeypatch.setattr(
         stage, "idle_terms", lambda fitted, takes, rng: told.update(idle=(fitted, takes, rng)) or h.terms
     )
@@ -298,12 +301,12 @@ def test_all_combinations_are_fitted_beside_the_same_trims_and_what_the_drive_sh
     for of_drive, idle in ((found((drive, 1.0)), ["friction", "spring"]), (None, ["scale", "friction", "spring"])):
         proposed = SimpleNamespace(located=located, drive=of_drive, options=options)
         trial = stage._trial(options[1], proposed, SimpleNamespace(checkpoint=checkpoint))
-        assert trial == (options[1], ("fitted", idle))
+        assert trial == (options[1], (fitted, idle))
     assert told["adjusted"] == {"friction", "spring"}
-    assert told["fit"][:2] + told["fit"][3:] == (h, "long takes", "dice for fit")
-    assert told["fit"][2].tolist() == [0.0, 1.0, 2.0]
-    assert told["idle"] == ("fitted", "long takes", "dice for idle")
-    assert told["steps"] == (ready, h)
+    assert told["fit"][:2] + told["fit"][3:] == (copies, h, given.rng)
+    assert told["fit"][2].tolist() == told["steps"][0].tolist() == [0.0, 1.0, 2.0]
+    assert told["idle"] == (fitted, ("long take",), "dice for idle")
+    assert told["steps"][1] == "found"  # another's numbers may ask for other steps
 
 
 @pytest.mark.parametrize(
@@ -315,14 +318,15 @@ def test_all_combinations_are_fitted_beside_the_same_trims_and_what_the_drive_sh
     ],
 )
 def test_what_follows_targets_is_tried_in_longer_steps_but_for_gears(monkeypatch, targets, gear, steps):
-    takes = tuple(SimpleNamespace(recording=SimpleNamespace(position_target=t)) for t in targets)
+    takes = tuple(Take(SimpleNamespace(position_target=t), *[None] * 8) for t in targets)
     ready = SimpleNamespace(train=SimpleNamespace(takes=takes), given=SimpleNamespace(rng=lambda purpose: purpose))
     terms = (SimpleNamespace(effect=SimpleNamespace(of_accelerations=gear)),)
     h, told = SimpleNamespace(terms=terms), []
     copies = {f"copy {k}": take for k, take in enumerate(takes)}
     monkeypatch.setattr(stage, "coarse", lambda *given: told.append(given) or copies)
     found = stage._in_long_steps(ready, h, "values")
-    assert found == (takes if steps == "own" else ("copy 0", "copy 1"))
+    assert list(found) == ([*takes] if steps == "own" else ["copy 0", "copy 1"])
+    assert list(found.values()) == [*takes]
     assert told == ([] if steps == "own" else [(takes, h, "values", "coarse")])
 
 
@@ -340,7 +344,7 @@ def test_a_fit_that_was_kept_comes_back_as_it_was_with_the_bounds_of_its_hypothe
     samples = np.arange(10.0).reshape(5, 2)
     monkeypatch.setattr(stage, "_adjusted", lambda option: set())
     monkeypatch.setattr(stage, "_hypothesis", lambda option, drive, adjusted: (h, np.zeros(2)))
-    monkeypatch.setattr(stage, "fit", lambda *_: Fitted(h, np.array([1.0, 2.0]), samples, 0.75))
+    monkeypatch.setattr(stage, "fit_in_steps_of", lambda *_: Fitted(h, np.array([1.0, 2.0]), samples, 0.75))
     monkeypatch.setattr(stage, "idle_terms", lambda *_: ())
     monkeypatch.setattr(stage, "scored", lambda proposal, fitted, ready: fitted)
     monkeypatch.setattr(stage, "_without_small", lambda fitted, given: fitted)

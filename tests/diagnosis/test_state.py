@@ -45,7 +45,10 @@ def test_names_that_make_the_simulation_worse_leave_it_to_what_helps():
     chosen, joints = trial(4.0), trial(5.0, joints=True)
     found = _best_followed(chosen, (joints,))
     assert found.fitted is joints.fitted
-    assert "standard joints instead of what is named" in found.sentences[0]
+    assert found.sentences == (
+        "The corrected simulation has the standard joints instead of what is named, which makes the fitted recordings "
+        "worse.",
+    )
 
 
 def test_nothing_that_was_kept_aside_lets_the_fitted_recordings_say_so():
@@ -201,17 +204,19 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
     if last_of == "train":  # nothing was kept aside
         del own.scores["heldout"]
     own.scores["train"] = Score(9.0, 9.5 if worse or helped else 2.0, 1.0, 0.0, {})
+    useless, helping = trial(1.0), (trial(3.0),) if helped else ()
+    useless.scores["train"] = Score(9.0, 9.0, 1.0, 0.0, {})  # it changes nothing
     kept = stating.Correction(SimpleNamespace(hypothesis="laws", values="numbers"), {last_of: "kept"}, ("Why.",))
     told = {"remarked": []}
     given = SimpleNamespace(name="m", seed=7, inputs="digest", model="model", joint_names=("hip",), base="fixed")
     used = {"hip": STATEMENT.exercised, "knee": 0.9 * STATEMENT.exercised}
     ready = SimpleNamespace(given=given, train=SimpleNamespace(used_share=lambda: used))
     located = SimpleNamespace(ready=ready, locations=("where",))
-    decided = Decided(located, None, own if trials else None, (trial(3.0),) if helped else (), is_open=True)
+    decided = Decided(located, None, own if trials else None, (useless, *helping), is_open=True)
     monkeypatch.setattr(stating, "_findings", lambda decided: ("finding",))
     monkeypatch.setattr(stating, "verdict_of", lambda *a: told.update(judged=a) or (verdict, 0.25))
     best = SimpleNamespace(fitted=own.fitted)
-    monkeypatch.setattr(stating, "_best_followed", lambda trial, helpful: best)
+    monkeypatch.setattr(stating, "_best_followed", lambda trial, helpful: told.update(helpful=helpful) or best)
     monkeypatch.setattr(stating, "_nameless", lambda fitted, findings: (f"Of {fitted.values}.",))
     monkeypatch.setattr(stating, "_kept", lambda best, ready: told.update(kept=(best, ready)) or kept)
     monkeypatch.setattr(stating, "summarise", lambda *a: told.update(summed=a) or ("Summary.",))
@@ -225,6 +230,8 @@ def test_the_corrected_simulation_is_the_given_one_unless_a_trial_is_better(
         if corrected
         else (said.corrected is said.nominal)
     )
+    if corrected:
+        assert told["helpful"] == ([*helping] if helped else [own])
     assert said.nominal.hypothesis.terms == ()
     assert said.nominal.base == "fixed"
     scores = own.scores if trials else {}

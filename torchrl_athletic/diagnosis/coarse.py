@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis, draw_windows
+from torchrl_athletic.diagnosis.fit import WINDOW, Fitted, Hypothesis, draw_windows, fit
 from torchrl_athletic.diagnosis.joint_fit import Problem
 from torchrl_athletic.diagnosis.replay import Take, simulate
 
@@ -51,6 +51,23 @@ def moves_alike(copy: Take, take: Take, h: Hypothesis, x: Array, rng: np.random.
         wrong += ((there - here) ** 2).sum((0, 1))
         error += ((here - w.measured) ** 2).sum((0, 1))
     return bool(windows) and bool(np.mean(wrong / np.maximum(error, 1e-18)) <= ALIKE**2)
+
+
+def fit_in_steps_of(
+    copies: Mapping[Take, Take], h: Hypothesis, start: Array, rng: Callable[[str], np.random.Generator]
+) -> Fitted:
+    """Fit copies from values (P,), and the takes themselves from there where copies move otherwise by what was found.
+
+    Args:
+        copies: Copy of each take -> the take.
+        h: What may change.
+        start: First guess. Shape (P,).
+        rng: Randomness for one purpose.
+    """
+    fitted = fit(h, tuple(copies), start, rng("fit"))
+    if all(moves_alike(copy, take, h, fitted.values, rng("coarse")) for copy, take in copies.items()):
+        return fitted
+    return fit(h, tuple(copies.values()), fitted.values, rng("fit"))
 
 
 def in_steps_of(problem: Problem, takes: Mapping[Take, Take]) -> Problem:

@@ -223,11 +223,13 @@ def fit(
     near = with_given_scales(near, torques, deadline.part(0.55))
     if extended:
         progress.stage("extend")
+        known = near.problem.hypothesis
         near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.6))
         near = extend(near, train, seen, deadline.part(0.62), progress.update)
         h = near.problem.hypothesis
         free, torques = h.bounds[1] > h.bounds[0], near.problem.torques or agreement(h, train)
-        near = with_given_scales(near, torques, deadline.part(0.64))  # what is scaled alike may be a new law
+        if h is not known:  # a new law may be what is scaled alike
+            near = with_given_scales(near, torques, deadline.part(0.64))
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
     x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])

@@ -40,6 +40,8 @@ def with_given_scales(near: Linearised, torques: Agreement, deadline: Deadline) 
         return near
     cost = _cost(problem, x)
     for scale in torques.at_given_scales(x, *problem.hypothesis.bounds):
+        if deadline.over:
+            break
         y = _toward_given(problem, torques, x, scale, ALIKE * cost)
         if y is not None:
             x, cost, left[scale] = y, min(cost, _cost(problem, y)), False
@@ -60,7 +62,7 @@ def _toward_given(problem: Problem, torques: Agreement, x: Array, scale: int, mo
 
     if _cost(problem, at(1.0)) <= most:
         return at(1.0)
-    if _cost(problem, at(NEARER)) > most:
+    if not _cost(problem, at(NEARER)) <= most:  # nor where it is no number
         return None
     least, beyond = NEARER, 1.0
     for _ in range(HALVINGS):

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.coarse import coarse
+from torchrl_athletic.diagnosis.coarse import coarse, fit_in_steps_of
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims
-from torchrl_athletic.diagnosis.fit import fit as fit_of
 from torchrl_athletic.diagnosis.fitting import Fit, fit
 from torchrl_athletic.diagnosis.replay import follow_targets
 from torchrl_athletic.diagnosis.screen import Atom, Candidate, Key, candidates_for
@@ -88,12 +87,12 @@ def asked_of_motion(ready: Ready, run: Run, proposed: Sequence[Fitted]) -> Asked
     h, starts = _offered(ready, proposed)
 
     def compute() -> Asked:
-        takes = tuple(coarse(train.takes, h, h.nominal, given.rng("coarse")))
+        takes = coarse(train.takes, h, h.nominal, given.rng("coarse"))
         left = run.left(SPENDING.to_select)
         deadline = Deadline(np.inf if left is None else left)
-        found = select(h, takes, given.rng("motion"), deadline, agreement(h, train), starts)
-        long = takes if follow_targets(train.takes) else train.takes  # each step of those has to be looked at
-        fitted = fit_of(found.hypothesis, long, found.values, given.rng("fit"))
+        found = select(h, tuple(takes), given.rng("motion"), deadline, agreement(h, train), starts)
+        copies = takes if follow_targets(train.takes) else {take: take for take in train.takes}  # these are cheap
+        fitted = fit_in_steps_of(copies, found.hypothesis, found.values, given.rng)
         return Asked(fitted, found.shares, found.rivals, h.terms, found.complete)
 
     def encode(asked: Asked) -> dict[str, Any]:

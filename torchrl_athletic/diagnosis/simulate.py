@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.coarse import coarse
+from torchrl_athletic.diagnosis.coarse import coarse, fit_in_steps_of
 from torchrl_athletic.diagnosis.compare import follows, open_share, score, well_started
 from torchrl_athletic.diagnosis.decide import decided_by, fewest, torque_is_open
 from torchrl_athletic.diagnosis.fit import (
@@ -18,7 +18,6 @@ from torchrl_athletic.diagnosis.fit import (
     Hypothesis,
     as_trims,
     draw_windows,
-    fit,
     idle_terms,
     set_back_together,
     shares_closed,
@@ -204,10 +203,9 @@ def _trial(proposal: Proposal, proposed: Proposed, run: Run) -> Trial:
     given = ready.given
     adjusted = set().union(*map(_adjusted, proposed.options))
     hypothesis, start = _hypothesis(proposal, drive, adjusted)
-    takes = _in_long_steps(ready, hypothesis, start)
 
     def compute() -> Fitted:
-        return fit(hypothesis, takes, start, given.rng("fit"))
+        return fit_in_steps_of(_in_long_steps(ready, hypothesis, start), hypothesis, start, given.rng)
 
     def decode(content: dict[str, Any]) -> Fitted:
         samples = np.array(content["samples"]).reshape(len(content["samples"]), len(content["values"]))
@@ -215,19 +213,20 @@ def _trial(proposal: Proposal, proposed: Proposed, run: Run) -> Trial:
 
     fitted = run.checkpoint.result(key_of(hypothesis, start), compute, _encode, decode)
     direct = keys(drive.best.fit.terms) if drive else ()  # two channels show it
+    takes = tuple(_in_long_steps(ready, hypothesis, fitted.values))
     idle = [c for c in idle_terms(fitted, takes, given.rng("idle")) if c.key not in direct]
     return scored(proposal, _without_small(without(fitted, idle), given), ready)
 
 
-def _in_long_steps(ready: Ready, hypothesis: Hypothesis, start: Array) -> Sequence[Take]:
-    """Recordings to fit: of an arm that follows targets, which is looked at step by step, in fewer steps.
+def _in_long_steps(ready: Ready, h: Hypothesis, values: Array) -> Mapping[Take, Take]:
+    """Copies of the fitted recordings -> these: of an arm that follows targets, which each step asks, in fewer steps.
 
     But not of gears, whose teeth meet within a step.
     """
     takes = ready.train.takes
-    if not follow_targets(takes) or any(c.effect.of_accelerations for c in hypothesis.terms):
-        return takes
-    return tuple(coarse(takes, hypothesis, start, ready.given.rng("coarse")))
+    if not follow_targets(takes) or any(c.effect.of_accelerations for c in h.terms):
+        return {take: take for take in takes}
+    return coarse(takes, h, values, ready.given.rng("coarse"))
 
 
 def _without_small(fitted: Fitted, given: Given) -> Fitted:

@@ -67,7 +67,9 @@ def state(decided: Decided, stopped_in: str = "") -> Stated:
     findings = _findings(decided)
     verdict, share = _verdict(decided, findings)
     correction, own = Correction(None, {split: uncorrected(score) for split, score in scores.items()}), False
-    helpful = [t for t in (trial, *decided.beside) if t is not None and not harms(t.scores["train"])]
+    helpful = [t for t in decided.beside if t.scores["train"].after < t.scores["train"].before]
+    if trial is not None and not harms(trial.scores["train"]):
+        helpful = [trial, *helpful]
     harmful = trial is not None and not helpful
     if trial is not None and helpful and verdict != "nothing_missing":
         followed = _best_followed(trial, helpful)
@@ -162,8 +164,11 @@ def _best_followed(trial: Trial, helpful: Sequence[Trial]) -> Correction:
     what = "the standard joints" if of.joints else "what the torques alone speak for"
     what = "what the motion asks for" if of.motion else what
     kind = "recordings that were kept aside" if split == "heldout" else "the fitted recordings"
-    said = f"The corrected simulation has {what} instead of what is named: {kind} are followed"
-    return Correction(best.fitted, best.scores, (f"{said} with {100 * other.after / own.after:.0f} % of the error.",))
+    why = "which makes the fitted recordings worse"
+    if trial in helpful:
+        why = f"{kind} are followed with {100 * other.after / own.after:.0f} % of the error"
+    said = f"The corrected simulation has {what} instead of what is named{':' if trial in helpful else ','} {why}."
+    return Correction(best.fitted, best.scores, (said,))
 
 
 def _kept(correction: Correction, ready: Ready) -> Correction:
