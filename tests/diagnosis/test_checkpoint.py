@@ -48,7 +48,7 @@ def counted(monkeypatch, module, name):
 
 @pytest.mark.parametrize(
     ("stage", "module", "name"),
-    [("propose", propose, "search"), ("simulate", simulate, "fit"), ("simulate", simulate, "score")],
+    [("propose", propose, "search"), ("simulate", simulate, "fit_in_steps_of"), ("simulate", simulate, "score")],
 )
 def test_ctrl_c_leaves_a_partial_report_and_the_next_run_completes_it(
     stage, module, name, recordings, undisturbed, monkeypatch, tmp_path
@@ -64,7 +64,7 @@ def test_ctrl_c_leaves_a_partial_report_and_the_next_run_completes_it(
     assert "<html" in (tmp_path / "report.html").read_text()
     assert (tmp_path / "corrected.xml").exists()
     assert not list(tmp_path.glob(".*"))  # nothing half written
-    fits = counted(monkeypatch, simulate, "fit")
+    fits = counted(monkeypatch, simulate, "fit_in_steps_of")
     resumed = run(recordings, tmp_path)
     assert bool(fits) == (name != "score")
     assert resumed.answer == undisturbed.answer
