@@ -60,8 +60,8 @@ def _toward_given(problem: Problem, torques: Agreement, x: Array, scale: int, mo
         y[index] = values
         return y
 
-    if _cost(problem, at(1.0)) <= most:
-        return at(1.0)
+    if _cost(problem, given := at(1.0)) <= most:
+        return given
     if not _cost(problem, at(NEARER)) <= most:  # nor where it is no number
         return None
     least, beyond = NEARER, 1.0

@@ -157,17 +157,16 @@ def _best_followed(trial: Trial, helpful: Sequence[Trial]) -> Correction:
     """
     split = "heldout" if "heldout" in trial.scores else "train"
     best = min(helpful, key=lambda t: t.scores[split].after)
-    own, other = trial.scores[split], best.scores[split]
-    if trial in helpful and own.after <= max(WORSE * other.after, NOISE * own.floor):
+    own, other, helps = trial.scores[split], best.scores[split], trial in helpful
+    if helps and own.after <= max(WORSE * other.after, NOISE * own.floor):
         return Correction(trial.fitted, trial.scores)
     of = best.proposal
     what = "the standard joints" if of.joints else "what the torques alone speak for"
     what = "what the motion asks for" if of.motion else what
     kind = "recordings that were kept aside" if split == "heldout" else "the fitted recordings"
-    why = "which makes the fitted recordings worse"
-    if trial in helpful:
-        why = f"{kind} are followed with {100 * other.after / own.after:.0f} % of the error"
-    said = f"The corrected simulation has {what} instead of what is named{':' if trial in helpful else ','} {why}."
+    followed = f": {kind} are followed with {100 * other.after / own.after:.0f} % of the error"
+    why = followed if helps else ", which makes the fitted recordings worse"
+    said = f"The corrected simulation has {what} instead of what is named{why}."
     return Correction(best.fitted, best.scores, (said,))
 
 
