@@ -9,8 +9,8 @@ from diagnosis.plants import STEP, pendulum, record, smooth_torque
 
 from torchrl_athletic.diagnosis.coarse import ALIKE, LONGEST, coarse, fit_in_steps_of, in_steps_of, moves_alike
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis
-from torchrl_athletic.diagnosis.joint_fit import problem_of
 from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.problem import problem_of
 
 NOTHING = Hypothesis(())
 

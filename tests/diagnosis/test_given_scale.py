@@ -10,10 +10,12 @@ from diagnosis.test_joint_fit import TABLE, h_places
 
 from torchrl_athletic.diagnosis import given_scale
 from torchrl_athletic.diagnosis.deadline import Deadline
+from torchrl_athletic.diagnosis.descent import linearise
 from torchrl_athletic.diagnosis.fit import WINDOW
 from torchrl_athletic.diagnosis.given_scale import held_back, with_given_scales
-from torchrl_athletic.diagnosis.joint_fit import linearise, problem_of, trusted
+from torchrl_athletic.diagnosis.joint_fit import trusted
 from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.problem import problem_of
 from torchrl_athletic.diagnosis.standard import agreement, seen_in, standard_joints
 
 WEAK = 0.2

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.fit import WINDOW, Fitted, Hypothesis, draw_windows, fit
-from torchrl_athletic.diagnosis.joint_fit import Problem
+from torchrl_athletic.diagnosis.problem import Problem
 from torchrl_athletic.diagnosis.replay import Take, simulate
 
 Array = NDArray[np.float64]

@@ -14,27 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.deadline import Deadline
+from torchrl_athletic.diagnosis.descent import Linearised, descend, linearise
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.joint_fit import (
-    GAIN,
-    Linearised,
-    Mask,
-    descend,
-    evenly,
-    folded,
-    folds_of,
-    follows_better,
-    gain_of,
-    independent,
-    linearise,
-    part_of,
-    search,
-    stated,
-    trusted,
-    weighed,
-    window_cost,
-)
+from torchrl_athletic.diagnosis.joint_fit import GAIN, folded, follows_better, gain_of, search, stated, trusted
 from torchrl_athletic.diagnosis.prepare import Prepared
+from torchrl_athletic.diagnosis.problem import Mask, evenly, folds_of, independent, part_of, weighed, window_cost
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.standard import NONLINEAR, ROOM, Seen, agreement, columns_of
 from torchrl_athletic.effects import (

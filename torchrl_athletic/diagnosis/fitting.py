@@ -16,27 +16,16 @@ from torchrl_athletic.diagnosis.compare import harms, score
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml, logged_gains
 from torchrl_athletic.diagnosis.deadline import Deadline
+from torchrl_athletic.diagnosis.descent import Linearised, descend, linearise
 from torchrl_athletic.diagnosis.extension import extend, with_gear
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.given_scale import held_back, with_given_scales
-from torchrl_athletic.diagnosis.joint_fit import (
-    MOST,
-    Linearised,
-    Problem,
-    affordable,
-    best_of,
-    descend,
-    linearise,
-    prune,
-    search,
-    tellings,
-    weighed,
-    window_cost,
-)
+from torchrl_athletic.diagnosis.joint_fit import MOST, affordable, best_of, prune, search
 from torchrl_athletic.diagnosis.memory import free_memory
 from torchrl_athletic.diagnosis.model import Model, load_model
 from torchrl_athletic.diagnosis.prepare import Drive, Prepared, prepare
+from torchrl_athletic.diagnosis.problem import Problem, tellings, weighed, window_cost
 from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate

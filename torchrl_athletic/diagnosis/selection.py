@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.deadline import Deadline
+from torchrl_athletic.diagnosis.descent import descend
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis
-from torchrl_athletic.diagnosis.joint_fit import (
+from torchrl_athletic.diagnosis.joint_fit import gain_of
+from torchrl_athletic.diagnosis.problem import (
     Mask,
     Problem,
-    descend,
     evenly,
-    gain_of,
     independent,
     part_of,
     problem_of,

@@ -1,0 +1,263 @@
+"""Bounded least squares: each step must be the best of those that are tried, and no more than windows say."""
+
+import sys
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from diagnosis.test_problem import each_its_own, following, take_like
+
+from torchrl_athletic.diagnosis import problem as windows_module
+from torchrl_athletic.diagnosis.deadline import Deadline
+from torchrl_athletic.diagnosis.descent import Linearised, descend, linearise
+from torchrl_athletic.diagnosis.replay import Windows
+
+module = sys.modules["torchrl_athletic.diagnosis.descent"]
+
+
+def damped(monkeypatch, *tried):
+    """Let the first steps that are tried at once be damped like this."""
+    monkeypatch.setattr(module, "DAMPING", max(tried))
+    monkeypatch.setattr(module, "AROUND", tuple(t / max(*tried, 1e-9) for t in tried))
+
+
+def test_a_descent_weighs_windows_and_joints_as_its_problem_does(monkeypatch):
+    """One whole step by one slope, on two windows that ask for 1 and 3, of which the second weighs three times."""
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0))
+    damped(monkeypatch, 0.0)
+    monkeypatch.setattr(module, "STEPS", 1)
+    for begin, unit in ((7.0, 0.1), (-7.0, 1e3)):
+        uneven = replace(problem, weight=np.array([1.0, 3.0]), unit=np.array([unit]))
+        assert descend(uneven, np.array([begin]), np.array([True]), 1, Deadline()) == pytest.approx([2.5], rel=1e-4)
+
+
+@pytest.mark.parametrize(("low", "ends"), [(-99.0, -2.0), (-1.5, -1.5)])
+def test_what_moves_is_counted_in_its_own_unit_and_stops_at_its_own_bound(monkeypatch, low, ends):
+    windows = Windows(take_like(9, truth=[1.0, -2.0]), np.array([0, 4]), 4)
+    problem, _ = following(monkeypatch, windows, nominal=(0.0, 0.0))
+    problem.hypothesis.scale = np.array([9.0, 0.25])
+    problem.hypothesis.bounds = (np.array([-0.1, low]), np.array([0.1, 9.0]))
+    damped(monkeypatch, 0.0)
+    monkeypatch.setattr(module, "STEPS", 1)
+    x = descend(problem, np.array([0.05, 5.0]), np.array([False, True]), 1, Deadline())
+    assert x == pytest.approx([0.05, ends], rel=1e-4)
+
+
+@pytest.mark.parametrize("damping", [(0.0,), (1e3, 0.0)])
+def test_a_slope_is_mended_by_what_each_step_showed(monkeypatch, damping):
+    """On an arc tangent, five steps from one by the first slope alone would end a quarter away from its zero."""
+    problem = bent(monkeypatch, damping)
+    assert abs(descend(problem, np.array([1.0]), np.array([True]), 1, Deadline())[0]) < 1e-3
+
+
+def test_a_step_solves_for_the_windows_that_are_asked_and_for_their_share_of_the_torques(monkeypatch):
+    """By hand: (x - 1)², (x - 3)² of two windows and (x - 5)² of the torques, half of it for one window."""
+    torques = SimpleNamespace(rows=lambda values: 5.0 * (values[:, 0] - 5.0)[None])  # 0.02 · 2 windows · 25 = 1
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0), nominal=(-1.0,), scale=0.5, torques=torques)
+    near = linearise(problem, np.array([2.0]), np.array([True]))
+    yes, no = np.array([True]), np.array([False])
+    both, first = np.array([True, True]), np.array([True, False])
+    assert near.step(both, no) == pytest.approx([3.0], rel=1e-4)
+    assert near.step(first, no) == pytest.approx([(1 + 2.5) / 1.5], rel=1e-4)
+    assert near.move(both, no) == pytest.approx([2.0], rel=1e-4)  # units of 0.5
+    assert near.step(both, yes).tolist() == [-1.0]
+    uneven = linearise(replace(problem, torques=None, weight=np.array([2.0, 6.0])), np.array([2.0]), yes)
+    assert uneven.step(both, no) == pytest.approx([(1 + 3 * 3) / 4], rel=1e-4)
+    assert replace(uneven, ridge=1.0).step(both, no) == pytest.approx([2.25], rel=1e-4)  # half of the way
+    alone = linearise(replace(problem, torques=None), np.array([2.0]), yes)
+    for high, ends in ((2.5, 2.5), (99.0, 3.0)):
+        problem.hypothesis.bounds = (np.array([0.0]), np.array([high]))
+        assert alone.step(~first, no) == pytest.approx([ends], rel=1e-4)
+
+
+@pytest.mark.parametrize("x", [0.0, 1.0])
+def test_differences_are_taken_into_the_bounds(monkeypatch, x):
+    problem, asked = following(monkeypatch, each_its_own(3.0, 3.0, length=1), nominal=(0.0, 0.0), low=0.0, high=1.0)
+    near = linearise(problem, np.array([x, 0.5]), np.array([True, False]))
+    assert 0.0 <= min(a.min() for a in asked) <= max(a.max() for a in asked) <= 1.0
+    assert all((a[:, 1] == 0.5).all() for a in asked)
+    np.testing.assert_allclose(near.columns, [[1.0], [0.0], [1.0], [0.0]], atol=1e-9)
+    assert near.errors.tolist() == [x - 3.0, -2.5] * 2
+    assert 0 < near.seconds < 60
+
+
+def test_a_difference_is_a_hundredth_of_a_unit_up_as_long_as_its_own_bound_leaves_room(monkeypatch):
+    problem, asked = following(monkeypatch, each_its_own(3.0, length=1), nominal=(0.0, 0.0), scale=0.5)
+    problem.hypothesis.bounds = (np.zeros(2), np.array([9.0, 1.0]))
+    for x, tried in ((0.992, 0.997), (0.996, 0.991)):
+        linearise(problem, np.array([0.5, x]), np.array([False, True]))
+        assert asked[-1][:, 1] == pytest.approx([x, tried])
+
+
+def test_a_descent_ends_at_the_least_squares_or_at_the_bound_before_it_and_moves_only_what_may(monkeypatch):
+    windows = Windows(take_like(9, truth=[1.0, -2.0]), np.array([0, 4]), 4)
+    problem, _ = following(monkeypatch, windows, nominal=(0.0, 0.0), low=-1.5, high=9.0, scale=0.25)
+    begin = np.array([7.0, 5.0])
+    assert descend(problem, begin, np.array([True, True]), 3, Deadline()) == pytest.approx([1.0, -1.5], abs=1e-3)
+    assert descend(problem, begin, np.array([True, False]), 3, Deadline()) == pytest.approx([1.0, 5.0], abs=1e-3)
+    assert descend(problem, begin, np.array([False, False]), 3, Deadline()) is begin
+    damped(monkeypatch, 10.0, 0.0)
+    monkeypatch.setattr(module, "STEPS", 1)  # the longer of two
+    assert descend(problem, begin, np.array([True, True]), 1, Deadline()) == pytest.approx([1.0, -1.5], abs=1e-3)
+
+
+def bent(monkeypatch, damping, steps=5):
+    """A problem whose error is the arc tangent of its only number, so that a whole step from 2 leads to -3.5."""
+    problem, _ = following(monkeypatch, each_its_own(0.0, 0.0))
+    wave = lambda w: w.take.wave[w.index][None, :, :, None]  # noqa: E731
+    monkeypatch.setattr(windows_module, "simulate", lambda w, build, values: np.arctan(values)[:, None, None] * wave(w))
+    damped(monkeypatch, *damping)
+    monkeypatch.setattr(module, "STEPS", steps)
+    return problem
+
+
+def test_a_step_that_would_go_too_far_is_damped_and_one_that_is_worse_is_not_taken(monkeypatch):
+    free, begin = np.array([True]), np.array([2.0])
+    assert descend(bent(monkeypatch, (0.0,)), begin, free, 1, Deadline()) == pytest.approx(begin)
+    assert abs(descend(bent(monkeypatch, (0.0, 0.1, 1.0)), begin, free, 3, Deadline())[0]) < 0.1
+
+
+def test_each_of_several_steps_by_one_slope_goes_on_with_what_the_last_one_learned(monkeypatch):
+    """On a straight line the slope stays: damped by ten, each step goes an eleventh of the rest of the way."""
+    problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
+    damped(monkeypatch, 10.0)
+    free = np.array([True])
+    x, _, saved = module._steps(problem, linearise(problem, np.array([12.0]), free), module.DAMPING, Deadline())
+    assert x == pytest.approx([1 + 11 * (10 / 11) ** 5], rel=1e-4)
+    assert saved == pytest.approx(1 - (10 / 11) ** 10, rel=1e-3)
+    near = linearise(problem, np.array([12.0]), free)
+    out_of_time, *_ = module._steps(problem, near, module.DAMPING, Deadline(0.0))
+    assert out_of_time == pytest.approx([11.0], rel=1e-4)
+    damped(monkeypatch, 1e4)  # which saves two parts of ten thousand
+    assert module._steps(problem, near, module.DAMPING, Deadline())[0] == pytest.approx([12 - 11e-4], abs=1e-5)
+
+
+def test_a_descent_pays_for_contradicting_the_torques(monkeypatch):
+    """(x - 1)², (x - 3)² of two windows and (x - 5)² of the torques."""
+    torques = SimpleNamespace(rows=lambda values: 5.0 * (values[:, 0] - 5.0)[None])
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0), torques=torques)
+    assert descend(problem, np.array([3.5]), np.array([True]), 2, Deadline()) == pytest.approx([3.0], abs=1e-3)
+
+
+def test_a_number_is_shown_by_two_ten_thousandths_of_a_typical_error_a_window():
+    curvature = 5 * 4e-8 * np.array([0.99, 1.01])
+    assert module._hidden(curvature, 5).tolist() == [True, False]
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_number_that_no_window_shows_stays_where_it_is(monkeypatch, way):
+    """A nothing of a slope, by the difference of two windows, would carry it to its bound, past a stop at 5."""
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0), nominal=(0.0, 0.5))
+
+    def simulate(w, build, values):
+        side = way * np.where(w.index > 4, 1e-7, -1e-7)[None, :, :, None]
+        x, hidden = values[:, :1, None, None], values[:, 1:, None, None]
+        return (x + side * hidden + 50.0 * (np.abs(hidden) > 5.0)) * np.ones(2)
+
+    monkeypatch.setattr(windows_module, "simulate", simulate)
+    free = np.array([True, True])
+    assert descend(problem, np.array([9.0, 0.0]), free, 3, Deadline()) == pytest.approx([2.0, 0.0], abs=1e-3)
+    near = linearise(problem, np.array([2.0, 0.0]), free)
+    assert near.step(np.array([True, False]), ~free) == pytest.approx([1.0, 0.0], abs=1e-3)
+    home = near.step(np.array([True, False]), np.array([False, True]))
+    assert home[1] == pytest.approx(0.5)  # what is held is the given model's, shown or not
+
+
+def test_a_descent_goes_on_from_where_it_is_as_long_as_it_pays(monkeypatch):
+    """Its first slope may be given; each other one is taken where the last one ended."""
+    problem, _ = following(monkeypatch, each_its_own(1.0))
+    taken = lambda problem, x, free, groups: SimpleNamespace(seconds=0.0, values=x)  # noqa: E731
+    monkeypatch.setattr(module, "linearise", taken)
+    saved, asked = iter([0.5, 0.002, 0.0005, 0.5, 0.5]), []
+
+    def steps(problem, near, damping, deadline):
+        asked.append(damping)
+        return near.values + 1, 7.0, next(saved)
+
+    monkeypatch.setattr(module, "_steps", steps)
+    given = SimpleNamespace(seconds=0.0, values=np.array([10.0]))
+    free = np.array([True])
+    assert descend(problem, np.zeros(1), free, 2, Deadline(), given).tolist() == [12.0]
+    assert asked == [module.DAMPING, 7.0]  # each slope goes on with the damping that the last one liked
+    assert descend(problem, np.zeros(1), free, 5, Deadline()).tolist() == [1.0]  # 0.05 % is not worth a slope
+    slow = SimpleNamespace(seconds=100.0, values=np.array([10.0]))
+    assert descend(problem, np.zeros(1), free, 2, Deadline(120.0), slow).tolist() == [11.0]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_what_is_held_goes_to_the_given_models_number(side):
+    h = SimpleNamespace(
+        scale=np.array([0.5, 0.1]), nominal=np.array([3.0 - side, 1.0]), bounds=(np.full(2, -9.0), np.full(2, 9.0))
+    )
+    problem = SimpleNamespace(hypothesis=h, row_weight=np.ones(3), window=np.array([0, 0, 0]))
+    columns = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    near = Linearised(
+        problem, np.array([3.0, 1.0]), np.ones(2, dtype=bool), np.zeros(3), columns, np.zeros(1), np.zeros((1, 2))
+    )
+    one = np.ones(1, dtype=bool)
+    assert near.move(one, np.array([True, True])) == pytest.approx([-2.0 * side, 0.0])
+    other = near.move(one, np.array([True, False]))
+    assert other == pytest.approx([-2.0 * side, 1.0 * side], rel=1e-4)  # which makes up for it
+    assert near.step(one, np.array([True, True])) == pytest.approx([3.0 - side, 1.0])
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_numbers_of_one_kind_that_move_their_own_joints_are_moved_together(monkeypatch, own):
+    """Three joints, two of whose numbers may move: a row for the solution, and one for both or one for each."""
+    take = take_like(9, truth=[1.0, -2.0, 3.0])
+    problem, asked = following(monkeypatch, Windows(take, np.array([0, 4]), 4), nominal=(0.0,) * 3, own=own)
+    x, free = np.array([0.5, 0.5, 99.0]), np.array([True, False, True])
+    groups = module._alike(problem.hypothesis, free)
+    near = linearise(problem, x, free, groups)
+    assert [g.tolist() for g in groups] == ([[0, 1]] if own else [[0], [1]])
+    moved = [[0.51, 0.5, 98.99]] if own else [[0.51, 0.5, 99.0], [0.5, 0.5, 98.99]]  # and none beyond its bound
+    np.testing.assert_allclose(asked[-1], [x, *moved])
+    whole = linearise(problem, x, free)
+    np.testing.assert_allclose(near.columns, whole.columns, atol=1e-9)
+    np.testing.assert_array_equal(near.errors, whole.errors)
+
+
+def test_what_other_joints_feel_of_a_number_is_left_out_of_a_slope_joint_by_joint(monkeypatch):
+    problem, _ = following(monkeypatch, Windows(take_like(5, truth=[0.0, 0.0]), np.array([0]), 4), nominal=(0.0, 0.0))
+    passed_on = np.array([[1.0, 0.1], [0.2, 1.0]])
+
+    def simulate(w, build, values):
+        return (values @ passed_on)[:, None, None, :] * w.take.wave[w.index][None, :, :, None]
+
+    monkeypatch.setattr(windows_module, "simulate", simulate)
+    x, free = np.zeros(2), np.array([True, True])
+    whole, apart = linearise(problem, x, free).columns, linearise(problem, x, free, [np.array([0, 1])]).columns
+    first, second = apart[0::2], apart[1::2]
+    assert (first[:, 1] == 0).all()
+    assert (second[:, 0] == 0).all()
+    # what another joint of the group passes on cannot be told from a number's own
+    np.testing.assert_allclose(first[:, 0], whole[0::2].sum(1), rtol=1e-9)
+    np.testing.assert_allclose(second[:, 1], whole[1::2].sum(1), rtol=1e-9)
+
+
+def test_slopes_joint_by_joint_stand_for_the_first_two_and_whole_ones_end_a_descent(monkeypatch):
+    """Each as long as it pays; whole ones at most as often as they are asked for beyond."""
+    take = take_like(9, truth=[1.0, -2.0])
+    problem, _ = following(monkeypatch, Windows(take, np.array([0, 4]), 4), nominal=(0.0, 0.0), own=True)
+    taken, free = [], np.array([True, True])
+    monkeypatch.setattr(
+        module, "linearise",
+        lambda problem, x, free, groups: taken.append(groups is None) or SimpleNamespace(seconds=1.0, values=x),
+    )  # fmt: skip
+    for slopes, saved, first, kinds in (
+        (1, [0.5, 0.005], None, [False, False]),
+        (2, [0.5, 0.02, 0.005], None, [False, False, False]),
+        (3, [0.5, 0.005, 0.5, 0.005], None, [False, False, True, False]),
+        (3, [0.5, 0.005, 0.0005], None, [False, False, True]),
+        (4, [0.005, 0.5, 0.005, 0.002, 0.005], None, [False, True, False, True, False]),
+        (1, [0.9] * 99, None, [False] * module.ROUNDS),
+        (1, [0.5], "known", []),
+        (2, [0.5, 0.005], "known", [False]),
+    ):
+        left = iter(saved)
+        monkeypatch.setattr(module, "_steps", lambda problem, near, *_, left=left: (near.values, 1.0, next(left)))
+        taken.clear()
+        known = first and SimpleNamespace(seconds=1.0, values=np.zeros(2))
+        descend(problem, np.zeros(2), free, slopes, Deadline(), known)
+        assert taken == kinds, (slopes, saved)
