@@ -208,7 +208,7 @@ def test_numbers_of_one_kind_that_move_their_own_joints_are_moved_together(monke
     take = take_like(9, truth=[1.0, -2.0, 3.0])
     problem, asked = following(monkeypatch, Windows(take, np.array([0, 4]), 4), nominal=(0.0,) * 3, own=own)
     x, free = np.array([0.5, 0.5, 99.0]), np.array([True, False, True])
-    groups = module._alike(problem.hypothesis, free)
+    groups = problem.hypothesis.alike(free)
     near = linearise(problem, x, free, groups)
     assert [g.tolist() for g in groups] == ([[0, 1]] if own else [[0], [1]])
     moved = [[0.51, 0.5, 98.99]] if own else [[0.51, 0.5, 99.0], [0.5, 0.5, 98.99]]  # and none beyond its bound
@@ -252,8 +252,9 @@ def test_slopes_joint_by_joint_stand_for_the_first_two_and_whole_ones_end_a_desc
         (3, [0.5, 0.005, 0.0005], None, [False, False, True]),
         (4, [0.005, 0.5, 0.005, 0.002, 0.005], None, [False, True, False, True, False]),
         (1, [0.9] * 99, None, [False] * module.ROUNDS),
-        (1, [0.5], "known", []),
-        (2, [0.5, 0.005], "known", [False]),
+        (1, [0.5], "known", []),  # near a solution
+        (3, [0.5, 0.005, 0.5], "known", [True, True]),
+        (3, [0.0005], "known", []),
     ):
         left = iter(saved)
         monkeypatch.setattr(module, "_steps", lambda problem, near, *_, left=left: (near.values, 1.0, next(left)))

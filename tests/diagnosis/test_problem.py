@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.problem import Problem, folds_of, in_units, part_of, problem_of, window_cost
 from torchrl_athletic.diagnosis.replay import Windows
 
@@ -36,12 +37,13 @@ def following(monkeypatch, *windows, nominal=(0.0,), low=-99.0, high=99.0, scale
     monkeypatch.setattr(module, "simulate", simulate)
     ones, effect, size = (
         np.ones(len(nominal)),
-        SimpleNamespace(name="wave", own_joint=own),
+        SimpleNamespace(name="wave", own_joint=own, moves_own_joint=False),
         SimpleNamespace(name="size"),
     )
     h = SimpleNamespace(
         terms=tuple(SimpleNamespace(joint=j, effect=effect, parameters=(size,)) for j in range(len(ones))), build=None,
-        nominal=np.array(nominal, dtype=float), scale=scale * ones, bounds=(low * ones, high * ones),
+        nominal=np.array(nominal, dtype=float), scale=scale * ones, bounds=(low * ones, high * ones), trims=(),
+        alike=lambda free: Hypothesis.alike(h, free),
     )  # fmt: skip
     count = sum(len(w.start) for w in windows)
     return Problem(h, windows, ones, np.ones(count), torques=torques), asked

@@ -11,14 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.deadline import Deadline
-from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.fit import Groups
 from torchrl_athletic.diagnosis.problem import Problem
 from torchrl_athletic.diagnosis.screen import bounded_least_squares
-from torchrl_athletic.diagnosis.standard import STANDARD
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Groups = Sequence[NDArray[np.intp]]
 
 STEPS = 5
 """Steps by one Jacobian, which each of them mends (Broyden 1965)."""
@@ -45,9 +43,8 @@ def descend(
 ) -> Array:
     """Bounded least squares from values (P,) over the free parameters; what is not free stays. Shape (P,).
 
-    Each Jacobian is by finite differences, all of whose columns are one batch, and serves several steps. Where joints
-    are several, Jacobians joint by joint come first, for as long as they help; they stand for :data:`JOINTWISE` whole
-    ones.
+    Each Jacobian is by finite differences, all of whose columns are one batch, and serves several steps. Far from a
+    solution Jacobians joint by joint come first, for as long as they help; they stand for :data:`JOINTWISE` whole ones.
 
     Args:
         problem: What to minimise.
@@ -55,24 +52,23 @@ def descend(
         free: Which of them may move.
         slopes: Jacobians at most.
         deadline: After which none is begun.
-        first: The first Jacobian, if it is known; of any weights.
+        first: The first Jacobian, if it is known, as it is near a solution; of any weights.
     """
     if not free.any():
         return x
-    damping, known, seconds = DAMPING, 0, 0.0
+    alike, whole = problem.hypothesis.alike(free), [None] * slopes
     if first is not None:
-        x, damping, _ = _steps(problem, first, damping, deadline)
-        known, seconds = 1, first.seconds
-    alike = _alike(problem.hypothesis, free)
-    if slopes == known or len(alike) == free.sum():
-        return _descended(problem, x, free, [None] * (slopes - known), damping, deadline, seconds)[0]
-    share = len(alike) / int(free.sum())
-    for whole in range(max(slopes - JOINTWISE, 0) + 1):
-        if whole:
-            x, damping, saved = _descended(problem, x, free, [None], damping, deadline, seconds)
-            if saved < FLAT:
-                break
-        x, damping, _ = _descended(problem, x, free, [alike] * ROUNDS, damping, deadline, share * seconds)
+        x, damping, saved = _steps(problem, first, DAMPING, deadline)
+        rest = whole[1:] if saved >= FLAT else []
+        return _descended(problem, x, free, rest, damping, deadline, first.seconds)[0]
+    if len(alike) == free.sum():
+        return _descended(problem, x, free, whole, DAMPING, deadline)[0]
+    x, damping, _ = _descended(problem, x, free, [alike] * ROUNDS, DAMPING, deadline)
+    for _ in whole[JOINTWISE:]:
+        x, damping, saved = _descended(problem, x, free, [None], damping, deadline)
+        if saved < FLAT:
+            break
+        x, damping, _ = _descended(problem, x, free, [alike] * ROUNDS, damping, deadline)
     return x
 
 
@@ -83,7 +79,7 @@ def _descended(
     slopes: Sequence[Groups | None],
     damping: float,
     deadline: Deadline,
-    seconds: float,
+    seconds: float = 0.0,
 ) -> tuple[Array, float, float]:
     """As :func:`_steps`, by one Jacobian after the other, each with the groups that :func:`linearise` takes.
 
@@ -99,20 +95,6 @@ def _descended(
         if saved < (FLAT if groups is None else FLAT_JOINTWISE):
             break
     return x, damping, saved
-
-
-def _alike(h: Hypothesis, free: Mask) -> Groups:
-    """Groups of the free parameters, as indices among them: like ones of all joints, each of which moves its own joint.
-
-    What belongs to links or to the whole robot is a group of its own.
-    """
-    groups: dict[tuple[str, ...] | int, list[int]] = {}
-    place = [(c, p.name) for c in h.terms for p in c.parameters]
-    for k, i in enumerate(np.flatnonzero(free)):
-        c, name = place[i]
-        own = c.effect.own_joint or isinstance(c.effect, STANDARD)
-        groups.setdefault((c.effect.name, name) if own else k, []).append(k)
-    return [np.array(group) for group in groups.values()]
 
 
 def _steps(problem: Problem, near: Linearised, damping: float, deadline: Deadline) -> tuple[Array, float, float]:

@@ -43,8 +43,8 @@ COMPARED = 40
 """Windows of half a second by which the best of their ends are compared and improved."""
 KEPT = (4, 2)
 """Starts that go on to each further horizon."""
-SLOPES = (2, 2, 3)
-"""Jacobians for each start at those horizons, at half a second, and for the best of them at the end."""
+SLOPES = (2, 2, 3, 2)
+"""Jacobians for each start at those horizons, at half a second, for the best of them, and of this in other weights."""
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Ridges beyond :data:`RIDGE` of steps that are hard to trust [1]."""
 WORK = 5e6
@@ -61,10 +61,10 @@ GAIN = 0.02
 """Share of the error of folds that a law must save, to first order and in simulation [1]."""
 SURE = 1.0
 """Standard errors by which it must help [1]."""
+USUAL = 1.5
+"""Factor by which the error of a joint's usual windows may grow where that of all windows falls [1]."""
 SURE_WITHOUT = 2.0
 """Standard errors by which a fit must follow folds better that does without the torques: two are tried [1]."""
-USUAL = 1.1
-"""Factor by which the error of a joint's usual windows may grow where that of all windows falls [1]."""
 
 
 def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
@@ -72,30 +72,19 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
 
     What is asked is the error that is stated. Plain least squares minimises it where a few wild windows do not lead it
     astray; folds tell. Where it ends, the weighed one begins once more: it may have been stuck where it took for wild
-    what can be followed. None is better at the cost of the usual windows.
+    what can be followed. None is taken at the cost of the usual windows.
     """
-    problem, best, start = near.problem, near, near
-    for way, slopes in ((replace(problem, tuning=np.inf), 1), (problem, SLOPES[2])):
+    problem, best, least = near.problem, near, stated(near)
+    start = near
+    for way, slopes in ((replace(problem, tuning=np.inf), 1), (problem, SLOPES[3])):
         if not deadline.allows((2 + slopes) * near.seconds):
             break
         way = in_units(way, problem.squares(start.errors))
         x = descend(way, start.values, near.free, slopes, deadline, start)
         start = trusted(linearise(weighed(way, x), x, near.free))
-        if _is_preferred(start, best):
-            best = start
+        if (error := stated(start)) < least and keeps_usual(near, start):
+            best, least = start, error
     return best
-
-
-def _is_preferred(near: Linearised, other: Linearised) -> bool:
-    """Whether a fit is better than another one: by its weights if these weigh both, else by the error of folds."""
-    problem = other.problem
-    if np.isfinite(problem.tuning) and np.isfinite(near.problem.tuning):
-        costs = [
-            window_cost(problem, problem.squares(n.errors)[None]).mean() + problem.charge(n.values[None])[0]
-            for n in (near, other)
-        ]
-        return bool(costs[0] < costs[1])
-    return stated(near) < stated(other) and keeps_usual(other, near)
 
 
 def without_torques(near: Linearised, deadline: Deadline) -> Linearised:
@@ -111,35 +100,33 @@ def without_torques(near: Linearised, deadline: Deadline) -> Linearised:
         return near
     alone = replace(problem, torques=None, tuning=TUNING)
     for way in (replace(alone, tuning=np.inf), alone):
-        if not deadline.allows((1 + SLOPES[2]) * near.seconds):
+        if not deadline.allows((1 + SLOPES[3]) * near.seconds):
             break
         start = replace(start, pull=start.pull[:0], pull_columns=start.pull_columns[:0])
         way = in_units(way, problem.squares(start.errors))
-        x = descend(way, start.values, near.free, SLOPES[2], deadline, start)
+        x = descend(way, start.values, near.free, SLOPES[3], deadline, start)
         start = trusted(linearise(weighed(way, x), x, near.free))
         ridge = max(best.ridge, start.ridge)
-        if follows_better(replace(best, ridge=ridge), replace(start, ridge=ridge), SURE_WITHOUT):
+        better = follows_better(replace(best, ridge=ridge), replace(start, ridge=ridge), SURE_WITHOUT)
+        if better and keeps_usual(near, start):
             best = start
     return best
 
 
-def follows_better(near: Linearised, other: Linearised, sure: float = SURE) -> bool:
-    """Whether another fit of the same windows has less of the error that is stated, and by more than it is in doubt.
-
-    And not at the cost of the usual windows.
-    """
-    before, after = (of_folds(n).mean(1) for n in (near, other))
-    return gain_of(before, after, independent(near.problem), GAIN / 2, sure) > 0 and keeps_usual(near, other)
-
-
 def keeps_usual(near: Linearised, other: Linearised) -> bool:
-    """Whether no joint follows its usual windows worse by another fit, which minimises the error of all.
+    """Whether no joint's usual windows are followed worse, by half of their error, by what has less error in all.
 
-    Wild windows are those in which the model lacks something. A fit that is bent until it follows these better says
-    less of other motions.
+    Wild windows are those in which the model lacks something. A fit that is bent until it follows these says less of
+    other motions.
     """
     before, after = (typical(n.problem, n.problem.squares(n.errors)) for n in (near, other))
     return bool((after <= USUAL**2 * before).all())
+
+
+def follows_better(near: Linearised, other: Linearised, sure: float = SURE) -> bool:
+    """Whether another fit of the same windows has less of the error that is stated, and by more than it is in doubt."""
+    before, after = (of_folds(n).mean(1) for n in (near, other))
+    return gain_of(before, after, independent(near.problem), GAIN / 2, sure) > 0
 
 
 def gain_of(before: Array, after: Array, count: int, least: float = GAIN, sure: float = SURE) -> float:

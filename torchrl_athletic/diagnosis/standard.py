@@ -44,8 +44,6 @@ MECHANICS: tuple[Effect, ...] = (
     TorqueOffset(),
     EncoderOffset(),
 )
-STANDARD: tuple[type[Effect], ...] = (*(type(effect) for effect in MECHANICS), GainMismatch, TorqueScale)
-"""Classes of the standard joint's effects: each moves its own joint, and others by what that passes on to them."""
 ROOM = 10.0
 """Times what a recording's own torques, speeds and accelerations allow, up to which a joint's numbers may go [1]."""
 SCALES = (0.05, 20.0)
