@@ -169,7 +169,7 @@ def test_a_descent_goes_on_from_where_it_is_as_long_as_it_pays(monkeypatch):
     problem, _ = following(monkeypatch, each_its_own(1.0))
     taken = lambda problem, x, free, groups: SimpleNamespace(seconds=0.0, values=x)  # noqa: E731
     monkeypatch.setattr(module, "linearise", taken)
-    saved, asked = iter([0.5, 0.002, 0.0005, 0.5, 0.5]), []
+    saved, asked = iter([0.5, 0.002, 0.0005, 0.5, 0.5, 0.002]), []
 
     def steps(problem, near, damping, deadline):
         asked.append(damping)
@@ -179,10 +179,12 @@ def test_a_descent_goes_on_from_where_it_is_as_long_as_it_pays(monkeypatch):
     given = SimpleNamespace(seconds=0.0, values=np.array([10.0]))
     free = np.array([True])
     assert descend(problem, np.zeros(1), free, 2, Deadline(), given).tolist() == [12.0]
-    assert asked == [module.DAMPING, 7.0]  # each slope goes on with the damping that the last one liked
     assert descend(problem, np.zeros(1), free, 5, Deadline()).tolist() == [1.0]  # 0.05 % is not worth a slope
+    assert descend(problem, np.zeros(1), free, 2, Deadline()).tolist() == [2.0]
+    assert asked == [module.DAMPING] * 4 + [7.0]  # a slope goes on with the damping that the last one liked
     slow = SimpleNamespace(seconds=100.0, values=np.array([10.0]))
     assert descend(problem, np.zeros(1), free, 2, Deadline(120.0), slow).tolist() == [11.0]
+    assert descend(problem, np.zeros(1), free, 2, Deadline(0.0), given).tolist() == [0.0]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -236,8 +238,8 @@ def test_what_other_joints_feel_of_a_number_is_left_out_of_a_slope_joint_by_join
     np.testing.assert_allclose(second[:, 1], whole[1::2].sum(1), rtol=1e-9)
 
 
-def test_slopes_joint_by_joint_stand_for_the_first_two_and_whole_ones_end_a_descent(monkeypatch):
-    """Each as long as it pays; whole ones at most as often as they are asked for beyond."""
+def test_slopes_joint_by_joint_stand_for_the_first_and_a_whole_one_ends_a_descent(monkeypatch):
+    """Each as long as it pays. Near a solution, where a slope is known, all are whole."""
     take = take_like(9, truth=[1.0, -2.0])
     problem, _ = following(monkeypatch, Windows(take, np.array([0, 4]), 4), nominal=(0.0, 0.0), own=True)
     taken, free = [], np.array([True, True])
@@ -245,20 +247,73 @@ def test_slopes_joint_by_joint_stand_for_the_first_two_and_whole_ones_end_a_desc
         module, "linearise",
         lambda problem, x, free, groups: taken.append(groups is None) or SimpleNamespace(seconds=1.0, values=x),
     )  # fmt: skip
-    for slopes, saved, first, kinds in (
-        (1, [0.5, 0.005], None, [False, False]),
-        (2, [0.5, 0.02, 0.005], None, [False, False, False]),
-        (3, [0.5, 0.005, 0.5, 0.005], None, [False, False, True, False]),
-        (3, [0.5, 0.005, 0.0005], None, [False, False, True]),
-        (4, [0.005, 0.5, 0.005, 0.002, 0.005], None, [False, True, False, True, False]),
-        (1, [0.9] * 99, None, [False] * module.ROUNDS),
-        (1, [0.5], "known", []),  # near a solution
-        (3, [0.5, 0.005, 0.5], "known", [True, True]),
-        (3, [0.0005], "known", []),
+    for slopes, saved, given, kinds in (
+        (1, [0.5, 0.005, 0.5], {}, [False, False, True]),
+        (2, [0.5, 0.02, 0.005, 0.5], {}, [False, False, False, True]),
+        (3, [0.5, 0.005, 0.5, 0.005], {}, [False, False, True, True]),
+        (3, [0.5, 0.005, 0.0005], {}, [False, False, True]),
+        (1, [0.9] * 99, {}, [False] * module.ROUNDS + [True]),
+        (2, [0.5, 0.005], {"whole": False}, [False, False]),
+        (1, [0.5], {"first": "known"}, []),
+        (3, [0.5, 0.005, 0.5], {"first": "known"}, [True, True]),
+        (3, [0.0005], {"first": "known"}, []),
     ):
         left = iter(saved)
         monkeypatch.setattr(module, "_steps", lambda problem, near, *_, left=left: (near.values, 1.0, next(left)))
         taken.clear()
-        known = first and SimpleNamespace(seconds=1.0, values=np.zeros(2))
-        descend(problem, np.zeros(2), free, slopes, Deadline(), known)
+        if "first" in given:
+            given["first"] = SimpleNamespace(seconds=1.0, values=np.zeros(2))
+        descend(problem, np.zeros(2), free, slopes, Deadline(), **given)
         assert taken == kinds, (slopes, saved)
+
+
+def test_a_whole_slope_is_begun_only_if_there_is_time_for_as_many_columns(monkeypatch):
+    """A slope joint by joint of 4 s has two columns, a whole one three."""
+    take = take_like(9, truth=[1.0, -2.0])
+    problem, _ = following(monkeypatch, Windows(take, np.array([0, 4]), 4), nominal=(0.0, 0.0), own=True)
+    slow = lambda problem, x, free, groups: SimpleNamespace(seconds=4.0, values=x, whole=groups is None)  # noqa: E731
+    monkeypatch.setattr(module, "linearise", slow)
+    monkeypatch.setattr(module, "_steps", lambda problem, near, *_: (near.values + 1 + 9 * near.whole, 1.0, 0.0))
+    free = np.array([True, True])
+    assert descend(problem, np.zeros(2), free, 1, Deadline(7.0)).tolist() == [1.0, 1.0]
+    assert descend(problem, np.zeros(2), free, 1, Deadline(9.0)).tolist() == [11.0, 11.0]
+
+
+def test_joints_are_taken_together_only_where_that_halves_the_columns(monkeypatch):
+    """Three joints of which one has a number that moves others too: two columns of three are not worth it."""
+    take, asked = take_like(9, truth=[1.0, -2.0, 3.0]), []
+    problem, _ = following(monkeypatch, Windows(take, np.array([0, 4]), 4), nominal=(0.0,) * 3, own=True)
+    problem.hypothesis.terms[2].effect = SimpleNamespace(name="link", own_joint=False, moves_own_joint=False)
+    monkeypatch.setattr(
+        module, "linearise",
+        lambda problem, x, free, groups: asked.append(groups) or SimpleNamespace(seconds=0.0, values=x),
+    )  # fmt: skip
+    monkeypatch.setattr(module, "_steps", lambda problem, near, *_: (near.values, 1.0, 0.0))
+    assert [g.tolist() for g in problem.hypothesis.alike(np.ones(3, dtype=bool))] == [[0, 1], [2]]
+    descend(problem, np.zeros(3), np.ones(3, dtype=bool), 2, Deadline())
+    assert asked == [None]
+
+
+def test_steps_are_damped_about_the_one_that_helped_and_by_far_more_where_none_does(monkeypatch):
+    """What is left of an arc tangent from 2, whose whole step leads to -3.5, by dampings that are told beforehand."""
+    problem, near = bent(monkeypatch, (0.0,), steps=1), None
+    free, begin = np.array([True]), np.array([2.0])
+    monkeypatch.setattr(module, "AROUND", (0.1, 1.0, 10.0))
+    near = linearise(problem, begin, free)
+    told = lambda damping: module._steps(problem, near, damping, Deadline())  # noqa: E731
+    x, damping, saved = told(0.1)
+    assert 0.0 < saved <= 1.0
+    assert damping == 1.0  # of 0.01, 0.1 and 1, by which a step leads to -3.4, -3.0 and -0.77
+    assert x == pytest.approx([2.0 - 5.0 * np.arctan(2.0) / 2.0], rel=0.02)
+    assert told(1e-4)[1:] == (pytest.approx(0.1), 0.0)  # all refused: the next ones are a thousand times shorter
+    monkeypatch.setattr(module, "STEPS", 2)
+    assert told(1e-3)[1] == 1.0  # of 0.1, 1 and 10 in the second trial
+    assert told(50.0)[1] == 5.0
+    steep = replace(near, columns=1e3 * near.columns)  # no step of a thousandth helps less than a whole one
+    assert module._steps(problem, steep, 50.0, Deadline())[1] <= module.MOST_DAMPING
+
+
+def test_a_problem_without_an_error_has_nothing_to_save(monkeypatch):
+    problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
+    near = linearise(problem, np.array([1.0]), np.array([True]))
+    assert module._steps(problem, near, module.DAMPING, Deadline())[2] == 0.0

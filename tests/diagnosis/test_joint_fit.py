@@ -178,12 +178,37 @@ def test_a_parameter_goes_where_folds_do_not_ask_for_it(monkeypatch, stated, wei
 
 
 def test_starts_mix_the_best_numbers_of_each_joint():
+    """A window that goes astray counts for no more than its motion, of 2 or of 99."""
     h = SimpleNamespace(terms=[SimpleNamespace(joint=j, parameters=[None] * n) for j, n in ((0, 2), (1, 1))])
     square = np.array([[[3, 1]] * 3 + [[9, 99]], [[1, 2]] * 3 + [[99, 9]], [[2, 3]] * 4], dtype=float)
     begin = np.arange(3.0)[:, None] + [0.0, 0.25, 0.5]
-    problem = moving(99.0, np.ones(2), np.ones(4), h=h)
-    assert [x.tolist() for x in module._mixed(problem, square, begin, 2)] == [[1, 1.25, 0.5], [2, 2.25, 1.5]]
+    for motion, mixed in ((2.0, [[1, 1.25, 0.5], [2, 2.25, 1.5]]), (99.0, [[2, 2.25, 2.5], [0, 0.25, 1.5]])):
+        problem = moving(motion, np.ones(2), np.ones(4), h=h)
+        assert [x.tolist() for x in module._mixed(problem, square, begin, 2)] == mixed
     assert len(module._mixed(problem, square, begin, 9)) == 3
+
+
+@pytest.mark.parametrize("stage", [0, 1, 2])
+def test_a_search_mixes_what_each_joint_found_in_different_descents(monkeypatch, stage):
+    """Each descent of a stage finds the number of another joint."""
+    take = take_like(9, truth=[1.0, -2.0])
+    problem, _ = following(monkeypatch, Windows(take, np.array([0, 4]), 4), nominal=(0.0, 0.0))
+    found = iter([[1.0, 5.0], [5.0, -2.0]])
+
+    def descend(own, x, _free, _slopes, until, **_):
+        now = {30.0: len(begun) // 4, 50.0: 2, 70.0: 3}[until.seconds]  # of four descents at each short horizon
+        begun.append((now, x.tolist()))
+        return np.array(next(found, x)) if now == stage else x
+
+    begun = []
+    monkeypatch.setattr(module, "affordable", lambda *_: 400)
+    monkeypatch.setattr(module, "problem_of", lambda *_: problem)
+    monkeypatch.setattr(module, "descend", descend)
+    for last in ("more_telling", "without_torques"):
+        monkeypatch.setattr(module, last, lambda near, deadline: near)
+    begin = np.array([[7.0, 7.0], [8.0, 8.0], [9.0, 9.0], [9.5, 9.5]])
+    assert search(problem.hypothesis, None, begin, None, Deadline(100.0)).values.tolist() == [1.0, -2.0]
+    assert next(x for now, x in begun if now == stage + 1) == [1.0, -2.0]
 
 
 def test_of_points_the_best_are_kept_once_each_and_the_torques_have_a_say(monkeypatch):
@@ -289,9 +314,9 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
         assert given == (problem.hypothesis, "takes", deadline)
         return count
 
-    def descend(problem, x, free, slopes, until):
+    def descend(problem, x, free, slopes, until, whole=True):
         moved.append(x)
-        spent.append((slopes, until))
+        spent.append((slopes, until, whole))
         return x
 
     monkeypatch.setattr(module, "affordable", affordable)
@@ -301,7 +326,7 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
     monkeypatch.setattr(module, "descend", descend)
     begin = np.arange(2.0, 12.0)[:, None]
     search(problem.hypothesis, "takes", begin, "dice", deadline, torques="said", progress=progress.append)
-    assert list(dict.fromkeys(spent)) == [(2, 0.3), (2, 0.5), (3, 0.7)]
+    assert list(dict.fromkeys(spent)) == [(2, 0.3, False), (2, 0.5, False), (3, 0.7, True)]
     assert progress == [0.25, 0.5, 0.7, 0.9]
     assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
     assert len(moved) == 2 * 2 + 2 + 2 + 1  # two that short windows like and two that long ones do are the same here
@@ -401,6 +426,7 @@ def test_the_usual_windows_of_no_joint_may_be_followed_worse_by_half():
     assert module.keeps_usual(given, near(1.49, 1.0, 1e6))
     assert not module.keeps_usual(given, near(1.51, 1.0, 800.0))
     assert not module.keeps_usual(given, near(1.0, 3.01, 800.0))
+    assert module.keeps_usual(near(0.0, 2.0, 900.0), near(1e-9, 2.0, 900.0))  # nobody sees a nanometre
 
 
 def test_plain_least_squares_leads_out_of_a_place_where_all_is_wild_and_is_not_led_astray_by_pushes():
@@ -474,12 +500,12 @@ def test_a_search_whose_every_descent_goes_astray_ends_at_the_best_of_its_starts
     monkeypatch.setattr(module, "affordable", lambda *_: 400)
     monkeypatch.setattr(module, "problem_of", lambda *_: problem)
     monkeypatch.setattr(module, "more_telling", lambda near, deadline: near)
-    monkeypatch.setattr(module, "descend", lambda problem, x, free, slopes, deadline: x + 50.0 * (slopes < 3))
+    monkeypatch.setattr(module, "descend", lambda problem, x, free, slopes, *_, **__: x + 50.0 * (slopes < 3))
     begin, told = np.array([[9.0], [8.0], [7.0], [6.0], [1.25], [5.0]]), []
     found = search(problem.hypothesis, [take], begin, np.random.default_rng(0), Deadline(), progress=told.append)
     assert found.values.tolist() == [1.25]
     assert told == sorted(told)
-    monkeypatch.setattr(module, "descend", lambda problem, x, *_: 0.5 * (x + 1.0))
+    monkeypatch.setattr(module, "descend", lambda problem, x, *_, **__: 0.5 * (x + 1.0))
     closer = search(problem.hypothesis, [take], begin, np.random.default_rng(0), Deadline())
     assert closer.values == pytest.approx([1 + 0.25 / 16])  # four descents, each of which halves the way
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,14 +23,14 @@ DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-4, 100.0
 """Damping of a first step (Levenberg, Marquardt), per the normal equations' diagonal, and its bounds [1]."""
 AROUND = (0.1, 1.0, 10.0)
 """Damping of the steps that are tried at once, per the one that helped last [1]."""
-FLAT_JOINTWISE = 1e-2
-"""The same of a Jacobian joint by joint [1]."""
-ROUNDS, JOINTWISE = 8, 2
-"""Jacobians joint by joint at most, and how many whole ones they stand for."""
+REFUSED = 1e3
+"""Factor of the damping where none of them helps: the next ones are all shorter [1]."""
+ROUNDS = 8
+"""Jacobians joint by joint at most."""
+FLAT, FLAT_JOINTWISE = 1e-3, 1e-2
+"""Share of the cost that a whole Jacobian, or one of its steps, and one joint by joint must save to go on [1]."""
 HIDDEN = 2e-4
 """Change of a window's error, in typical errors, that a unit of a parameter must make to be moved [1]."""
-FLAT = 1e-3
-"""Share of the cost that a step or a Jacobian must save to go on [1]."""
 RIDGE = 1e-6
 """Pull towards the solution where windows say nothing, per what they say [1]."""
 FINITE = 1e-2
@@ -39,54 +38,54 @@ FINITE = 1e-2
 
 
 def descend(
-    problem: Problem, x: Array, free: Mask, slopes: int, deadline: Deadline, first: Linearised | None = None
+    problem: Problem,
+    x: Array,
+    free: Mask,
+    slopes: int,
+    deadline: Deadline,
+    first: Linearised | None = None,
+    whole: bool = True,
 ) -> Array:
     """Bounded least squares from values (P,) over the free parameters; what is not free stays. Shape (P,).
 
-    Each Jacobian is by finite differences, all of whose columns are one batch, and serves several steps. Far from a
-    solution Jacobians joint by joint come first, for as long as they help; they stand for :data:`JOINTWISE` whole ones.
+    Each Jacobian is by finite differences, all of whose columns are one batch, and serves several steps. Where like
+    numbers of several joints are free, Jacobians joint by joint come first, for as long as they help: they stand for
+    the first whole one. They end where joints pass nothing on, so that a whole one comes last.
 
     Args:
         problem: What to minimise.
         x: Values to start from.
         free: Which of them may move.
-        slopes: Jacobians at most.
+        slopes: Whole Jacobians at most, with what stands for them.
         deadline: After which none is begun.
         first: The first Jacobian, if it is known, as it is near a solution; of any weights.
+        whole: Whether a whole one comes last; without, the solution is only near.
     """
-    if not free.any():
+    if not free.any() or deadline.over:
         return x
-    alike, whole = problem.hypothesis.alike(free), [None] * slopes
     if first is not None:
-        x, damping, saved = _steps(problem, first, DAMPING, deadline)
-        rest = whole[1:] if saved >= FLAT else []
-        return _descended(problem, x, free, rest, damping, deadline, first.seconds)[0]
-    if len(alike) == free.sum():
-        return _descended(problem, x, free, whole, DAMPING, deadline)[0]
-    x, damping, _ = _descended(problem, x, free, [alike] * ROUNDS, DAMPING, deadline)
-    for _ in whole[JOINTWISE:]:
-        x, damping, saved = _descended(problem, x, free, [None], damping, deadline)
-        if saved < FLAT:
-            break
-        x, damping, _ = _descended(problem, x, free, [alike] * ROUNDS, damping, deadline)
-    return x
+        x, _, saved = _steps(problem, first, DAMPING, deadline)
+        return _descended(problem, x, free, slopes - 1 if saved >= FLAT else 0, deadline, first.seconds)[0]
+    alike, seconds = problem.hypothesis.alike(free), 0.0
+    if 2 * len(alike) <= free.sum():
+        x, seconds = _descended(problem, x, free, ROUNDS, deadline, groups=alike)
+        seconds *= (free.sum() + 1) / (len(alike) + 1)
+        slopes = max(slopes - 1, 1) if whole else 0
+    return _descended(problem, x, free, slopes, deadline, seconds)[0]
 
 
 def _descended(
     problem: Problem,
     x: Array,
     free: Mask,
-    slopes: Sequence[Groups | None],
-    damping: float,
+    slopes: int,
     deadline: Deadline,
     seconds: float = 0.0,
-) -> tuple[Array, float, float]:
-    """As :func:`_steps`, by one Jacobian after the other, each with the groups that :func:`linearise` takes.
-
-    One takes about so many ``seconds``.
-    """
-    saved = 0.0
-    for groups in slopes:
+    groups: Groups | None = None,
+) -> tuple[Array, float]:
+    """Values (P,) after so many Jacobians at most, and the time that one takes, which is about ``seconds`` at first."""
+    damping = DAMPING
+    for _ in range(slopes):
         if not deadline.allows(1.3 * seconds):
             break
         near = linearise(problem, x, free, groups)
@@ -94,7 +93,7 @@ def _descended(
         x, damping, saved = _steps(problem, near, damping, deadline)
         if saved < (FLAT if groups is None else FLAT_JOINTWISE):
             break
-    return x, damping, saved
+    return x, seconds
 
 
 def _steps(problem: Problem, near: Linearised, damping: float, deadline: Deadline) -> tuple[Array, float, float]:
@@ -107,7 +106,7 @@ def _steps(problem: Problem, near: Linearised, damping: float, deadline: Deadlin
         deadline: After which no step is begun.
 
     Returns:
-        Values (P,), the damping that the last step liked, and the share of the cost that was saved.
+        Values (P,), the damping to go on with, and the share of the cost that was saved.
     """
     h, free, weight = problem.hypothesis, near.free, problem.row_weight
     scale = h.scale[free]
@@ -121,7 +120,7 @@ def _steps(problem: Problem, near: Linearised, damping: float, deadline: Deadlin
     for _ in range(STEPS):
         normal, right = d.T @ d, d.T @ r
         size = np.diag(np.diag(normal))
-        tried = [much if much > LEAST_DAMPING else 0.0 for much in damping * np.array(AROUND)]
+        tried = sorted({much if much > LEAST_DAMPING else 0.0 for much in damping * np.array(AROUND)})
         moves = [bounded_least_squares(normal + (RIDGE + much) * size, -right, low - x, high - x) for much in tried]
         trials = np.clip(x + np.stack(moves), low, high)
         values = np.repeat(near.values[None], len(trials), axis=0)
@@ -130,11 +129,11 @@ def _steps(problem: Problem, near: Linearised, damping: float, deadline: Deadlin
         costs = (errors**2).sum(0)
         best = int(np.argmin(costs))
         if not costs[best] < cost:
-            damping = min(max(AROUND) * damping, MOST_DAMPING)
-            if cost < begin or deadline.over:
+            damping *= REFUSED
+            if damping > MOST_DAMPING or cost < begin or deadline.over:
                 break
             continue
-        damping = max(tried[best], LEAST_DAMPING)
+        damping = tried[best]
         move, saved = trials[best] - x, 1.0 - costs[best] / cost
         d += np.outer(errors[:, best] - r - d @ move, move) / max(float(move @ move), 1e-300)
         x, r, cost = trials[best], errors[:, best], float(costs[best])
@@ -142,7 +141,7 @@ def _steps(problem: Problem, near: Linearised, damping: float, deadline: Deadlin
             break
     out = near.values.copy()
     out[free] = np.clip(x * scale, h.bounds[0][free], h.bounds[1][free])
-    return out, damping, 1.0 - cost / max(begin, 1e-300)
+    return out, float(np.clip(damping, LEAST_DAMPING, MOST_DAMPING)), 1.0 - cost / begin if begin > 0.0 else 0.0
 
 
 def _hidden(curvature: Array, windows: int) -> Mask:
@@ -241,7 +240,7 @@ def linearise(problem: Problem, x: Array, free: Mask, groups: Groups | None = No
         for k, group in enumerate(groups):
             together[k + 1, index[group]] += step[group]
         e = problem.errors(together)
-        joint = np.array([c.joint for c in h.terms for _ in c.parameters])[index]
+        joint = np.array([c.joint for c in (*h.terms, *h.trims) for _ in c.parameters])[index]
         columns = np.zeros((len(e), count))
         for k, group in enumerate(groups):
             for i in group:

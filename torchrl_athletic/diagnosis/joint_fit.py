@@ -20,6 +20,7 @@ from torchrl_athletic.diagnosis.problem import (
     TUNING,
     Problem,
     apart_from,
+    capped,
     folds_of,
     in_units,
     independent,
@@ -119,7 +120,7 @@ def keeps_usual(near: Linearised, other: Linearised) -> bool:
     Wild windows are those in which the model lacks something. A fit that is bent until it follows these says less of
     other motions.
     """
-    before, after = (typical(n.problem, n.problem.squares(n.errors)) for n in (near, other))
+    before, after = (np.maximum(typical(n.problem, n.problem.squares(n.errors)), 1e-18) for n in (near, other))
     return bool((after <= USUAL**2 * before).all())
 
 
@@ -208,12 +209,12 @@ def search(
         if not horizon:
             half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
             points = [p for q in (problem, few) for p in _mixed(q, q.mean_square(begin), begin, half)]
-        ends = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3)) for x in points]
+        ends = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3), whole=False) for x in points]
         points = [*ends, *points, *begin[:2]]
         mixed = _mixed(few, few.mean_square(np.stack(points)), np.stack(points), kept)
         points = best_of(few, [*mixed, *points], kept)
         progress((horizon + 1) / 4)
-    ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
+    ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5), whole=False) for x in points]
     progress(0.7)
     points = [*ends, *points]
     mixed = _mixed(few, few.mean_square(np.stack(points)), np.stack(points), 1)
@@ -225,9 +226,12 @@ def search(
 
 
 def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Array]:
-    """Starts in which each joint has its own best numbers, its second best, and so on."""
+    """Starts in which each joint has its own best numbers, its second best, and so on.
+
+    Of all windows: numbers by which some go astray look as good as others by the windows that are followed best.
+    """
     joint = np.array([c.joint for c in problem.hypothesis.terms for _ in c.parameters])
-    order = np.argsort(typical(problem, square), axis=0)  # (K, J)
+    order = np.argsort(capped(problem, square).mean(1), axis=0)  # (K, J)
     return [begin[order[rank, joint], np.arange(len(joint))] for rank in range(min(count, len(begin)))]
 
 

@@ -139,13 +139,18 @@ def in_units(problem: Problem, square: Array) -> Problem:
 def typical(problem: Problem, square: Array) -> Array:
     """Mean square error of the windows that are followed best, of all but :data:`WILD`. Shape (..., J) of (..., W, J).
 
-    A median would be that of standing still where most windows hold still, so that a joint that is stuck looks best. No
-    window counts for more than its motion or the median: up to half of the windows may go astray.
+    A median would be that of standing still where most windows hold still, so that a joint that is stuck looks best. Up
+    to half of the windows may go astray.
     """
     count = square.shape[-2]
+    best = np.sort(capped(problem, square), axis=-2)[..., : count - int(WILD * count), :]
+    return np.asarray(best.mean(-2), dtype=np.float64)
+
+
+def capped(problem: Problem, square: Array) -> Array:
+    """Mean squares (..., W, J) of which no window's counts for more than its motion or the median."""
     most = np.maximum(problem.motion, np.median(square, axis=-2, keepdims=True))
-    capped = np.sort(np.minimum(square, most), axis=-2)[..., : count - int(WILD * count), :]
-    return np.asarray(capped.mean(-2), dtype=np.float64)
+    return np.asarray(np.minimum(square, most), dtype=np.float64)
 
 
 def window_cost(problem: Problem, square: Array) -> Array:

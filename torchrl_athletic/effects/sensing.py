@@ -30,7 +30,6 @@ class EncoderOffset(Effect):
 
     name = "encoder_offset"
     family = "sensing"
-    moves_own_joint = True
     tolerance = 0.3  # 3 mrad
     shows_in = "position"
     equation = "q_read = q + o"
@@ -75,7 +74,6 @@ class EncoderScale(Effect):
 
     name = "encoder_scale"
     family = "sensing"
-    moves_own_joint = True
     shows_in = "position"
     equation = "q_read = s q"
     source = "Khalil, Dombre 2002, Modeling, Identification and Control of Robots, chapter 11"
