@@ -62,7 +62,7 @@ GAIN = 0.02
 """Share of the error of folds that a law must save, to first order and in simulation [1]."""
 SURE = 1.0
 """Standard errors by which it must help [1]."""
-USUAL = 1.5
+USUAL = 2.0
 """Factor by which the error of a joint's usual windows may grow where that of all windows falls [1]."""
 SURE_WITHOUT = 2.0
 """Standard errors by which a fit must follow folds better that does without the torques: two are tried [1]."""
@@ -115,7 +115,7 @@ def without_torques(near: Linearised, deadline: Deadline) -> Linearised:
 
 
 def keeps_usual(near: Linearised, other: Linearised) -> bool:
-    """Whether no joint's usual windows are followed worse, by half of their error, by what has less error in all.
+    """Whether no joint's usual windows are followed worse, by twice the error, by what has less error in all.
 
     Wild windows are those in which the model lacks something. A fit that is bent until it follows these says less of
     other motions.

@@ -26,7 +26,7 @@ ENOUGH = 60
 TUNING = 3.0
 """Typical errors at which a window weighs half."""
 WILD = 0.25
-"""Share of the windows that say nothing of what a typical error is [1]."""
+"""Share of a joint's motion that says nothing of what a typical error is [1]."""
 TORQUES = 0.02
 """Share of a joint's squared error that it is worth to halve the unexplained variance of its torque [1]."""
 FOLDS = 4
@@ -139,12 +139,17 @@ def in_units(problem: Problem, square: Array) -> Problem:
 def typical(problem: Problem, square: Array) -> Array:
     """Mean square error of the windows that are followed best, of all but :data:`WILD`. Shape (..., J) of (..., W, J).
 
-    A median would be that of standing still where most windows hold still, so that a joint that is stuck looks best. Up
-    to half of the windows may go astray.
+    A window counts as far as the joint moves in it: one that holds still says little of how well its motion is
+    followed, and where most do, a joint that is stuck would look best. Of the motion a quarter may go astray.
     """
-    count = square.shape[-2]
-    best = np.sort(capped(problem, square), axis=-2)[..., : count - int(WILD * count), :]
-    return np.asarray(best.mean(-2), dtype=np.float64)
+    square = capped(problem, square)
+    far = np.sqrt(problem.motion)
+    far = np.broadcast_to(far + 1e-3 * far.mean(0) + 1e-12, square.shape)
+    order = np.argsort(square, axis=-2)
+    best, far = np.take_along_axis(square, order, -2), np.take_along_axis(far, order, -2)
+    share = far / far.sum(-2, keepdims=True)
+    kept = np.clip(1.0 - WILD - (np.cumsum(share, axis=-2) - share), 0.0, share)
+    return np.asarray((kept * best).sum(-2) / kept.sum(-2), dtype=np.float64)
 
 
 def capped(problem: Problem, square: Array) -> Array:
