@@ -70,6 +70,7 @@ def test_what_diagnoses_knows_nothing_of_the_generator():
     assert "benchmarks.concealed" not in text.replace("benchmarks/concealed", "")
 
 
+@pytest.mark.slow
 def test_the_splits_share_no_robot():
     assert not set(SEALED) & set(TUNING)
     assert prepare("sealed", "nuisance", 1).robot.name in SEALED

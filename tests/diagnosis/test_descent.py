@@ -16,16 +16,10 @@ from torchrl_athletic.diagnosis.replay import Windows
 module = sys.modules["torchrl_athletic.diagnosis.descent"]
 
 
-def damped(monkeypatch, *tried):
-    """Let the first steps that are tried at once be damped like this."""
-    monkeypatch.setattr(module, "DAMPING", max(tried))
-    monkeypatch.setattr(module, "AROUND", tuple(t / max(*tried, 1e-9) for t in tried))
-
-
 def test_a_descent_weighs_windows_and_joints_as_its_problem_does(monkeypatch):
     """One whole step by one slope, on two windows that ask for 1 and 3, of which the second weighs three times."""
     problem, _ = following(monkeypatch, each_its_own(1.0, 3.0))
-    damped(monkeypatch, 0.0)
+    monkeypatch.setattr(module, "DAMPING", (0.0,))
     monkeypatch.setattr(module, "STEPS", 1)
     for begin, unit in ((7.0, 0.1), (-7.0, 1e3)):
         uneven = replace(problem, weight=np.array([1.0, 3.0]), unit=np.array([unit]))
@@ -38,7 +32,7 @@ def test_what_moves_is_counted_in_its_own_unit_and_stops_at_its_own_bound(monkey
     problem, _ = following(monkeypatch, windows, nominal=(0.0, 0.0))
     problem.hypothesis.scale = np.array([9.0, 0.25])
     problem.hypothesis.bounds = (np.array([-0.1, low]), np.array([0.1, 9.0]))
-    damped(monkeypatch, 0.0)
+    monkeypatch.setattr(module, "DAMPING", (0.0,))
     monkeypatch.setattr(module, "STEPS", 1)
     x = descend(problem, np.array([0.05, 5.0]), np.array([False, True]), 1, Deadline())
     assert x == pytest.approx([0.05, ends], rel=1e-4)
@@ -97,7 +91,7 @@ def test_a_descent_ends_at_the_least_squares_or_at_the_bound_before_it_and_moves
     assert descend(problem, begin, np.array([True, True]), 3, Deadline()) == pytest.approx([1.0, -1.5], abs=1e-3)
     assert descend(problem, begin, np.array([True, False]), 3, Deadline()) == pytest.approx([1.0, 5.0], abs=1e-3)
     assert descend(problem, begin, np.array([False, False]), 3, Deadline()) is begin
-    damped(monkeypatch, 10.0, 0.0)
+    monkeypatch.setattr(module, "DAMPING", (10.0, 0.0))
     monkeypatch.setattr(module, "STEPS", 1)  # the longer of two
     assert descend(problem, begin, np.array([True, True]), 1, Deadline()) == pytest.approx([1.0, -1.5], abs=1e-3)
 
@@ -107,7 +101,7 @@ def bent(monkeypatch, damping, steps=5):
     problem, _ = following(monkeypatch, each_its_own(0.0, 0.0))
     wave = lambda w: w.take.wave[w.index][None, :, :, None]  # noqa: E731
     monkeypatch.setattr(windows_module, "simulate", lambda w, build, values: np.arctan(values)[:, None, None] * wave(w))
-    damped(monkeypatch, *damping)
+    monkeypatch.setattr(module, "DAMPING", damping)
     monkeypatch.setattr(module, "STEPS", steps)
     return problem
 
@@ -121,16 +115,17 @@ def test_a_step_that_would_go_too_far_is_damped_and_one_that_is_worse_is_not_tak
 def test_each_of_several_steps_by_one_slope_goes_on_with_what_the_last_one_learned(monkeypatch):
     """On a straight line the slope stays: damped by ten, each step goes an eleventh of the rest of the way."""
     problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
-    damped(monkeypatch, 10.0)
+    monkeypatch.setattr(module, "DAMPING", (10.0,))
     free = np.array([True])
-    x, _, saved = module._steps(problem, linearise(problem, np.array([12.0]), free), module.DAMPING, Deadline())
+    x, saved = module._steps(problem, linearise(problem, np.array([12.0]), free), Deadline())
     assert x == pytest.approx([1 + 11 * (10 / 11) ** 5], rel=1e-4)
     assert saved == pytest.approx(1 - (10 / 11) ** 10, rel=1e-3)
-    near = linearise(problem, np.array([12.0]), free)
-    out_of_time, *_ = module._steps(problem, near, module.DAMPING, Deadline(0.0))
+    out_of_time, _ = module._steps(problem, linearise(problem, np.array([12.0]), free), Deadline(0.0))
     assert out_of_time == pytest.approx([11.0], rel=1e-4)
-    damped(monkeypatch, 1e4)  # which saves two parts of ten thousand
-    assert module._steps(problem, near, module.DAMPING, Deadline())[0] == pytest.approx([12 - 11e-4], abs=1e-5)
+    monkeypatch.setattr(module, "DAMPING", (1e4,))  # which saves two parts of ten thousand
+    assert module._steps(problem, linearise(problem, np.array([12.0]), free), Deadline())[0] == pytest.approx(
+        [12 - 11e-4], abs=1e-5
+    )
 
 
 def test_a_descent_pays_for_contradicting_the_torques(monkeypatch):
@@ -166,25 +161,15 @@ def test_a_number_that_no_window_shows_stays_where_it_is(monkeypatch, way):
 
 def test_a_descent_goes_on_from_where_it_is_as_long_as_it_pays(monkeypatch):
     """Its first slope may be given; each other one is taken where the last one ended."""
-    problem, _ = following(monkeypatch, each_its_own(1.0))
-    taken = lambda problem, x, free, groups: SimpleNamespace(seconds=0.0, values=x)  # noqa: E731
-    monkeypatch.setattr(module, "linearise", taken)
-    saved, asked = iter([0.5, 0.002, 0.0005, 0.5, 0.5, 0.002]), []
-
-    def steps(problem, near, damping, deadline):
-        asked.append(damping)
-        return near.values + 1, 7.0, next(saved)
-
-    monkeypatch.setattr(module, "_steps", steps)
+    monkeypatch.setattr(module, "linearise", lambda problem, x, free: SimpleNamespace(seconds=0.0, values=x))
+    saved = iter([0.5, 0.002, 0.0005, 0.5])
+    monkeypatch.setattr(module, "_steps", lambda problem, near, deadline: (near.values + 1, next(saved)))
     given = SimpleNamespace(seconds=0.0, values=np.array([10.0]))
     free = np.array([True])
-    assert descend(problem, np.zeros(1), free, 2, Deadline(), given).tolist() == [12.0]
-    assert descend(problem, np.zeros(1), free, 5, Deadline()).tolist() == [1.0]  # 0.05 % is not worth a slope
-    assert descend(problem, np.zeros(1), free, 2, Deadline()).tolist() == [2.0]
-    assert asked == [module.DAMPING] * 4 + [7.0]  # a slope goes on with the damping that the last one liked
+    assert descend(None, np.zeros(1), free, 2, Deadline(), given).tolist() == [12.0]
+    assert descend(None, np.zeros(1), free, 5, Deadline()).tolist() == [1.0]  # 0.05 % is not worth a slope
     slow = SimpleNamespace(seconds=100.0, values=np.array([10.0]))
-    assert descend(problem, np.zeros(1), free, 2, Deadline(120.0), slow).tolist() == [11.0]
-    assert descend(problem, np.zeros(1), free, 2, Deadline(0.0), given).tolist() == [0.0]
+    assert descend(None, np.zeros(1), free, 5, Deadline(120.0), slow).tolist() == [11.0]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -202,118 +187,3 @@ def test_what_is_held_goes_to_the_given_models_number(side):
     other = near.move(one, np.array([True, False]))
     assert other == pytest.approx([-2.0 * side, 1.0 * side], rel=1e-4)  # which makes up for it
     assert near.step(one, np.array([True, True])) == pytest.approx([3.0 - side, 1.0])
-
-
-@pytest.mark.parametrize("own", [True, False])
-def test_numbers_of_one_kind_that_move_their_own_joints_are_moved_together(monkeypatch, own):
-    """Three joints, two of whose numbers may move: a row for the solution, and one for both or one for each."""
-    take = take_like(9, truth=[1.0, -2.0, 3.0])
-    problem, asked = following(monkeypatch, Windows(take, np.array([0, 4]), 4), nominal=(0.0,) * 3, own=own)
-    x, free = np.array([0.5, 0.5, 99.0]), np.array([True, False, True])
-    groups = problem.hypothesis.alike(free)
-    near = linearise(problem, x, free, groups)
-    assert [g.tolist() for g in groups] == ([[0, 1]] if own else [[0], [1]])
-    moved = [[0.51, 0.5, 98.99]] if own else [[0.51, 0.5, 99.0], [0.5, 0.5, 98.99]]  # and none beyond its bound
-    np.testing.assert_allclose(asked[-1], [x, *moved])
-    whole = linearise(problem, x, free)
-    np.testing.assert_allclose(near.columns, whole.columns, atol=1e-9)
-    np.testing.assert_array_equal(near.errors, whole.errors)
-
-
-def test_what_other_joints_feel_of_a_number_is_left_out_of_a_slope_joint_by_joint(monkeypatch):
-    problem, _ = following(monkeypatch, Windows(take_like(5, truth=[0.0, 0.0]), np.array([0]), 4), nominal=(0.0, 0.0))
-    passed_on = np.array([[1.0, 0.1], [0.2, 1.0]])
-
-    def simulate(w, build, values):
-        return (values @ passed_on)[:, None, None, :] * w.take.wave[w.index][None, :, :, None]
-
-    monkeypatch.setattr(windows_module, "simulate", simulate)
-    x, free = np.zeros(2), np.array([True, True])
-    whole, apart = linearise(problem, x, free).columns, linearise(problem, x, free, [np.array([0, 1])]).columns
-    first, second = apart[0::2], apart[1::2]
-    assert (first[:, 1] == 0).all()
-    assert (second[:, 0] == 0).all()
-    # what another joint of the group passes on cannot be told from a number's own
-    np.testing.assert_allclose(first[:, 0], whole[0::2].sum(1), rtol=1e-9)
-    np.testing.assert_allclose(second[:, 1], whole[1::2].sum(1), rtol=1e-9)
-
-
-def test_slopes_joint_by_joint_stand_for_the_first_and_a_whole_one_ends_a_descent(monkeypatch):
-    """Each as long as it pays. Near a solution, where a slope is known, all are whole."""
-    take = take_like(9, truth=[1.0, -2.0])
-    problem, _ = following(monkeypatch, Windows(take, np.array([0, 4]), 4), nominal=(0.0, 0.0), own=True)
-    taken, free = [], np.array([True, True])
-    monkeypatch.setattr(
-        module, "linearise",
-        lambda problem, x, free, groups: taken.append(groups is None) or SimpleNamespace(seconds=1.0, values=x),
-    )  # fmt: skip
-    for slopes, saved, given, kinds in (
-        (1, [0.5, 0.005, 0.5], {}, [False, False, True]),
-        (2, [0.5, 0.02, 0.005, 0.5], {}, [False, False, False, True]),
-        (3, [0.5, 0.005, 0.5, 0.005], {}, [False, False, True, True]),
-        (3, [0.5, 0.005, 0.0005], {}, [False, False, True]),
-        (1, [0.9] * 99, {}, [False] * module.ROUNDS + [True]),
-        (2, [0.5, 0.005], {"whole": False}, [False, False]),
-        (1, [0.5], {"first": "known"}, []),
-        (3, [0.5, 0.005, 0.5], {"first": "known"}, [True, True]),
-        (3, [0.0005], {"first": "known"}, []),
-    ):
-        left = iter(saved)
-        monkeypatch.setattr(module, "_steps", lambda problem, near, *_, left=left: (near.values, 1.0, next(left)))
-        taken.clear()
-        if "first" in given:
-            given["first"] = SimpleNamespace(seconds=1.0, values=np.zeros(2))
-        descend(problem, np.zeros(2), free, slopes, Deadline(), **given)
-        assert taken == kinds, (slopes, saved)
-
-
-def test_a_whole_slope_is_begun_only_if_there_is_time_for_as_many_columns(monkeypatch):
-    """A slope joint by joint of 4 s has two columns, a whole one three."""
-    take = take_like(9, truth=[1.0, -2.0])
-    problem, _ = following(monkeypatch, Windows(take, np.array([0, 4]), 4), nominal=(0.0, 0.0), own=True)
-    slow = lambda problem, x, free, groups: SimpleNamespace(seconds=4.0, values=x, whole=groups is None)  # noqa: E731
-    monkeypatch.setattr(module, "linearise", slow)
-    monkeypatch.setattr(module, "_steps", lambda problem, near, *_: (near.values + 1 + 9 * near.whole, 1.0, 0.0))
-    free = np.array([True, True])
-    assert descend(problem, np.zeros(2), free, 1, Deadline(7.0)).tolist() == [1.0, 1.0]
-    assert descend(problem, np.zeros(2), free, 1, Deadline(9.0)).tolist() == [11.0, 11.0]
-
-
-def test_joints_are_taken_together_only_where_that_halves_the_columns(monkeypatch):
-    """Three joints of which one has a number that moves others too: two columns of three are not worth it."""
-    take, asked = take_like(9, truth=[1.0, -2.0, 3.0]), []
-    problem, _ = following(monkeypatch, Windows(take, np.array([0, 4]), 4), nominal=(0.0,) * 3, own=True)
-    problem.hypothesis.terms[2].effect = SimpleNamespace(name="link", own_joint=False, moves_own_joint=False)
-    monkeypatch.setattr(
-        module, "linearise",
-        lambda problem, x, free, groups: asked.append(groups) or SimpleNamespace(seconds=0.0, values=x),
-    )  # fmt: skip
-    monkeypatch.setattr(module, "_steps", lambda problem, near, *_: (near.values, 1.0, 0.0))
-    assert [g.tolist() for g in problem.hypothesis.alike(np.ones(3, dtype=bool))] == [[0, 1], [2]]
-    descend(problem, np.zeros(3), np.ones(3, dtype=bool), 2, Deadline())
-    assert asked == [None]
-
-
-def test_steps_are_damped_about_the_one_that_helped_and_by_far_more_where_none_does(monkeypatch):
-    """What is left of an arc tangent from 2, whose whole step leads to -3.5, by dampings that are told beforehand."""
-    problem, near = bent(monkeypatch, (0.0,), steps=1), None
-    free, begin = np.array([True]), np.array([2.0])
-    monkeypatch.setattr(module, "AROUND", (0.1, 1.0, 10.0))
-    near = linearise(problem, begin, free)
-    told = lambda damping: module._steps(problem, near, damping, Deadline())  # noqa: E731
-    x, damping, saved = told(0.1)
-    assert 0.0 < saved <= 1.0
-    assert damping == 1.0  # of 0.01, 0.1 and 1, by which a step leads to -3.4, -3.0 and -0.77
-    assert x == pytest.approx([2.0 - 5.0 * np.arctan(2.0) / 2.0], rel=0.02)
-    assert told(1e-4)[1:] == (pytest.approx(0.1), 0.0)  # all refused: the next ones are a thousand times shorter
-    monkeypatch.setattr(module, "STEPS", 2)
-    assert told(1e-3)[1] == 1.0  # of 0.1, 1 and 10 in the second trial
-    assert told(50.0)[1] == 5.0
-    steep = replace(near, columns=1e3 * near.columns)  # no step of a thousandth helps less than a whole one
-    assert module._steps(problem, steep, 50.0, Deadline())[1] <= module.MOST_DAMPING
-
-
-def test_a_problem_without_an_error_has_nothing_to_save(monkeypatch):
-    problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
-    near = linearise(problem, np.array([1.0]), np.array([True]))
-    assert module._steps(problem, near, module.DAMPING, Deadline())[2] == 0.0

@@ -245,7 +245,7 @@ def test_two_laws_that_get_into_each_others_way_leave_the_better_one_and_one_tha
     monkeypatch.setattr(
         extension, "_with", lambda n, chosen, *_: SimpleNamespace(name="".join(chosen), seconds=0.0, problem=None)
     )
-    monkeypatch.setattr(joint_fit, "of_folds", lambda n: np.full((9, 1), costs[n.name]))
+    monkeypatch.setattr(joint_fit, "stated_of_windows", lambda n: np.full(9, costs[n.name]))
     monkeypatch.setattr(joint_fit, "independent", lambda problem: 9)
     assert extend(near, None, None, Deadline()).name == kept
     costs["a"], costs["ab"], rounds = 0.999 * size, 1.1 * size, iter([["a", "b"]])
@@ -303,7 +303,7 @@ def test_each_round_builds_on_the_last_one_and_must_save_a_hundredth(monkeypatch
     monkeypatch.setattr(
         extension, "_with", lambda n, chosen, *_: SimpleNamespace(name=n.name + chosen[0], seconds=0.0, problem=None)
     )
-    monkeypatch.setattr(joint_fit, "of_folds", lambda n: np.full((9, 1), costs[n.name]))
+    monkeypatch.setattr(joint_fit, "stated_of_windows", lambda n: np.full(9, costs[n.name]))
     monkeypatch.setattr(joint_fit, "independent", lambda problem: 9)
     for first, name in ((0.98, "ab"), (0.991, "")):
         costs["a"], rounds = first, iter([["a"], ["b"], ["c"]])
@@ -423,7 +423,7 @@ def test_a_law_stays_where_it_saves_a_hundredth_and_more_than_a_standard_error_o
     one[0] = 0.0
     saved = {"": np.ones(100), "much": np.where(np.arange(100) % 2, 0.8, 1.1), "one": one,
              "just": np.full(100, 0.985), "little": np.full(100, 0.991)}  # fmt: skip
-    monkeypatch.setattr(joint_fit, "of_folds", lambda near: saved[near.name][:, None])
+    monkeypatch.setattr(joint_fit, "stated_of_windows", lambda near: saved[near.name])
     monkeypatch.setattr(joint_fit, "independent", lambda problem: problem)
     for name, count, better in (
         ("much", 100, True), ("much", 4, False), ("one", 100, False), ("just", 4, True), ("just", 1, False),

@@ -178,37 +178,12 @@ def test_a_parameter_goes_where_folds_do_not_ask_for_it(monkeypatch, stated, wei
 
 
 def test_starts_mix_the_best_numbers_of_each_joint():
-    """A window that goes astray counts for no more than its motion, of 2 or of 99."""
     h = SimpleNamespace(terms=[SimpleNamespace(joint=j, parameters=[None] * n) for j, n in ((0, 2), (1, 1))])
     square = np.array([[[3, 1]] * 3 + [[9, 99]], [[1, 2]] * 3 + [[99, 9]], [[2, 3]] * 4], dtype=float)
     begin = np.arange(3.0)[:, None] + [0.0, 0.25, 0.5]
-    for motion, mixed in ((2.0, [[1, 1.25, 0.5], [2, 2.25, 1.5]]), (99.0, [[2, 2.25, 2.5], [0, 0.25, 1.5]])):
-        problem = moving(motion, np.ones(2), np.ones(4), h=h)
-        assert [x.tolist() for x in module._mixed(problem, square, begin, 2)] == mixed
+    problem = moving(99.0, np.ones(2), np.ones(4), h=h)
+    assert [x.tolist() for x in module._mixed(problem, square, begin, 2)] == [[1, 1.25, 0.5], [2, 2.25, 1.5]]
     assert len(module._mixed(problem, square, begin, 9)) == 3
-
-
-@pytest.mark.parametrize("stage", [0, 1, 2])
-def test_a_search_mixes_what_each_joint_found_in_different_descents(monkeypatch, stage):
-    """Each descent of a stage finds the number of another joint."""
-    take = take_like(9, truth=[1.0, -2.0])
-    problem, _ = following(monkeypatch, Windows(take, np.array([0, 4]), 4), nominal=(0.0, 0.0))
-    found = iter([[1.0, 5.0], [5.0, -2.0]])
-
-    def descend(own, x, _free, _slopes, until, **_):
-        now = {30.0: len(begun) // 4, 50.0: 2, 70.0: 3}[until.seconds]  # of four descents at each short horizon
-        begun.append((now, x.tolist()))
-        return np.array(next(found, x)) if now == stage else x
-
-    begun = []
-    monkeypatch.setattr(module, "affordable", lambda *_: 400)
-    monkeypatch.setattr(module, "problem_of", lambda *_: problem)
-    monkeypatch.setattr(module, "descend", descend)
-    for last in ("more_telling", "without_torques"):
-        monkeypatch.setattr(module, last, lambda near, deadline: near)
-    begin = np.array([[7.0, 7.0], [8.0, 8.0], [9.0, 9.0], [9.5, 9.5]])
-    assert search(problem.hypothesis, None, begin, None, Deadline(100.0)).values.tolist() == [1.0, -2.0]
-    assert next(x for now, x in begun if now == stage + 1) == [1.0, -2.0]
 
 
 def test_of_points_the_best_are_kept_once_each_and_the_torques_have_a_say(monkeypatch):
@@ -314,9 +289,9 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
         assert given == (problem.hypothesis, "takes", deadline)
         return count
 
-    def descend(problem, x, free, slopes, until, whole=True):
+    def descend(problem, x, free, slopes, until):
         moved.append(x)
-        spent.append((slopes, until, whole))
+        spent.append((slopes, until))
         return x
 
     monkeypatch.setattr(module, "affordable", affordable)
@@ -326,7 +301,7 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
     monkeypatch.setattr(module, "descend", descend)
     begin = np.arange(2.0, 12.0)[:, None]
     search(problem.hypothesis, "takes", begin, "dice", deadline, torques="said", progress=progress.append)
-    assert list(dict.fromkeys(spent)) == [(2, 0.3, False), (2, 0.5, False), (3, 0.7, True)]
+    assert list(dict.fromkeys(spent)) == [(2, 0.3), (2, 0.5), (3, 0.7)]
     assert progress == [0.25, 0.5, 0.7, 0.9]
     assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
     assert len(moved) == 2 * 2 + 2 + 2 + 1  # two that short windows like and two that long ones do are the same here
@@ -370,20 +345,19 @@ def test_windows_are_as_many_as_five_million_steps_allow(monkeypatch, step, coun
 
 
 def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
-    """The weighed one begins once more where the plain one ended; neither is taken at the cost of the usual windows."""
-    name = lambda problem: "plain" if np.isinf(problem.tuning) else "weighed"  # noqa: E731
-    errors, moved, units, usual = {}, [], [], {}
+    """Each way goes on from the best so far, and the weighed one begins once more where each plain one ended."""
+    name = lambda problem: "pooled" if problem.pooled else "plain" if np.isinf(problem.tuning) else "weighed"  # noqa: E731
+    errors, moved, units = {}, [], []
 
     def descend(problem, x, free, slopes, deadline, first):
         assert (free, first.values) == ("free", x)
         moved.append((x, slopes))
-        return f"{name(problem)} after {x}"
+        return f"{name(problem)} after {x}" if name(problem) == "weighed" else name(problem)
 
     monkeypatch.setattr(module, "in_units", lambda problem, square: units.append(square) or problem)
     monkeypatch.setattr(module, "weighed", lambda problem, x: problem)
     monkeypatch.setattr(module, "descend", descend)
     monkeypatch.setattr(module, "stated", lambda near: errors[near.values])
-    monkeypatch.setattr(module, "keeps_usual", lambda near, other: near.values == "near" and usual[other.values])
     monkeypatch.setattr(
         module,
         "linearise",
@@ -391,42 +365,25 @@ def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
     )
     monkeypatch.setattr(module, "trusted", lambda near: near)
     monkeypatch.setattr(Problem, "squares", lambda self, errors: errors)
-    plain, again = "plain after near", "weighed after plain after near"
+    own = ("near", "plain", "weighed after plain", "pooled", "weighed after pooled")
 
-    def best(*told, keep=(True, True), left=np.inf):
-        errors.update(zip(("near", plain, again), told, strict=True))
-        usual.update(zip((plain, again), keep, strict=True))
-        problem = Problem(None, (), np.ones(1), np.ones(1))
+    def best(*told, joints=2, left=np.inf):
+        errors.update(zip(own, told, strict=True))
+        problem = Problem(None, (), np.ones(joints), np.ones(1))
         near = SimpleNamespace(problem=problem, values="near", free="free", errors="of near", seconds=10.0)
-        moved.clear(), units.clear()
+        moved.clear()
         return more_telling(near, Deadline(left)).values
 
-    assert best(1.0, 2.0, 2.0) == "near"
-    assert moved == [("near", 1), (plain, 2)]
+    assert best(1.0, 2.0, 2.0, 3.0, 3.0) == "near"
+    assert moved == [("near", 1), ("plain", 3), ("near", 1), ("pooled", 3)]
     assert units == [f"of {x}" for x, _ in moved]  # windows are weighed by what each way begins with
-    assert best(2.0, 1.0, 2.0) == best(3.0, 1.0, 2.0) == plain
-    assert best(2.0, 2.0, 1.0) == best(3.0, 2.0, 1.0) == again
-    assert best(3.0, 1.0, 2.0, keep=(False, True)) == again
-    assert best(3.0, 2.0, 1.0, keep=(False, False)) == "near"
-    assert best(3.0, 2.0, 1.0, left=25.0) == "near"  # each takes two slopes more than its descent
-    assert best(3.0, 2.0, 1.0, left=35.0) == plain
-
-
-def test_the_usual_windows_of_no_joint_may_be_followed_worse_by_twice_the_error():
-    """Of eight windows of two joints the worst two are wild, and may be anything."""
-
-    def near(first, second, wild):
-        square = np.tile([first**2, second**2], (8, 1))
-        square[:2] = wild
-        problem = moving(99.0, np.ones(2), np.ones(8))
-        object.__setattr__(problem, "squares", lambda errors: square)
-        return SimpleNamespace(problem=problem, errors=None)
-
-    given = near(1.0, 2.0, 900.0)
-    assert module.keeps_usual(given, near(1.99, 1.0, 1e6))
-    assert not module.keeps_usual(given, near(2.01, 1.0, 800.0))
-    assert not module.keeps_usual(given, near(1.0, 4.01, 800.0))
-    assert module.keeps_usual(near(0.0, 2.0, 900.0), near(1e-9, 2.0, 900.0))  # nobody sees a nanometre
+    for k, ended in enumerate(own):
+        assert best(*np.where(np.arange(5) == k, 1.0, 2.0)) == ended
+    assert best(3.0, 2.0, 1.0, 2.0, 2.0) == "weighed after plain"
+    assert moved == [("near", 1), ("plain", 3), ("weighed after plain", 1), ("pooled", 3)]
+    assert best(3.0, 2.0, 2.0, 1.0, 1.0, joints=1) == "plain"  # of one joint there is nothing to pool
+    assert best(3.0, 2.0, 1.0, 1.0, 1.0, left=25.0) == "near"  # each takes two slopes more than its descent
+    assert best(3.0, 2.0, 1.0, 1.0, 1.0, left=45.0) == "pooled"  # no time for the weighed one after plain
 
 
 def test_plain_least_squares_leads_out_of_a_place_where_all_is_wild_and_is_not_led_astray_by_pushes():
@@ -478,17 +435,17 @@ def test_torques_have_no_say_where_folds_are_followed_clearly_better_without(mon
 def test_without_torques_plain_windows_are_weighed_again_and_both_ways_are_compared_by_one_ridge(monkeypatch):
     problem, _ = following(monkeypatch, each_its_own(1.0, 1.0), torques=SimpleNamespace(rows=lambda values: values.T))
     x, free, ways, compared = np.array([0.1]), np.array([True]), [], []
-    near = replace(linearise(replace(problem, tuning=np.inf), x, free), ridge=10.0)
+    near = replace(linearise(replace(problem, tuning=np.inf, pooled=True), x, free), ridge=10.0)
 
     def descend(way, x, *_):
-        ways.append(way.tuning)
+        ways.append((way.tuning, way.pooled))
         return x
 
     monkeypatch.setattr(module, "descend", descend)
     told = lambda a, b, sure: compared.append((a.ridge, b.ridge, sure)) is None  # noqa: E731
     monkeypatch.setattr(module, "follows_better", told)
     found = without_torques(near, Deadline())
-    assert ways == [np.inf, module.TUNING]
+    assert ways == [(np.inf, False), (module.TUNING, False)]
     assert all(a == b for a, b, _ in compared)
     assert compared[0] == (10.0, 10.0, module.SURE_WITHOUT)
     assert found.ridge != 10.0  # each keeps its own
@@ -500,12 +457,12 @@ def test_a_search_whose_every_descent_goes_astray_ends_at_the_best_of_its_starts
     monkeypatch.setattr(module, "affordable", lambda *_: 400)
     monkeypatch.setattr(module, "problem_of", lambda *_: problem)
     monkeypatch.setattr(module, "more_telling", lambda near, deadline: near)
-    monkeypatch.setattr(module, "descend", lambda problem, x, free, slopes, *_, **__: x + 50.0 * (slopes < 3))
+    monkeypatch.setattr(module, "descend", lambda problem, x, free, slopes, deadline: x + 50.0 * (slopes < 3))
     begin, told = np.array([[9.0], [8.0], [7.0], [6.0], [1.25], [5.0]]), []
     found = search(problem.hypothesis, [take], begin, np.random.default_rng(0), Deadline(), progress=told.append)
     assert found.values.tolist() == [1.25]
     assert told == sorted(told)
-    monkeypatch.setattr(module, "descend", lambda problem, x, *_, **__: 0.5 * (x + 1.0))
+    monkeypatch.setattr(module, "descend", lambda problem, x, *_: 0.5 * (x + 1.0))
     closer = search(problem.hypothesis, [take], begin, np.random.default_rng(0), Deadline())
     assert closer.values == pytest.approx([1 + 0.25 / 16])  # four descents, each of which halves the way
 

@@ -53,10 +53,16 @@ def asked(robot, scale=(1.0, 1.0), **settings):
 @pytest.mark.parametrize(
     ("robot", "scale", "key", "value"),
     [
-        (arm(lower='damping="0.02" frictionloss="0.06"'), (1, 1), ("coulomb_friction", "lower"), 0.06),
+        pytest.param(
+            arm(lower='damping="0.02" frictionloss="0.06"'),
+            (1, 1),
+            ("coulomb_friction", "lower"),
+            0.06,
+            marks=pytest.mark.slow,
+        ),
         (arm(upper='damping="0.05" armature="0.05"'), (1, 1), ("reflected_inertia", "upper"), 0.05),
         (arm(lower='damping="0.08"'), (1, 1), ("viscous_friction", "lower"), 0.08),
-        (arm(), (1, 0.8), ("torque_scale", "lower"), 0.8),
+        pytest.param(arm(), (1, 0.8), ("torque_scale", "lower"), 0.8, marks=pytest.mark.slow),
     ],
 )
 def test_the_motion_asks_first_for_what_is_missing_and_for_nothing_beside_it(robot, scale, key, value):

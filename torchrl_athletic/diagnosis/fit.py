@@ -16,8 +16,6 @@ from torchrl_athletic.diagnosis.thresholds import SIMULATION
 from torchrl_athletic.effects import Parameter, Plant
 
 Array = NDArray[np.float64]
-Groups = Sequence[NDArray[np.intp]]
-"""Parameters that are moved together, by their indices."""
 
 
 WINDOW = SIMULATION.window
@@ -61,19 +59,6 @@ class Hypothesis:
         parts = [(c, self.values_of(c, values)) for c in (*self.terms, *self.trims)]
         for candidate, own in sorted(parts, key=lambda part: part[0].effect.adds_to_link):
             candidate.effect.apply(plant, candidate.joint, own)
-
-    def alike(self, free: NDArray[np.bool_]) -> Groups:
-        """Groups of the free parameters, as indices among them: like ones of all joints, each moving its own joint.
-
-        What belongs to links or to the whole robot is a group of its own.
-        """
-        place = [(c, p.name) for c in (*self.terms, *self.trims) for p in c.parameters]
-        groups: dict[tuple[str, str] | int, list[int]] = {}
-        for k, i in enumerate(np.flatnonzero(free)):
-            c, name = place[i]
-            own = c.effect.own_joint or c.effect.moves_own_joint
-            groups.setdefault((c.effect.name, name) if own else k, []).append(k)
-        return [np.array(group) for group in groups.values()]
 
     def values_of(self, candidate: Candidate, values: NDArray[Any]) -> NDArray[Any]:
         """The part of a value vector, or of a mask of it, that belongs to one candidate. Shape (..., its P)."""

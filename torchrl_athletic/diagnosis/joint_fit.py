@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.deadline import Deadline
-from torchrl_athletic.diagnosis.descent import RIDGE, Linearised, descend, linearise
+from torchrl_athletic.diagnosis.descent import DAMPING, RIDGE, Linearised, descend, linearise
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis
 from torchrl_athletic.diagnosis.problem import (
     TUNING,
     Problem,
     apart_from,
-    capped,
     folds_of,
     in_units,
     independent,
@@ -44,10 +43,8 @@ COMPARED = 40
 """Windows of half a second by which the best of their ends are compared and improved."""
 KEPT = (4, 2)
 """Starts that go on to each further horizon."""
-SLOPES = (2, 2, 3, 2)
-"""Jacobians for each start at those horizons, at half a second, for the best of them, and of this in other weights."""
-RIDGES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
-"""Ridges beyond :data:`RIDGE` of steps that are hard to trust [1]."""
+SLOPES = (2, 2, 3)
+"""Jacobians for each start at those horizons, at half a second, and for the best of them at the end."""
 WORK = 5e6
 """Physics steps of all windows, parameters and joints that one Jacobian may cost; more windows are thinned."""
 SHARE = 0.02
@@ -62,8 +59,6 @@ GAIN = 0.02
 """Share of the error of folds that a law must save, to first order and in simulation [1]."""
 SURE = 1.0
 """Standard errors by which it must help [1]."""
-USUAL = 2.0
-"""Factor by which the error of a joint's usual windows may grow where that of all windows falls [1]."""
 SURE_WITHOUT = 2.0
 """Standard errors by which a fit must follow folds better that does without the torques: two are tried [1]."""
 
@@ -72,19 +67,22 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
     """The solution of whichever weights follow folds best that it was not fitted to: the weighed one, or a plain one.
 
     What is asked is the error that is stated. Plain least squares minimises it where a few wild windows do not lead it
-    astray; folds tell. Where it ends, the weighed one begins once more: it may have been stuck where it took for wild
-    what can be followed. None is taken at the cost of the usual windows.
+    astray, joint by joint or of all joints together; folds tell. Where it ends, the weighed one begins once more: it
+    may have been stuck where it took for wild what can be followed.
     """
     problem, best, least = near.problem, near, stated(near)
-    start = near
-    for way, slopes in ((replace(problem, tuning=np.inf), 1), (problem, SLOPES[3])):
-        if not deadline.allows((2 + slopes) * near.seconds):
-            break
-        way = in_units(way, problem.squares(start.errors))
-        x = descend(way, start.values, near.free, slopes, deadline, start)
-        start = trusted(linearise(weighed(way, x), x, near.free))
-        if (error := stated(start)) < least and keeps_usual(near, start):
-            best, least = start, error
+    plain = replace(problem, tuning=np.inf)
+    others = [plain] if len(problem.unit) == 1 else [plain, replace(plain, pooled=True)]
+    for other in others:
+        start = best
+        for way, slopes in ((other, 1), (problem, SLOPES[2])):
+            if not deadline.allows((2 + slopes) * near.seconds):
+                break
+            way = in_units(way, problem.squares(start.errors))
+            x = descend(way, start.values, near.free, slopes, deadline, start)
+            start = trusted(linearise(weighed(way, x), x, near.free))
+            if (error := stated(start)) < least:
+                best, least = start, error
     return best
 
 
@@ -99,35 +97,24 @@ def without_torques(near: Linearised, deadline: Deadline) -> Linearised:
     problem, best, start = near.problem, near, near
     if problem.torques is None:
         return near
-    alone = replace(problem, torques=None, tuning=TUNING)
+    alone = replace(problem, torques=None, tuning=TUNING, pooled=False)
     for way in (replace(alone, tuning=np.inf), alone):
-        if not deadline.allows((1 + SLOPES[3]) * near.seconds):
+        if not deadline.allows((1 + SLOPES[2]) * near.seconds):
             break
         start = replace(start, pull=start.pull[:0], pull_columns=start.pull_columns[:0])
         way = in_units(way, problem.squares(start.errors))
-        x = descend(way, start.values, near.free, SLOPES[3], deadline, start)
+        x = descend(way, start.values, near.free, SLOPES[2], deadline, start)
         start = trusted(linearise(weighed(way, x), x, near.free))
         ridge = max(best.ridge, start.ridge)
-        better = follows_better(replace(best, ridge=ridge), replace(start, ridge=ridge), SURE_WITHOUT)
-        if better and keeps_usual(near, start):
+        if follows_better(replace(best, ridge=ridge), replace(start, ridge=ridge), SURE_WITHOUT):
             best = start
     return best
 
 
-def keeps_usual(near: Linearised, other: Linearised) -> bool:
-    """Whether no joint's usual windows are followed worse, by twice the error, by what has less error in all.
-
-    Wild windows are those in which the model lacks something. A fit that is bent until it follows these says less of
-    other motions.
-    """
-    before, after = (np.maximum(typical(n.problem, n.problem.squares(n.errors)), 1e-18) for n in (near, other))
-    return bool((after <= USUAL**2 * before).all())
-
-
 def follows_better(near: Linearised, other: Linearised, sure: float = SURE) -> bool:
     """Whether another fit of the same windows has less of the error that is stated, and by more than it is in doubt."""
-    before, after = (of_folds(n).mean(1) for n in (near, other))
-    return gain_of(before, after, independent(near.problem), GAIN / 2, sure) > 0
+    count = independent(near.problem)
+    return gain_of(stated_of_windows(near), stated_of_windows(other), count, GAIN / 2, sure) > 0
 
 
 def gain_of(before: Array, after: Array, count: int, least: float = GAIN, sure: float = SURE) -> float:
@@ -150,13 +137,13 @@ def gain_of(before: Array, after: Array, count: int, least: float = GAIN, sure: 
 
 def stated(near: Linearised) -> float:
     """Mean square error of folds by what the others say, all joints together."""
-    return float(of_folds(near).mean())
+    return float(stated_of_windows(near).mean())
 
 
-def of_folds(near: Linearised) -> Array:
-    """Mean square error of each window and joint by what the other folds say [rad², m²]. Shape (W, J)."""
+def stated_of_windows(near: Linearised) -> Array:
+    """That error of each window. Shape (W,)."""
     nothing = np.zeros(int(near.free.sum()), dtype=bool)
-    return folded(near, [nothing], folds_of(near.problem))[0]
+    return np.asarray(folded(near, [nothing], folds_of(near.problem))[0].mean(1), dtype=np.float64)
 
 
 def affordable(h: Hypothesis, takes: Sequence[Take], deadline: Deadline) -> int:
@@ -209,16 +196,12 @@ def search(
         if not horizon:
             half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
             points = [p for q in (problem, few) for p in _mixed(q, q.mean_square(begin), begin, half)]
-        ends = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3), whole=False) for x in points]
-        points = [*ends, *points, *begin[:2]]
-        mixed = _mixed(few, few.mean_square(np.stack(points)), np.stack(points), kept)
-        points = best_of(few, [*mixed, *points], kept)
+        ends = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3)) for x in points]
+        points = best_of(few, [*ends, *points, *begin[:2]], kept)
         progress((horizon + 1) / 4)
-    ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5), whole=False) for x in points]
+    ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
     progress(0.7)
-    points = [*ends, *points]
-    mixed = _mixed(few, few.mean_square(np.stack(points)), np.stack(points), 1)
-    x = best_of(full, [*mixed, *points], 1)[0]
+    x = best_of(full, [*ends, *points], 1)[0]
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
     near = trusted(linearise(weighed(full, x), x, free))
     progress(0.9)
@@ -226,12 +209,9 @@ def search(
 
 
 def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Array]:
-    """Starts in which each joint has its own best numbers, its second best, and so on.
-
-    Of all windows: numbers by which some go astray look as good as others by the windows that are followed best.
-    """
+    """Starts in which each joint has its own best numbers, its second best, and so on."""
     joint = np.array([c.joint for c in problem.hypothesis.terms for _ in c.parameters])
-    order = np.argsort(capped(problem, square).mean(1), axis=0)  # (K, J)
+    order = np.argsort(typical(problem, square), axis=0)  # (K, J)
     return [begin[order[rank, joint], np.arange(len(joint))] for rank in range(min(count, len(begin)))]
 
 
@@ -252,7 +232,7 @@ def trusted(near: Linearised) -> Linearised:
     says nothing of the one that is kept aside.
     """
     fold, nothing = folds_of(near.problem), np.zeros(int(near.free.sum()), dtype=bool)
-    for ridge in (RIDGE, *RIDGES):
+    for ridge in (RIDGE, *DAMPING[1:]):
         near = replace(near, ridge=ridge)
         if all(_does_good(near, fold != k, near.step(fold != k, nothing)) for k in np.unique(fold)):
             break

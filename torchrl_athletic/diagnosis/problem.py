@@ -26,11 +26,11 @@ ENOUGH = 60
 TUNING = 3.0
 """Typical errors at which a window weighs half."""
 WILD = 0.25
-"""Share of a joint's motion that says nothing of what a typical error is [1]."""
-TORQUES = 0.02
-"""Share of a joint's squared error that it is worth to halve the unexplained variance of its torque [1]."""
+"""Share of the windows that say nothing of what a typical error is [1]."""
 FOLDS = 4
 """Parts of the recordings, each of which is kept aside once."""
+TORQUES = 0.02
+"""Share of a joint's squared error that it is worth to halve the unexplained variance of its torque [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +45,8 @@ class Problem:
     """Weight of each window [1]. Shape (W,)."""
     tuning: float = TUNING
     """Typical errors at which a window weighs half [1]; infinite for plain least squares."""
+    pooled: bool = False
+    """Whether all joints have one unit, as they have in an error that is stated of all."""
     torques: Agreement | None = None
     """What the torques say of the parameters; a fit pays for contradicting them."""
 
@@ -131,7 +133,7 @@ def weighed(problem: Problem, x: Array) -> Problem:
 def in_units(problem: Problem, square: Array) -> Problem:
     """:func:`weighed` by mean squares (W, J)."""
     usual = square.mean(0) if np.isinf(problem.tuning) else typical(problem, square)
-    unit = np.sqrt(np.maximum(usual, 1e-18))
+    unit = np.sqrt(np.maximum(np.full_like(usual, usual.mean()) if problem.pooled else usual, 1e-18))
     ratio = (square / unit**2).mean(1)
     return replace(problem, unit=unit, weight=1.0 / (1.0 + ratio / problem.tuning**2))
 
@@ -139,23 +141,13 @@ def in_units(problem: Problem, square: Array) -> Problem:
 def typical(problem: Problem, square: Array) -> Array:
     """Mean square error of the windows that are followed best, of all but :data:`WILD`. Shape (..., J) of (..., W, J).
 
-    A window counts as far as the joint moves in it: one that holds still says little of how well its motion is
-    followed, and where most do, a joint that is stuck would look best. Of the motion a quarter may go astray.
+    A median would be that of standing still where most windows hold still, so that a joint that is stuck looks best. No
+    window counts for more than its motion or the median: up to half of the windows may go astray.
     """
-    square = capped(problem, square)
-    far = np.sqrt(problem.motion)
-    far = np.broadcast_to(far + 1e-3 * far.mean(0) + 1e-12, square.shape)
-    order = np.argsort(square, axis=-2)
-    best, far = np.take_along_axis(square, order, -2), np.take_along_axis(far, order, -2)
-    share = far / far.sum(-2, keepdims=True)
-    kept = np.clip(1.0 - WILD - (np.cumsum(share, axis=-2) - share), 0.0, share)
-    return np.asarray((kept * best).sum(-2) / kept.sum(-2), dtype=np.float64)
-
-
-def capped(problem: Problem, square: Array) -> Array:
-    """Mean squares (..., W, J) of which no window's counts for more than its motion or the median."""
+    count = square.shape[-2]
     most = np.maximum(problem.motion, np.median(square, axis=-2, keepdims=True))
-    return np.asarray(np.minimum(square, most), dtype=np.float64)
+    capped = np.sort(np.minimum(square, most), axis=-2)[..., : count - int(WILD * count), :]
+    return np.asarray(capped.mean(-2), dtype=np.float64)
 
 
 def window_cost(problem: Problem, square: Array) -> Array:

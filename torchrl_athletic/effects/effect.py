@@ -86,8 +86,6 @@ class Effect(ABC):
     'control' or 'change'."""
     own_joint: ClassVar[bool] = False
     """Whether only its own joint shows it, so that a joint which follows the model cannot have it."""
-    moves_own_joint: ClassVar[bool] = False
-    """Whether it moves its own joint, and others only by what that passes on to them; so does all of ``own_joint``."""
     tolerance: ClassVar[float] = 0.0
     """How far its numbers may be off without being a finding, in their scales: what every model and every log is a
     little wrong in."""

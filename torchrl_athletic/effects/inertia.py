@@ -34,7 +34,6 @@ class ReflectedInertia(Effect):
 
     name = "reflected_inertia"
     family = "inertia"
-    moves_own_joint = True
     mjcf = "model"
     shows_in = "acceleration"
     equation = "τ = -Ir n² q̈"
