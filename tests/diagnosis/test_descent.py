@@ -177,7 +177,7 @@ def test_what_is_held_goes_to_the_given_models_number(side):
     h = SimpleNamespace(
         scale=np.array([0.5, 0.1]), nominal=np.array([3.0 - side, 1.0]), bounds=(np.full(2, -9.0), np.full(2, 9.0))
     )
-    problem = SimpleNamespace(hypothesis=h, row_weight=np.ones(3), window=np.array([0, 0, 0]))
+    problem = SimpleNamespace(hypothesis=h, row_weight=np.ones(3), first=np.array([0]))
     columns = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     near = Linearised(
         problem, np.array([3.0, 1.0]), np.ones(2, dtype=bool), np.zeros(3), columns, np.zeros(1), np.zeros((1, 2))

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.deadline import Deadline
-from torchrl_athletic.diagnosis.problem import Problem
+from torchrl_athletic.diagnosis.problem import Mask, Problem
 from torchrl_athletic.diagnosis.screen import bounded_least_squares
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 STEPS = 5
 """Steps by one Jacobian, which each of them mends (Broyden 1965)."""
@@ -127,17 +126,13 @@ class Linearised:
     def normal(self) -> Array:
         """Each window's normal equations. Shape (W, P, P)."""
         d = self.columns * self.problem.row_weight[:, None]
-        return np.stack([part.T @ part for part in np.split(d, self._first[1:])])
+        return np.stack([part.T @ part for part in np.split(d, self.problem.first[1:])])
 
     @cached_property
     def right(self) -> Array:
         """Gradient of half the squared error, of each window. Shape (W, P)."""
         both = (self.columns.T * (self.problem.row_weight**2 * self.errors)).T
-        return np.asarray(np.add.reduceat(both, self._first, axis=0), dtype=np.float64)
-
-    @property
-    def _first(self) -> NDArray[np.intp]:
-        return np.flatnonzero(np.diff(self.problem.window, prepend=-1))
+        return np.asarray(np.add.reduceat(both, self.problem.first, axis=0), dtype=np.float64)
 
     def step(self, windows: Mask, held: Mask) -> Array:
         """Solution of some windows with some of the free parameters held at the given model's. All parameters."""

@@ -12,8 +12,8 @@ from __future__ import annotations
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.descent import Linearised, descend, linearise
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.joint_fit import Array, trusted
-from torchrl_athletic.diagnosis.problem import Mask, Problem, weighed, window_cost
+from torchrl_athletic.diagnosis.joint_fit import trusted
+from torchrl_athletic.diagnosis.problem import Array, Mask, Problem, weighed, window_cost
 from torchrl_athletic.diagnosis.standard import Agreement
 
 ALIKE = 1.01

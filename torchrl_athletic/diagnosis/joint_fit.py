@@ -18,6 +18,7 @@ from torchrl_athletic.diagnosis.descent import DAMPING, RIDGE, Linearised, desce
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis
 from torchrl_athletic.diagnosis.problem import (
     TUNING,
+    Mask,
     Problem,
     apart_from,
     folds_of,
@@ -33,7 +34,6 @@ from torchrl_athletic.diagnosis.replay import Take
 from torchrl_athletic.diagnosis.standard import Agreement
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 HORIZONS = (0.1, 0.2)
 """Windows of the searches that forgive a poor start, before those of :data:`WINDOW` [s]."""

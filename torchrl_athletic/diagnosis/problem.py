@@ -92,6 +92,11 @@ class Problem:
             sizes += [len(range(every - 1, w.length, every)) * joints] * len(w.start)
         return np.repeat(np.arange(len(sizes)), sizes)
 
+    @cached_property
+    def first(self) -> NDArray[np.intp]:
+        """First row of each window in the errors. Shape (W,)."""
+        return np.flatnonzero(np.diff(self.window, prepend=-1))
+
     @property
     def row_weight(self) -> Array:
         """What each row of the errors is multiplied by for the least squares. Shape (N,)."""
@@ -99,9 +104,8 @@ class Problem:
 
     def squares(self, errors: Array) -> Array:
         """Mean squares, shape (W, J), of errors (N,)."""
-        first = np.flatnonzero(np.diff(self.window, prepend=-1))
         rows = (errors.reshape(-1, len(self.unit))) ** 2
-        return np.asarray(np.add.reduceat(rows, first // len(self.unit), axis=0), dtype=np.float64)
+        return np.asarray(np.add.reduceat(rows, self.first // len(self.unit), axis=0), dtype=np.float64)
 
 
 def problem_of(
