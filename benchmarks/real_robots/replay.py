@@ -26,6 +26,9 @@ WINDOW = 0.5
 """[s]."""
 HELD = 1.0
 """Time for which the first command of a log was held before it [s]: longer than any delay."""
+SMOOTHED, SHORTEST, LONGEST = 11, 0.02, 0.1
+"""Samples over which a cubic gives the state in which a window starts; but it spans no less and no more than this [s].
+Five samples of an encoder at 200 Hz give a velocity that is off by a fifth, by the drive's own velocity."""
 LOST = 10.0
 """Error of a simulation that diverges [rad, m]."""
 SAME_RATE = 0.002
@@ -66,6 +69,12 @@ class Window:
         return id(self.model), self.step, len(self.edges), gains
 
 
+def smoothed_samples(period: float) -> int:
+    """Samples, an odd number, over which a log with this sampling period is smoothed."""
+    least, most = (2 * round(span / 2 / period) + 1 for span in (SHORTEST, LONGEST))
+    return max(5, least, min(SMOOTHED, most))
+
+
 class Replay:
     """Recordings cut into windows; parameters are (10, J), as :data:`NAMES`."""
 
@@ -99,7 +108,7 @@ class Replay:
         substeps = int(np.ceil(period / self.given.opt.timestep - 1e-3))
         grid = r.time[0] + period * np.arange(int((r.time[-1] - r.time[0]) / period + 1e-6) + 1)
         q = np.stack([np.interp(grid, r.time, c) for c in r.position.T], -1)
-        size = max(5, 2 * round(0.01 / period) + 1)
+        size = smoothed_samples(period)
         if len(grid) < size:
             return []
         smooth = savgol_filter(q, size, 3, axis=0)

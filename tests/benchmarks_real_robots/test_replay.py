@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.real_robots.replay import NAMES, Replay
+from benchmarks.real_robots.replay import NAMES, Replay, smoothed_samples
 from benchmarks.real_robots.robots import Robot
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Hypothesis
@@ -41,6 +41,24 @@ def test_windows_begin_where_both_sides_are_smoothed_and_follow_each_other():
     for w in replay.windows:
         np.testing.assert_allclose(w.measured, take.position[w.first + 1 : w.first + 251], atol=1e-9)
         assert w.v[0] == pytest.approx(np.gradient(take.position[:, 0], PERIOD)[w.first], abs=0.02)
+
+
+@pytest.mark.parametrize(("rate", "samples"), [(20, 5), (50, 5), (63, 7), (100, 11), (333, 11), (665, 15), (1000, 21)])
+def test_windows_start_from_eleven_samples_within_a_tenth_and_a_fiftieth_of_a_second(rate: float, samples: int):
+    assert smoothed_samples(1 / rate) == samples
+
+
+def test_an_encoder_of_4096_steps_read_at_200_hz_starts_windows_within_a_tenth_of_its_speed():
+    """Of five samples, a hundredth of a second each way, it would be off by a sixth."""
+    time, step = 0.005 * np.arange(4000), 2 * np.pi / 4096
+    true = 0.3 * np.sin(2.5 * time)
+    read = step * np.round(true / step)
+    robot, _ = swing()
+    take = Recording(time, ("pendulum",), read[:, None], torque_command=0 * read[:, None], source="sine")
+    windows = Replay(robot, [take]).windows
+    speed = 0.75 * np.cos(2.5 * time[[w.first for w in windows]])
+    found = np.array([w.v[0] for w in windows])
+    assert np.sqrt(np.mean((found - speed) ** 2)) < 0.1 * np.sqrt(np.mean(speed**2))
 
 
 def test_a_late_command_is_the_first_one_as_long_as_the_log_has_none():
