@@ -1,5 +1,6 @@
 """Longer physics steps for a search: taken where the motion stays what it was, refused elsewhere."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -7,10 +8,21 @@ import numpy as np
 import pytest
 from diagnosis.plants import STEP, pendulum, record, smooth_torque
 
-from torchrl_athletic.diagnosis.coarse import ALIKE, LONGEST, coarse, fit_in_steps_of, in_steps_of, moves_alike
+from torchrl_athletic.diagnosis.coarse import (
+    ALIKE,
+    LONGEST,
+    coarse,
+    fit_in_steps_of,
+    in_steps_of,
+    moves_alike,
+    steps_alike,
+)
+from torchrl_athletic.diagnosis.descent import linearise
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.problem import problem_of
+from torchrl_athletic.diagnosis.screen import Candidate
+from torchrl_athletic.effects import ViscousFriction
 
 NOTHING = Hypothesis(())
 
@@ -47,16 +59,23 @@ def test_how_alike_is_measured_by_the_error_that_there_is():
     assert 0 < ALIKE < 1
 
 
-@pytest.mark.parametrize("alike", [True, False])
-def test_what_was_found_in_long_steps_is_fitted_again_in_the_takes_own_where_these_move_otherwise(monkeypatch, alike):
-    names, told = fit_in_steps_of.__globals__, []
-    found = iter([SimpleNamespace(values="first"), SimpleNamespace(values="second")])
-    monkeypatch.setitem(names, "fit", lambda *given: told.append(given) or next(found))
-    monkeypatch.setitem(names, "moves_alike", lambda copy, take, h, x, rng: alike or (copy, take, x) == ("b", "B", ""))
-    fitted = fit_in_steps_of({"a": "A", "b": "B"}, "laws", "start", lambda purpose: purpose)
-    assert told[0] == ("laws", ("a", "b"), "start", "fit")
-    assert told[1:] == ([] if alike else [("laws", ("A", "B"), "first", "fit")])
-    assert fitted.values == ("first" if alike else "second")
+@pytest.mark.parametrize(("alike_from", "counts"), [(2, [2]), (3, [2, 4]), (16, [2, 16]), (99, [2, 20])])
+def test_what_was_found_in_long_steps_is_fitted_again_in_the_longest_that_move_alike(monkeypatch, alike_from, counts):
+    """Steps of a copy are halved, until they are the take's own twenty a sample."""
+    (take,) = takes_of(pendulum(STEP))
+    own = take.stepped(20)
+    copy, names, told = own.stepped(2), fit_in_steps_of.__globals__, []
+
+    def fit(laws, takes, start, rng):
+        told.append(([t.substeps for t in takes], start))
+        return SimpleNamespace(values="found")
+
+    monkeypatch.setitem(names, "fit", fit)
+    monkeypatch.setitem(names, "moves_alike", lambda c, t, h, x, rng: t is own and c.substeps >= alike_from)
+    fit_in_steps_of({copy: own}, "laws", "start", lambda purpose: purpose)
+    assert told == [([n], start) for n, start in zip(counts, ("start", "found"), strict=False)]
+    steps = steps_alike({copy: own}, "laws", "found", "rng")
+    assert (steps[copy] is copy, steps[copy] is own) == (counts[-1] == 2, counts[-1] == 20)
 
 
 def test_a_problem_keeps_its_windows_in_other_steps():
@@ -70,3 +89,20 @@ def test_a_problem_keeps_its_windows_in_other_steps():
     errors = [np.sqrt(p.mean_square(np.zeros((1, 0))).mean()) for p in (rough, fine)]
     assert errors[0] == pytest.approx(errors[1], rel=ALIKE)
     assert errors[0] != errors[1]
+    assert [w.take for w in fine.rough] == list(copies)
+    assert in_steps_of(fine, {take: copy for copy, take in copies.items()}).rough == ()  # its slopes are its own
+
+
+def test_slopes_are_those_of_the_longer_steps_and_errors_those_of_the_takes_own():
+    """Damping that a pendulum lacks: by steps of 5 ms a slope is nearly what it is by the model's own."""
+    takes = takes_of(pendulum(STEP), pendulum(STEP, 'damping="0.2"'))
+    law = ViscousFriction()
+    h = Hypothesis((Candidate(law, 0, "joint", law.parameters(takes[0].model, takes[0].address, 0)),))
+    copies = coarse(takes, h, h.nominal, np.random.default_rng(0))
+    rough = problem_of(h, tuple(copies), WINDOW, 40, np.random.default_rng(1), h.nominal)
+    fine, free = in_steps_of(rough, copies), np.ones(1, dtype=bool)
+    near, own, far = (linearise(p, h.nominal, free) for p in (fine, replace(fine, rough=()), rough))
+    np.testing.assert_array_equal(near.errors, own.errors)
+    assert not np.array_equal(near.errors, far.errors)
+    np.testing.assert_array_equal(near.columns, far.columns)
+    np.testing.assert_allclose(near.columns, own.columns, atol=0.02 * np.abs(own.columns).max())

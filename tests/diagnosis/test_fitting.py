@@ -641,7 +641,9 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         "starts": note("starts", "starts"), "search": note("search", near), "agreement": lambda *given: given,
         "affordable": lambda h, takes, deadline: fitting.SCARCE - extended,
         "coarse": lambda takes, h, x, rng: {"in longer steps": "take"},
-        "in_steps_of": lambda problem, takes: told.update(steps=takes) or problem,
+        "steps_alike": lambda copies, h, x, rng: told.update(steps=copies) or {c: "finer" for c in copies},
+        "moves_alike": lambda copy, take, h, x, rng: told.update(alike=(copy, take)) or True,
+        "in_steps_of": lambda problem, steps: problem,
         "with_given_scales": note("given scales", near),
         "with_gear": note("gear", near), "extend": note("extend", near), "prune": note("prune", needed),
         "best_of": note("best_of", [np.array([1.0, 2.0, 0.125, 0.25, 0.375])]), "Deadline": Clock,
@@ -664,12 +666,14 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
     assert stages == [name for name in fitting.STAGES if extended or name != "extend"]
     assert (told["done"], told["budget"]) == (1.0, 60.0)
     assert told["step"] == ([True] * 3, [False, False, True, True])
-    if extended:  # where a search can afford too few windows, it takes longer steps, and what is needed the model's own
+    if extended:  # where a search can afford too few windows, it takes longer steps, and what is needed shorter ones
         assert (told["search"][1], told["search"][6]) == (("in longer steps",), fitting.SCARCE)
-        assert told["steps"]["in longer steps"] == "take"
+        assert told["steps"] == {"in longer steps": "take"}
+        assert told["alike"] == ("finer", "take")
     else:
         assert (told["search"][1], told["search"][6]) == (tuple(dict.fromkeys("train")), fitting.MOST)
         assert told["steps"] == {letter: letter for letter in "train"}
+        assert told["alike"][0] == "finer"
     pruned = [1.0, 2.0, 0.125, 0.25, 0.375]
     assert told["descend"][:3] == ((problem, pruned), pytest.approx(pruned), needed)
     assert [x.tolist() for x in told["best_of"][1]] == [pruned, [5.0, 5.0, 0.125, 0.25, 0.375]]

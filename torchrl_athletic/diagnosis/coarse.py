@@ -1,8 +1,8 @@
-"""Recordings replayed in longer physics steps, for a search: two to five times as quick, and nearly the same motion."""
+"""Recordings replayed in longer physics steps: two to twenty times as quick, and nearly the same motion."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -53,10 +53,33 @@ def moves_alike(copy: Take, take: Take, h: Hypothesis, x: Array, rng: np.random.
     return bool(windows) and bool(np.mean(wrong / np.maximum(error, 1e-18)) <= ALIKE**2)
 
 
+def steps_alike(copies: Mapping[Take, Take], h: Hypothesis, x: Array, rng: np.random.Generator) -> dict[Take, Take]:
+    """Each copy of a take -> that in the longest steps, halved as often as it takes, that moves as the take by values.
+
+    Args:
+        copies: Copy of each take -> the take.
+        h: What the values are of.
+        x: Values (P,).
+        rng: Draws the windows by which they are compared.
+    """
+    return {
+        copy: next((c for c in _halved(copy, take) if moves_alike(c, take, h, x, rng)), take)
+        for copy, take in copies.items()
+    }
+
+
+def _halved(copy: Take, take: Take) -> Iterator[Take]:
+    """A copy, and others in steps of half the length, a quarter and so on, as long as the take's own are shorter."""
+    count = copy.substeps
+    while count < take.substeps:
+        yield copy if count == copy.substeps else take.stepped(count)
+        count *= 2
+
+
 def fit_in_steps_of(
     copies: Mapping[Take, Take], h: Hypothesis, start: Array, rng: Callable[[str], np.random.Generator]
 ) -> Fitted:
-    """Fit copies from values (P,), and the takes themselves from there where copies move otherwise by what was found.
+    """Fit copies from values (P,), and from there copies in shorter steps where these move otherwise by what was found.
 
     Args:
         copies: Copy of each take -> the take.
@@ -65,11 +88,15 @@ def fit_in_steps_of(
         rng: Randomness for one purpose.
     """
     fitted = fit(h, tuple(copies), start, rng("fit"))
-    if all(moves_alike(copy, take, h, fitted.values, rng("coarse")) for copy, take in copies.items()):
+    steps = steps_alike(copies, h, fitted.values, rng("coarse"))
+    if all(copy is step for copy, step in steps.items()):
         return fitted
-    return fit(h, tuple(copies.values()), fitted.values, rng("fit"))
+    return fit(h, tuple(steps.values()), fitted.values, rng("fit"))
 
 
-def in_steps_of(problem: Problem, takes: Mapping[Take, Take]) -> Problem:
-    """The same windows of other copies of their takes."""
-    return replace(problem, windows=tuple(replace(w, take=takes[w.take]) for w in problem.windows))
+def in_steps_of(problem: Problem, steps: Mapping[Take, Take]) -> Problem:
+    """The same windows of other copies of their takes; slopes are taken in the longest steps that they had."""
+    windows = tuple(replace(w, take=steps[w.take]) for w in problem.windows)
+    rough = problem.rough or problem.windows
+    same = all(a.take is b.take for a, b in zip(windows, rough, strict=True))
+    return replace(problem, windows=windows, rough=() if same else rough)

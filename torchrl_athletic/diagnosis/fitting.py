@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.coarse import coarse, in_steps_of
+from torchrl_athletic.diagnosis.coarse import coarse, in_steps_of, moves_alike, steps_alike
 from torchrl_athletic.diagnosis.compare import harms, score
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml, logged_gains
@@ -27,6 +27,7 @@ from torchrl_athletic.diagnosis.model import Model, load_model
 from torchrl_athletic.diagnosis.prepare import Drive, Prepared, prepare
 from torchrl_athletic.diagnosis.problem import Problem, tellings, weighed, window_cost
 from torchrl_athletic.diagnosis.progress import Progress
+from torchrl_athletic.diagnosis.replay import Take
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.standard import Agreement, Seen, agreement, seen_in, standard_joints, starts
@@ -222,9 +223,8 @@ def fit(
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
     x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
-    fine = in_steps_of(near.problem, takes)
-    y = best_of(fine, (y, np.where(needed, x, h.nominal)), 1)[0]
-    y = descend(weighed(fine, y), y, needed, SLOPES, deadline.part(0.76))
+    y = best_of(near.problem, (y, np.where(needed, x, h.nominal)), 1)[0]
+    fine, y = _in_true_steps(near.problem, takes, y, needed, _rng(seed, "steps"), deadline.part(0.76))
     again = linearise(weighed(fine, y), y, needed)
     asked, before = needed, _parameters(h, near, again, y, needed, seen)
     if deadline.part(0.78).allows(3 * again.seconds):
@@ -267,6 +267,37 @@ def fit(
         result.save(output)
     progress.update(1.0)
     return result
+
+
+def _in_true_steps(
+    problem: Problem,
+    takes: Mapping[Take, Take],
+    x: Array,
+    needed: NDArray[np.bool_],
+    rng: np.random.Generator,
+    deadline: Deadline,
+) -> tuple[Problem, Array]:
+    """The solution over what is needed, from values (P,), in the longest steps that move by it as the takes' own do.
+
+    Args:
+        problem: In the steps of the search.
+        takes: Copy of each take in those steps -> the take.
+        x: First guess. Shape (P,).
+        needed: What may move. Shape (P,).
+        rng: Draws the windows by which steps are compared.
+        deadline: Of the descents.
+
+    Returns:
+        The problem in those steps, and its solution.
+    """
+    h, copies, alike = problem.hypothesis, dict(takes), False
+    while not alike:
+        steps = steps_alike(copies, h, x, rng)
+        problem = in_steps_of(problem, steps)
+        x = descend(weighed(problem, x), x, needed, SLOPES, deadline)
+        copies = {steps[copy]: take for copy, take in copies.items()}
+        alike = all(moves_alike(copy, take, h, x, rng) for copy, take in copies.items())
+    return problem, x
 
 
 def _rng(seed: int, purpose: str) -> np.random.Generator:
