@@ -14,6 +14,8 @@ folder                                      github                              
 ``double_pendulum`` at ``1e8544e``          dfki-ric-underactuated-lab/...           BSD-3-Clause
 ``sysid`` at ``d66b22c``                    kscalelabs/sysid                         none stated
 ``servo-sysid`` at ``e4a4840``              mauicv/servo-sysid                       none stated
+``sim2real-robot-identification``           RX-00/sim2real-robot-identification      BSD-3-Clause
+at ``1a22bd0``
 ==========================================  =======================================  =======================
 """
 
@@ -29,6 +31,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
@@ -38,6 +41,12 @@ from torchrl_athletic.robots.benches import two_link_arm
 
 Array = NDArray[np.float64]
 
+_EMPTY: Any = np.zeros(0)
+_ARRAYS: Any = [
+    *((_EMPTY.__reduce__()[0], f"numpy.{core}.multiarray._reconstruct") for core in ("core", "_core")),
+    *(np.ndarray, np.dtype, np.dtypes.Float32DType, np.dtypes.Float64DType),
+]
+"""What a file of tensors may hold beside them: arrays of NumPy 1 and 2."""
 LOOKED = "yes, held-out part too"
 """Of :attr:`Robot.looked_at`, where no part was left unseen."""
 
@@ -161,6 +170,48 @@ def _ur10e(data: Path, fitted: Sequence[str], aside: Sequence[str], looked_at: s
 
     spec.compile()
     return Robot(spec.to_xml(), [take(n) for n in fitted], [take(n) for n in aside], looked_at)
+
+
+def unitree(data: Path, robot: str) -> Robot:
+    """A Go2 held in the air, an Aliengo or a Z1 with its gripper, position targets at 200 Hz, gains as logged.
+
+    One sweep of all joints between two poses, in periods from 3 to 0.4 s. Of the Go2 eight takes are fitted and two are
+    kept aside, as the logs' authors do; the others have one take, whose last third, the fastest, is kept aside. The
+    models are the maker's: what the authors fitted, friction, damping and rotors, is taken out again.
+    """
+    home = data / "sim2real-robot-identification"
+    spec = mujoco.MjSpec.from_file(str(home / f"robot_model/{robot}/{robot}.xml"))
+    _delete_shapes(spec)
+    for key in spec.keys:
+        spec.delete(key)
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+            spec.delete(joint)
+        else:
+            joint.frictionloss, joint.damping, joint.armature = 0.0, np.zeros_like(joint.damping), 0.0
+    names = tuple(joint.name for joint in spec.joints)
+
+    def take(path: Path) -> Recording:
+        with torch.serialization.safe_globals(_ARRAYS):
+            content = torch.load(path, weights_only=True)
+        logged = {name: np.asarray(column, dtype=np.float64) for name, column in content.items()}
+        return Recording(
+            logged["time"],
+            names,
+            logged["dof_pos"],
+            velocity=logged["dof_vel"],
+            position_target=logged["des_dof_pos"],
+            kp=logged["kp"],
+            kd=logged["kd"],
+            source=f"{robot}/{path.stem}",
+        )
+
+    takes = [take(path) for path in sorted((home / f"datasets/{robot}").glob("traj_*.pt"))]
+    if len(takes) > 1:
+        return Robot(spec.to_xml(), takes[:-2], takes[-2:], "no")
+    [whole] = takes
+    third = 2 * whole.num_samples // 3
+    return Robot(spec.to_xml(), [whole.slice(0, third)], [whole.slice(third, whole.num_samples)], "no")
 
 
 def go1(data: Path) -> Robot:
@@ -385,6 +436,7 @@ ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     "airbot": airbot,
     "airbot, second session": partial(airbot, second=True),
     "ur10e": ur10e,
+    **{robot: partial(unitree, robot=robot) for robot in ("go2", "aliengo", "z1")},
     "go1": go1,
     **{motor.lower(): partial(sts, motor=motor) for motor in ("STS3215", "STS3250")},
     "miuzei": miuzei,

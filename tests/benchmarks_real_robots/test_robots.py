@@ -1,0 +1,87 @@
+"""Robots of public logs: what is read of a clone, from a clone made here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.real_robots.robots import unitree
+
+LEG = """
+<mujoco>
+  <compiler angle="radian"/>
+  <asset><mesh name="shell" file="absent.obj"/></asset>
+  <worldbody>
+    <body name="base" pos="0 0 1">
+      <inertial pos="0 0 0" mass="6" diaginertia="1 1 1"/>
+      <freejoint/>
+      <geom mesh="shell" type="mesh"/>
+      <body name="thigh">
+        <inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/>
+        <joint name="hip" axis="0 1 0" damping="0.6" armature="0.01" frictionloss="0.2" range="-1 1"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="hip" joint="hip" ctrlrange="-20 20"/></actuator>
+  <keyframe><key name="home" qpos="0 0 1 1 0 0 0 0.5"/></keyframe>
+</mujoco>
+"""
+
+
+def clone(folder: Path, takes: int, samples: int = 90) -> None:
+    home = folder / "sim2real-robot-identification"
+    (home / "robot_model/leg").mkdir(parents=True)
+    (home / "datasets/leg").mkdir(parents=True)
+    (home / "robot_model/leg/leg.xml").write_text(LEG)
+    time = 0.005 * np.arange(samples)
+    for k in range(takes):
+        wave = k + np.sin(time)[:, None]
+        torch.save(
+            {
+                "time": time,
+                "dof_pos": torch.from_numpy(wave),
+                "dof_vel": np.cos(time)[:, None].astype(np.float32),
+                "des_dof_pos": torch.from_numpy(wave + 0.5),
+                "des_dof_vel": np.zeros_like(wave),
+                "kp": torch.tensor([20.0]),
+                "kd": np.array([1.5]),
+            },
+            home / f"datasets/leg/traj_{k}.pt",
+        )
+
+
+def test_what_the_logs_authors_fitted_is_taken_out_of_a_unitree_whose_base_is_held(tmp_path):
+    clone(tmp_path, 4)
+    robot = unitree(tmp_path, "leg")
+    model = mujoco.MjModel.from_xml_string(robot.xml)
+    assert (model.nv, model.nkey, model.ngeom) == (1, 0, 0)
+    assert (model.dof_frictionloss[0], model.dof_damping.ravel()[0], model.dof_armature[0]) == (0.0, 0.0, 0.0)
+    assert model.body("base").mass == pytest.approx(6.0)
+    assert model.jnt_range[0] == pytest.approx([-1.0, 1.0])
+    assert model.actuator_ctrlrange[0] == pytest.approx([-20.0, 20.0])
+    assert [[r.source for r in group] for group in (robot.recordings, robot.heldout)] == [
+        ["leg/traj_0", "leg/traj_1"],
+        ["leg/traj_2", "leg/traj_3"],
+    ]
+    take = robot.recordings[1]
+    assert take.joint_names == ("hip",)
+    assert take.kp is not None
+    assert take.kd is not None
+    assert take.velocity is not None
+    assert take.position_target is not None
+    assert (take.kp.tolist(), take.kd.tolist()) == ([20.0], [1.5])
+    np.testing.assert_allclose(take.position[:, 0], 1 + np.sin(take.time), atol=1e-12)
+    np.testing.assert_allclose(take.velocity[:, 0], np.cos(take.time), atol=1e-6)
+    np.testing.assert_allclose(take.position_target - take.position, 0.5, atol=1e-12)
+
+
+def test_of_a_unitree_with_one_take_the_last_third_is_kept_aside(tmp_path):
+    clone(tmp_path, 1)
+    robot = unitree(tmp_path, "leg")
+    first, last = (group[0].time for group in (robot.recordings, robot.heldout))
+    np.testing.assert_allclose(np.concatenate([first, last]), 0.005 * np.arange(90))
+    assert (len(robot.recordings), len(robot.heldout), len(last)) == (1, 1, 30)
