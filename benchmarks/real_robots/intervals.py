@@ -46,14 +46,26 @@ def main(cfg: Config) -> None:
         robot = ROBOTS[case](cfg.data)
         held = Replay(robot, robot.heldout)
         corrected = json.loads((folder_of(cfg.fits, case) / "corrected.json").read_text("utf-8"))
-        ours = held.mean_square_of(Simulation.from_json(corrected, held.given)).mean(1)
+        simulation = Simulation.from_json(corrected, held.given)
+        ours = apart(held.mean_square_of(simulation).mean(1), held.overlapping)
         told = {name: np.array(x) for name, x in known[case]["parameters"].items() if name != "given"}
-        rivals = {name: held.mean_square(numbers).mean(1) for name, numbers in told.items()}
+        rivals = {name: apart(held.mean_square(numbers).mean(1), held.overlapping) for name, numbers in told.items()}
         best = min(rivals, key=lambda name: float(rivals[name].mean()))
         low, high = interval(ours, rivals[best], np.random.default_rng(0))
         lines.append(f"| {case} | {best} | {len(ours)} | {ratio(ours, rivals[best]):.2f} | {low:.2f} to {high:.2f} |")
         print(lines[-1], flush=True)
     cfg.output.write_text("\n".join(lines) + "\n", "utf-8")
+
+
+def apart(square: NDArray[np.float64], overlapping: int) -> NDArray[np.float64]:
+    """Means of as many windows (W,) as share samples, which tell but once.
+
+    Example:
+        >>> apart(np.array([1.0, 3.0, 5.0]), 2).tolist()
+        [2.0, 5.0]
+    """
+    first = np.arange(0, len(square), overlapping)
+    return np.asarray(np.add.reduceat(square, first) / np.diff(first, append=len(square)), dtype=np.float64)
 
 
 def interval(ours: NDArray[np.float64], rival: NDArray[np.float64], rng: np.random.Generator) -> tuple[float, float]:

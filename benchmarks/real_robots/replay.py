@@ -29,6 +29,8 @@ HELD = 1.0
 SMOOTHED, SHORTEST, LONGEST = 11, 0.02, 0.1
 """Samples over which a cubic gives the state in which a window starts; but it spans no less and no more than this [s].
 Five samples of an encoder at 200 Hz give a velocity that is off by a fifth, by the drive's own velocity."""
+ENOUGH = 100
+"""Windows; where back to back there are fewer, they overlap: the mean of a few says where they happen to begin."""
 LOST = 10.0
 """Error of a simulation that diverges [rad, m]."""
 SAME_RATE = 0.002
@@ -78,6 +80,9 @@ def smoothed_samples(period: float) -> int:
 class Replay:
     """Recordings cut into windows; parameters are (10, J), as :data:`NAMES`."""
 
+    overlapping: int
+    """Windows that share a sample, at most."""
+
     def __init__(self, robot: Robot, recordings: Sequence[Recording]) -> None:
         self.given, self.names = mujoco.MjModel.from_xml_string(robot.xml), recordings[0].joint_names
         self.joint = [self.given.joint(n).id for n in self.names]
@@ -85,23 +90,26 @@ class Replay:
         self.actuator = [int(np.flatnonzero(self.given.actuator_trnid[:, 0] == j)[0]) for j in self.joint]
         periods: list[float] = []
         models: dict[bytes, mujoco.MjModel] = {}
-        self.windows: list[Window] = []
+        parts = []
         for r in recordings:
             model = self.given if robot.model_of is None else robot.model_of(r)
             model = models.setdefault(model.body_mass.tobytes(), model)
             own = 1.0 / r.rate
             periods.append(next((p for p in periods if abs(own / p - 1) < SAME_RATE), own))
-            for part in split_at_gaps(r):
-                self.windows += self._cut(part, model, periods[-1])
+            parts += [(part, model, periods[-1]) for part in split_at_gaps(r)]
+        self.windows = [w for part in parts for w in self._cut(*part)]
         if not self.windows:
             raise ValueError(f"{recordings[0].source}: no part of the logs holds a window of {WINDOW:g} s.")
+        self.overlapping = -(-ENOUGH // len(self.windows))
+        if self.overlapping > 1:
+            self.windows = [w for part in parts for w in self._cut(*part, self.overlapping)]
         self.targets = any(r.position_target is not None for r in recordings)
         damped = {float(r.kd[0]) if r.kd is not None else 0.0 for r in recordings}
         drive = ("kp", "kd") if len(damped) > 1 else ("kp",)
         self.movable = (*NAMES[:7], *(drive if self.targets else ("scale",)))
 
-    def _cut(self, r: Recording, model: mujoco.MjModel, period: float) -> list[Window]:
-        """Back to back, with states from the smoothed positions: a drive's own velocity may be late or coarse.
+    def _cut(self, r: Recording, model: mujoco.MjModel, period: float, overlapping: int = 1) -> list[Window]:
+        """Back to back, or some at a time, with states from the smoothed positions: a drive's own velocity may be late.
 
         The first begins where the smoothing has samples on both sides: at an edge the velocity is extrapolated.
         """
@@ -133,7 +141,7 @@ class Replay:
                 r,
                 first,
             )
-            for first in range(size // 2, len(grid) - length, length)
+            for first in range(size // 2, len(grid) - length, max(1, length // overlapping))
         ]
 
     def with_windows(self, most: int) -> Replay:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.real_robots.intervals import interval
+from benchmarks.real_robots.intervals import apart, interval
 
 
 def test_windows_that_are_all_alike_leave_no_doubt():
@@ -17,3 +17,9 @@ def test_the_true_ratio_lies_in_nineteen_intervals_of_twenty():
         low, high = interval(rng.exponential(1.0, 100), rng.exponential(4.0, 100), rng)
         held += low <= 0.5 <= high
     assert 180 <= held <= 199
+
+
+def test_windows_that_overlap_tell_but_once():
+    square = np.array([1.0, 3.0, 2.0, 4.0, 7.0])
+    assert apart(square, 2).tolist() == [2.0, 3.0, 7.0]
+    assert apart(square, 1).tolist() == square.tolist()

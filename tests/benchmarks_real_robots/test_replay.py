@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.real_robots import replay as module
 from benchmarks.real_robots.replay import NAMES, Replay, smoothed_samples
 from benchmarks.real_robots.robots import Robot
 from torchrl_athletic.diagnosis.corrected import Simulation
@@ -33,7 +34,8 @@ def swing(seconds: float = 2.1, friction: float = 0.0, gap: float = 0.0, until: 
     return Robot(pendulum(), [take], [], "no"), take
 
 
-def test_windows_begin_where_both_sides_are_smoothed_and_follow_each_other():
+def test_windows_begin_where_both_sides_are_smoothed_and_follow_each_other(monkeypatch):
+    monkeypatch.setattr(module, "ENOUGH", 1)
     robot, take = swing()
     replay = Replay(robot, [take])
     assert [w.first for w in replay.windows] == [5, 255, 505, 755]
@@ -41,6 +43,16 @@ def test_windows_begin_where_both_sides_are_smoothed_and_follow_each_other():
     for w in replay.windows:
         np.testing.assert_allclose(w.measured, take.position[w.first + 1 : w.first + 251], atol=1e-9)
         assert w.v[0] == pytest.approx(np.gradient(take.position[:, 0], PERIOD)[w.first], abs=0.02)
+
+
+def test_few_windows_overlap_until_there_are_enough(monkeypatch):
+    """Four back to back; ten are asked for, so that three share a sample."""
+    monkeypatch.setattr(module, "ENOUGH", 10)
+    robot, take = swing()
+    replay = Replay(robot, [take])
+    assert replay.overlapping == 3
+    assert [w.first for w in replay.windows] == [5 + 83 * k for k in range(10)]
+    assert all(len(w.measured) == 250 for w in replay.windows)
 
 
 @pytest.mark.parametrize(("rate", "samples"), [(20, 5), (50, 5), (63, 7), (100, 11), (333, 11), (665, 15), (1000, 21)])
@@ -88,7 +100,8 @@ def test_the_judge_and_the_corrected_simulation_agree_and_truth_leaves_no_error(
     assert bool(given.min() > 0.01) is (friction > 0)
 
 
-def test_each_part_beside_a_gap_begins_anew_and_a_short_one_has_no_window():
+def test_each_part_beside_a_gap_begins_anew_and_a_short_one_has_no_window(monkeypatch):
+    monkeypatch.setattr(module, "ENOUGH", 1)
     robot, take = swing(3.0, gap=0.3, until=1.2)
     starts = [(w.recording.time[0] + PERIOD * w.first) for w in Replay(robot, [take]).windows]
     assert starts == pytest.approx([0.010, 0.510, 1.512, 2.012], abs=1e-6)
