@@ -17,15 +17,17 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
 
 from benchmarks.by_case import Row, run_cases
 from benchmarks.real_robots.replay import Replay
-from benchmarks.real_robots.rivals import SHORT, by_hand, by_pace, by_sysid
-from benchmarks.real_robots.robots import ROBOTS
+from benchmarks.real_robots.rivals import RIVALS, SHORT, by_hand, by_pace, by_sysid
+from benchmarks.real_robots.robots import ROBOTS, Robot
 from torchrl_athletic.diagnosis import fit
+from torchrl_athletic.diagnosis.corrected import Simulation
 
 SCORED = 400
 """Windows that the error on the fitted recordings is stated over; those kept aside are all scored."""
@@ -44,10 +46,12 @@ class Config:
     output: Path = Path("benchmarks/results/real_robots.md")
     fits: Path | None = Path("out/real_robots")
     """Where the files of our fits go; None for none."""
+    ours: bool = True
+    """Without, ours is the fit in ``fits``, and what it took is that in ``output``."""
     most: int = 100
     """Windows that a rival fits; more are thinned evenly."""
-    rivals: bool = True
-    """Without, only ours is fitted, and the rivals' numbers are those in ``output``."""
+    rivals: tuple[str, ...] = RIVALS
+    """Those that are fitted; the others' numbers are those in ``output``."""
 
 
 def main(cfg: Config) -> None:
@@ -57,36 +61,39 @@ def main(cfg: Config) -> None:
 def run(case: str, cfg: Config) -> Row:
     """Fit one robot in every way, and score each on what was kept aside."""
     robot = ROBOTS[case](cfg.data)
-    forget_memory()
-    begin, used = time.monotonic(), time.process_time()
-    folder = None if cfg.fits is None else folder_of(cfg.fits, case)
-    ours = fit(robot.xml, robot.recordings, robot.heldout, seed=cfg.seed, output=folder)
-    seconds = {"ours": time.monotonic() - begin}
-    cpu, memory = time.process_time() - used, most_memory()
+    known = _known(case, cfg.output)
     train, held = (Replay(robot, group) for group in (robot.recordings, robot.heldout))
-    points = {"given": train.nominal()}
-    if cfg.rivals:
-        fewer = train.with_windows(cfg.most)
-        for rival, fitted in (
-            ("by hand, 4 numbers", lambda: by_hand(fewer, [n for n in SHORT if n in train.movable])),
-            ("by hand, the same list", lambda: by_hand(fewer, train.movable)),
-            ("PACE's list", lambda: by_pace(fewer, cfg.seed)),
-            ("mujoco.sysid", lambda: by_sysid(fewer)),
-        ):
-            begin = time.monotonic()
-            found = fitted()
-            if found is not None:
-                points[rival], seconds[rival] = found, time.monotonic() - begin
+    folder = None if cfg.fits is None else folder_of(cfg.fits, case)
+    if cfg.ours:
+        ours, corrected = _fitted(robot, folder, cfg.seed)
+    elif folder is not None:
+        ours = {key: known[key] for key in ("cpu", "memory", "fitted", "remarks")}
+        ours["seconds"] = known["seconds"]["ours"]
+        corrected = Simulation.from_json(json.loads((folder / "corrected.json").read_text("utf-8")), train.given)
     else:
-        store = cfg.output.with_suffix(".json")
-        known = json.loads(store.read_text()).get(case, {}) if store.exists() else {}
-        points |= {who: np.array(x) for who, x in known.get("parameters", {}).items() if who not in ("given", "ours")}
-        seconds |= {who: known["seconds"][who] for who in points if who != "given"}
+        raise ValueError("without --ours its fit is read from --fits, which is None: name the folder.")
+    points, seconds = {"given": train.nominal()}, {"ours": ours.pop("seconds")}
+    fewer = train.with_windows(cfg.most)
+    ways = {
+        "by hand, 4 numbers": lambda: by_hand(fewer, [n for n in SHORT if n in train.movable]),
+        "by hand, the same list": lambda: by_hand(fewer, train.movable),
+        "PACE's list": lambda: by_pace(fewer, cfg.seed),
+        "mujoco.sysid": lambda: by_sysid(fewer),
+    }
+    for rival, way in ways.items():
+        if rival in cfg.rivals:
+            begin = time.monotonic()
+            found = way()
+            took = time.monotonic() - begin
+        else:
+            found, took = known.get("parameters", {}).get(rival), known.get("seconds", {}).get(rival)
+        if found is not None:
+            points[rival], seconds[rival] = np.asarray(found), took
     errors: dict[str, dict[str, list[float]]] = {}
     medians: dict[str, dict[str, list[float]]] = {}
     for who in ("given", "ours", *(who for who in points if who != "given")):
         for split, replay in (("train", train.with_windows(SCORED)), ("heldout", held)):
-            square = replay.mean_square_of(ours.corrected) if who == "ours" else replay.mean_square(points[who])
+            square = replay.mean_square_of(corrected) if who == "ours" else replay.mean_square(points[who])
             errors.setdefault(who, {})[split] = np.sqrt(square.mean(0)).tolist()
             medians.setdefault(who, {})[split] = np.sqrt(np.median(square, axis=0)).tolist()
     return {
@@ -98,11 +105,30 @@ def run(case: str, cfg: Config) -> Row:
         "looked_at": robot.looked_at,
         "log": [len(robot.recordings), round(sum(r.duration for r in robot.recordings), 1)],
         "seconds": {who: round(s, 1) for who, s in seconds.items()},
-        "cpu": round(cpu, 1),
-        "memory": round(memory / 1e9, 2),
-        "fitted": [asdict(p) for p in ours.parameters if p.value != p.given],
-        "remarks": list(ours.remarks),
+        **ours,
     }
+
+
+def _fitted(robot: Robot, folder: Path | None, seed: int) -> tuple[dict[str, Any], Simulation]:
+    """What our fit took and found, and its simulation."""
+    forget_memory()
+    begin, used = time.monotonic(), time.process_time()
+    found = fit(robot.xml, robot.recordings, robot.heldout, seed=seed, output=folder)
+    told = {
+        "seconds": time.monotonic() - begin,
+        "cpu": round(time.process_time() - used, 1),
+        "memory": round(most_memory() / 1e9, 2),
+        "fitted": [asdict(p) for p in found.parameters if p.value != p.given],
+        "remarks": list(found.remarks),
+    }
+    return told, found.corrected
+
+
+def _known(case: str, output: Path) -> dict[str, Any]:
+    """What an earlier run left of a robot."""
+    store = output.with_suffix(".json")
+    rows: dict[str, dict[str, Any]] = json.loads(store.read_text("utf-8")) if store.exists() else {}
+    return rows.get(case, {})
 
 
 def folder_of(fits: Path, case: str) -> Path:

@@ -41,7 +41,7 @@ def main(cfg: Config) -> None:
 
     def fitted(draw: str) -> Row:
         case, seed = draw.rsplit(SEED, 1)
-        asked = run.Config(data=cfg.data, seed=int(seed), output=cfg.results, fits=None, rivals=False)
+        asked = run.Config(data=cfg.data, seed=int(seed), output=cfg.results, fits=None, rivals=())
         return drawn(run.run(case, asked))
 
     draws = [f"{case}{SEED}{seed}" for seed in cfg.seeds for case in cfg.cases]

@@ -39,6 +39,6 @@ def test_each_seed_is_fitted_once_with_the_rivals_that_are_known(monkeypatch, tm
     known = tmp_path / "known.md"
     known.with_suffix(".json").write_text(json.dumps({"leg": row(2.0, 0.2)}), "utf-8")
     seeds.main(seeds.Config(cases=("leg",), seeds=(3, 4), results=known, output=tmp_path / "seeds.md"))
-    assert asked == [("leg", 3, False), ("leg", 4, False)]
+    assert asked == [("leg", 3, ()), ("leg", 4, ())]
     assert "1.50, 1.50" in (tmp_path / "seeds.md").read_text("utf-8")
     assert pytest.approx(1.5) == seeds.drawn(row(3.0, 0.1))["ratio"]
