@@ -60,6 +60,20 @@ def test_a_share_is_the_energy_of_the_acceleration_that_the_joints_own_missing_t
     assert [got[name] for name in NAMES] == pytest.approx(list(energy / energy.sum()))
 
 
+def test_a_controllers_gains_hold_a_light_joint_back():
+    """By hand: over half a second a gain of 80 N·m/rad and 2 N·m·s/rad are worth 11 kg·m²."""
+    torque = np.tile([6.0, 4.0], (N, 1))
+    (take,) = bank_of(torque).takes
+    gains = {"kp": np.array([0.0, 80.0]), "kd": np.array([0.0, 2.0])}
+    targets = replace(take.recording, torque_command=None, position_target=take.recording.position, **gains)
+    servo = replace(take, recording=targets)
+    joints, _ = joints_and_regimes(locate(Bank([servo], [], noise=np.ones(2)), rng()))
+    own = np.diagonal(take.inertia, axis1=1, axis2=2) + np.array([0.0, 80 * 0.125 + 2 * 0.5])
+    energy = ((torque**2 - 1) / own**2).sum(0)
+    got = {x.joint: x.share_of_error for x in joints}
+    assert [got[name] for name in NAMES] == pytest.approx(list(energy / energy.sum()))
+
+
 @pytest.mark.parametrize("metre", [1.0, 100.0])
 def test_shares_of_a_cart_and_its_pole_are_those_of_the_robot_whatever_its_unit_of_length(metre):
     """By hand: 2 N on 4 kg are 1 W/s, 6 N·m on 12 kg·m² are 3."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_athletic.diagnosis.fit import WINDOW
 from torchrl_athletic.diagnosis.result import Location, RegimeMap
 from torchrl_athletic.diagnosis.screen import Bank
 from torchrl_athletic.diagnosis.thresholds import TORQUES
@@ -49,7 +50,8 @@ def locate(bank: Bank, rng: np.random.Generator, most: int = 6) -> tuple[Locatio
     """Shares of the error, joint by joint and then by regime, with block-bootstrap bands.
 
     The error of a joint is the acceleration that its own missing torque would cause, so that what reaches a joint
-    through coupling is charged to the joint where it arises. Energy below the sensors' noise is not counted. Where
+    through coupling is charged to the joint where it arises. A controller that follows targets holds it back by its
+    gains, which a light joint's inertia is nothing against. Energy below the sensors' noise is not counted. Where
     slides and hinges are compared, whose accelerations have no common unit, the energy is that acceleration times the
     torque [W/s].
 
@@ -58,8 +60,7 @@ def locate(bank: Bank, rng: np.random.Generator, most: int = 6) -> tuple[Locatio
         rng: Draws the blocks.
         most: Regimes returned at most, beside one line a joint.
     """
-    inertia = np.concatenate([s.inertia for s in bank.takes])
-    own = np.diagonal(inertia, axis1=1, axis2=2)
+    own = np.concatenate([_held_back(s) for s in bank.takes])
     slides = {is_slide(bank.takes[0].nominal, bank.takes[0].address, j) for j in range(bank.joints)}
     used = bank.weight > 0
     noise = np.array([s.noise for s in bank.takes]).mean(0)
@@ -92,6 +93,19 @@ def locate(bank: Bank, rng: np.random.Generator, most: int = 6) -> tuple[Locatio
                 regimes.append((value * (own_share / time_share - 1), Location(names[j], label, value, band)))
     telling = [location for _, location in sorted(regimes, key=lambda r: -r[0])[:most]]
     return tuple(sorted(joints, key=lambda x: -x.share_of_error) + telling)
+
+
+def _held_back(s: Signals) -> Array:
+    """Inertia of each joint, and what its controller's gains are worth beside it over a window of a fit. Shape (N, J).
+
+    Within a time T a torque moves an inertia I by T²/2I. By that much 2 I/T² is a stiffness, and a damping kd one of
+    2 kd/T.
+    """
+    own = np.diagonal(s.inertia, axis1=1, axis2=2)
+    r = s.recording
+    if r.position_target is None or r.kp is None or r.kd is None:
+        return own
+    return np.asarray(own + r.kd * WINDOW + r.kp * WINDOW**2 / 2, dtype=np.float64)
 
 
 def regime_maps(bank: Bank, left: Array, rng: np.random.Generator) -> list[RegimeMap]:
