@@ -9,6 +9,7 @@ Windows of one recording are alike, so the intervals are rather too narrow.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,14 @@ import tyro
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
-from benchmarks.real_robots.replay import Replay
+from benchmarks.real_robots.replay import Replay, Window
 from benchmarks.real_robots.robots import ROBOTS
 from benchmarks.real_robots.run import folder_of
 from torchrl_athletic.diagnosis.corrected import Simulation
 
 DRAWS = 2000
+FEWEST = 10
+"""Windows that share no sample from which on an interval is drawn."""
 
 
 @dataclass(frozen=True)
@@ -41,31 +44,41 @@ class Config:
 
 def main(cfg: Config) -> None:
     known = json.loads(cfg.results.read_text("utf-8"))
-    lines = ["| robot | best rival | windows | ours / best rival | 95 % |", "|---|---|---|---|---|"]
+    lines = [
+        "| robot | best rival | windows that share no sample | ours / best rival | 95 % |",
+        "|---|---|---|---|---|",
+    ]
     for case in cfg.cases:
         robot = ROBOTS[case](cfg.data)
         held = Replay(robot, robot.heldout)
         corrected = json.loads((folder_of(cfg.fits, case) / "corrected.json").read_text("utf-8"))
-        simulation = Simulation.from_json(corrected, held.given)
-        ours = apart(held.mean_square_of(simulation).mean(1), held.overlapping)
+        ours = held.mean_square_of(Simulation.from_json(corrected, held.given)).mean(1)
         told = {name: np.array(x) for name, x in known[case]["parameters"].items() if name != "given"}
-        rivals = {name: apart(held.mean_square(numbers).mean(1), held.overlapping) for name, numbers in told.items()}
+        rivals = {name: held.mean_square(numbers).mean(1) for name, numbers in told.items()}
         best = min(rivals, key=lambda name: float(rivals[name].mean()))
-        low, high = interval(ours, rivals[best], np.random.default_rng(0))
-        lines.append(f"| {case} | {best} | {len(ours)} | {ratio(ours, rivals[best]):.2f} | {low:.2f} to {high:.2f} |")
+        drawn = back_to_back(held.windows)
+        said = "too few windows"
+        if drawn.sum() >= FEWEST:
+            low, high = interval(ours[drawn], rivals[best][drawn], np.random.default_rng(0))
+            said = f"{low:.2f} to {high:.2f}"
+        lines.append(f"| {case} | {best} | {drawn.sum()} | {ratio(ours, rivals[best]):.2f} | {said} |")
         print(lines[-1], flush=True)
     cfg.output.write_text("\n".join(lines) + "\n", "utf-8")
 
 
-def apart(square: NDArray[np.float64], overlapping: int) -> NDArray[np.float64]:
-    """Means of as many windows (W,) as share samples, which tell but once.
+def back_to_back(windows: Sequence[Window]) -> NDArray[np.bool_]:
+    """Which of the windows to draw from: the most that share no sample, since the others tell nothing new. Shape (W,).
 
-    Example:
-        >>> apart(np.array([1.0, 3.0, 5.0]), 2).tolist()
-        [2.0, 5.0]
+    The first of each recording is one of them.
     """
-    first = np.arange(0, len(square), overlapping)
-    return np.asarray(np.add.reduceat(square, first) / np.diff(first, append=len(square)), dtype=np.float64)
+    kept, recording, end = [], None, 0
+    for w in windows:
+        if w.recording is not recording or w.first >= end:
+            recording, end = w.recording, w.first + len(w.measured)
+            kept.append(True)
+        else:
+            kept.append(False)
+    return np.array(kept)
 
 
 def interval(ours: NDArray[np.float64], rival: NDArray[np.float64], rng: np.random.Generator) -> tuple[float, float]:

@@ -27,12 +27,15 @@ WINDOW = 0.5
 HELD = 1.0
 """Time for which the first command of a log was held before it [s]: longer than any delay."""
 SMOOTHED, SHORTEST, LONGEST = 11, 0.02, 0.1
-"""Samples over which a cubic gives the state in which a window starts; but it spans no less and no more than this [s].
-Five samples of an encoder at 200 Hz give a velocity that is off by a fifth, by the drive's own velocity."""
+"""Samples over which a cubic gives the state in which a window starts; but it spans no less and no more than this [s],
+and has five samples. Five of an encoder at 200 Hz give a velocity that is off by a fifth, by the drive's own velocity.
+Half of them lie in the motion that is scored, for all alike."""
 ENOUGH = 100
 """Windows; where back to back there are fewer, they overlap: the mean of a few says where they happen to begin."""
 LOST = 10.0
 """Error of a simulation that diverges [rad, m]."""
+JUDGE = f"{SMOOTHED} samples, {ENOUGH} windows of {WINDOW:g} s"
+"""What a score was made by: no other is its peer."""
 SAME_RATE = 0.002
 """Relative difference of sampling rates below which recordings share a grid."""
 
@@ -80,9 +83,6 @@ def smoothed_samples(period: float) -> int:
 class Replay:
     """Recordings cut into windows; parameters are (10, J), as :data:`NAMES`."""
 
-    overlapping: int
-    """Windows that share a sample, at most."""
-
     def __init__(self, robot: Robot, recordings: Sequence[Recording]) -> None:
         self.given, self.names = mujoco.MjModel.from_xml_string(robot.xml), recordings[0].joint_names
         self.joint = [self.given.joint(n).id for n in self.names]
@@ -100,16 +100,16 @@ class Replay:
         self.windows = [w for part in parts for w in self._cut(*part)]
         if not self.windows:
             raise ValueError(f"{recordings[0].source}: no part of the logs holds a window of {WINDOW:g} s.")
-        self.overlapping = -(-ENOUGH // len(self.windows))
-        if self.overlapping > 1:
-            self.windows = [w for part in parts for w in self._cut(*part, self.overlapping)]
+        if len(self.windows) < ENOUGH:
+            times = -(-ENOUGH // len(self.windows))
+            self.windows = [w for part in parts for w in self._cut(*part, times)]
         self.targets = any(r.position_target is not None for r in recordings)
         damped = {float(r.kd[0]) if r.kd is not None else 0.0 for r in recordings}
         drive = ("kp", "kd") if len(damped) > 1 else ("kp",)
         self.movable = (*NAMES[:7], *(drive if self.targets else ("scale",)))
 
-    def _cut(self, r: Recording, model: mujoco.MjModel, period: float, overlapping: int = 1) -> list[Window]:
-        """Back to back, or some at a time, with states from the smoothed positions: a drive's own velocity may be late.
+    def _cut(self, r: Recording, model: mujoco.MjModel, period: float, times: int = 1) -> list[Window]:
+        """Back to back, or so many times as many, with states from the smoothed positions: a drive's own may be late.
 
         The first begins where the smoothing has samples on both sides: at an edge the velocity is extrapolated.
         """
@@ -141,7 +141,7 @@ class Replay:
                 r,
                 first,
             )
-            for first in range(size // 2, len(grid) - length, max(1, length // overlapping))
+            for first in range(size // 2, len(grid) - length, max(1, length // times))
         ]
 
     def with_windows(self, most: int) -> Replay:

@@ -19,11 +19,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import tyro
 
-from benchmarks.by_case import Row, run_cases
-from benchmarks.real_robots.replay import Replay
+from benchmarks.by_case import Row, commit, run_cases
+from benchmarks.real_robots.replay import JUDGE, Replay
 from benchmarks.real_robots.rivals import RIVALS, SHORT, by_hand, by_pace, by_sysid
 from benchmarks.real_robots.robots import ROBOTS, Robot
 from torchrl_athletic.diagnosis import fit
@@ -60,18 +61,11 @@ def main(cfg: Config) -> None:
 
 def run(case: str, cfg: Config) -> Row:
     """Fit one robot in every way, and score each on what was kept aside."""
-    robot = ROBOTS[case](cfg.data)
-    known = _known(case, cfg.output)
-    train, held = (Replay(robot, group) for group in (robot.recordings, robot.heldout))
+    known, robot = _known(case, cfg), ROBOTS[case](cfg.data)
     folder = None if cfg.fits is None else folder_of(cfg.fits, case)
-    if cfg.ours:
-        ours, corrected = _fitted(robot, folder, cfg.seed)
-    elif folder is not None:
-        ours = {key: known[key] for key in ("cpu", "memory", "fitted", "remarks")}
-        ours["seconds"] = known["seconds"]["ours"]
-        corrected = Simulation.from_json(json.loads((folder / "corrected.json").read_text("utf-8")), train.given)
-    else:
-        raise ValueError("without --ours its fit is read from --fits, which is None: name the folder.")
+    ours, corrected = _fitted(robot, folder, cfg.seed) if cfg.ours else _kept(robot, folder, known)
+    train, held = (Replay(robot, group) for group in (robot.recordings, robot.heldout))
+    commits = {"ours": commit() if cfg.ours else known["commits"]["ours"]}
     points, seconds = {"given": train.nominal()}, {"ours": ours.pop("seconds")}
     fewer = train.with_windows(cfg.most)
     ways = {
@@ -84,9 +78,10 @@ def run(case: str, cfg: Config) -> Row:
         if rival in cfg.rivals:
             begin = time.monotonic()
             found = way()
-            took = time.monotonic() - begin
+            took, commits[rival] = time.monotonic() - begin, commit()
         else:
             found, took = known.get("parameters", {}).get(rival), known.get("seconds", {}).get(rival)
+            commits[rival] = known.get("commits", {}).get(rival)
         if found is not None:
             points[rival], seconds[rival] = np.asarray(found), took
     errors: dict[str, dict[str, list[float]]] = {}
@@ -105,6 +100,8 @@ def run(case: str, cfg: Config) -> Row:
         "looked_at": robot.looked_at,
         "log": [len(robot.recordings), round(sum(r.duration for r in robot.recordings), 1)],
         "seconds": {who: round(s, 1) for who, s in seconds.items()},
+        "commits": {who: of for who, of in commits.items() if who in seconds},
+        "judge": JUDGE,
         **ours,
     }
 
@@ -124,10 +121,26 @@ def _fitted(robot: Robot, folder: Path | None, seed: int) -> tuple[dict[str, Any
     return told, found.corrected
 
 
-def _known(case: str, output: Path) -> dict[str, Any]:
-    """What an earlier run left of a robot."""
-    store = output.with_suffix(".json")
+def _kept(robot: Robot, folder: Path | None, known: Mapping[str, Any]) -> tuple[dict[str, Any], Simulation]:
+    """What an earlier fit of ours took and found, and its simulation, from its folder."""
+    if folder is None:
+        raise ValueError("without --ours its fit is read from --fits, which is None: name the folder.")
+    model = mujoco.MjModel.from_xml_string(robot.xml)
+    corrected = Simulation.from_json(json.loads((folder / "corrected.json").read_text("utf-8")), model)
+    told = {key: known[key] for key in ("cpu", "memory", "fitted", "remarks")}
+    return {"seconds": known["seconds"]["ours"], **told}, corrected
+
+
+def _known(case: str, cfg: Config) -> dict[str, Any]:
+    """What an earlier run left of a robot.
+
+    Raises:
+        ValueError: If it is needed and there is none.
+    """
+    store = cfg.output.with_suffix(".json")
     rows: dict[str, dict[str, Any]] = json.loads(store.read_text("utf-8")) if store.exists() else {}
+    if case not in rows and not (cfg.ours and cfg.rivals):
+        raise ValueError(f"{store}: it holds no {case!r}. Run it with ours and with rivals first.")
     return rows.get(case, {})
 
 
@@ -189,14 +202,16 @@ def table(rows: Mapping[str, Row]) -> str:
         "",
         f"Median of the ratios: {_said(float(np.nanmedian([ratio(r) for r in rows.values()])))}.",
         "",
-        "| robot | log | CPU time, ours | memory, ours | time: ours, rivals | commit | machine |",
+        "| robot | log | CPU time, ours | memory, ours | time: ours, rivals; by hand is two fits "
+        "| commits: ours, rivals | machine |",
         "|---|---|---|---|---|---|---|",
     ]
     for case, r in rows.items():
         times = ", ".join(f"{s:.0f} s" for s in r["seconds"].values())
+        commits = ", ".join(dict.fromkeys(r["commits"].values()))
         takes = f"{r['log'][0]} × {r['log'][1] / r['log'][0]:.0f} s"
         lines.append(
-            f"| {case} | {takes} | {r['cpu']:.0f} s | {r['memory']:.2f} GB | {times} | {r['commit']} | {r['machine']} |"
+            f"| {case} | {takes} | {r['cpu']:.0f} s | {r['memory']:.2f} GB | {times} | {commits} | {r['machine']} |"
         )
     damped = {case: dry_friction(r) for case, r in rows.items() if case.startswith("damper")}
     if damped:

@@ -17,6 +17,7 @@ import tyro
 
 from benchmarks.by_case import Row, run_cases
 from benchmarks.real_robots import run
+from benchmarks.real_robots.replay import JUDGE
 from benchmarks.real_robots.robots import ROBOTS
 
 SEED = ", seed "
@@ -38,11 +39,16 @@ class Config:
 
 def main(cfg: Config) -> None:
     known = json.loads(cfg.results.with_suffix(".json").read_text("utf-8"))
+    for case in cfg.cases:
+        if case not in known or known[case]["judge"] != JUDGE:
+            raise ValueError(
+                f"{cfg.results}: {case!r} is not there, or scored otherwise. Run real_robots.run on it first."
+            )
 
     def fitted(draw: str) -> Row:
         case, seed = draw.rsplit(SEED, 1)
         asked = run.Config(data=cfg.data, seed=int(seed), output=cfg.results, fits=None, rivals=())
-        return drawn(run.run(case, asked))
+        return {**drawn(run.run(case, asked)), "judge": JUDGE}
 
     draws = [f"{case}{SEED}{seed}" for seed in cfg.seeds for case in cfg.cases]
     run_cases(draws, fitted, lambda rows: table(rows, known), cfg.output)
@@ -64,9 +70,10 @@ def table(rows: Mapping[str, Row], known: Mapping[str, Row]) -> str:
         "|---" * 7 + "|",
     ]
     for case, first in known.items():
-        others = [row for name, row in rows.items() if name.rsplit(SEED, 1)[0] == case]
+        draws = {name: row for name, row in rows.items() if name.rsplit(SEED, 1)[0] == case}
+        others = [row for row in draws.values() if row["judge"] == first["judge"]]
         if others:
-            lines.append(_row(case, [{**drawn(first), "commit": first["commit"]}, *others]))
+            lines.append(_row(case, [{**drawn(first), "commit": first["commits"]["ours"]}, *others]))
     return "\n".join(lines) + "\n"
 
 

@@ -1,9 +1,11 @@
 """Intervals of ratios whose truth is known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from benchmarks.real_robots.intervals import apart, interval
+from benchmarks.real_robots.intervals import back_to_back, interval
 
 
 def test_windows_that_are_all_alike_leave_no_doubt():
@@ -19,7 +21,11 @@ def test_the_true_ratio_lies_in_nineteen_intervals_of_twenty():
     assert 180 <= held <= 199
 
 
-def test_windows_that_overlap_tell_but_once():
-    square = np.array([1.0, 3.0, 2.0, 4.0, 7.0])
-    assert apart(square, 2).tolist() == [2.0, 3.0, 7.0]
-    assert apart(square, 1).tolist() == square.tolist()
+@pytest.mark.parametrize("times", [1, 4, 10])
+def test_windows_that_overlap_tell_but_once(times):
+    """Of two recordings with windows of ten samples those are drawn from that share none."""
+    one, other = object(), object()
+    firsts = np.arange(0, 91, 10 // times)
+    windows = [SimpleNamespace(recording=r, first=k, measured=range(10)) for r in (one, other) for k in firsts]
+    drawn = [w.first for w, kept in zip(windows, back_to_back(windows), strict=True) if kept]
+    assert drawn == 2 * list(range(0, 91, 10))

@@ -1,6 +1,5 @@
 """Longer physics steps for a search: taken where the motion stays what it was, refused elsewhere."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -15,9 +14,8 @@ from torchrl_athletic.diagnosis.coarse import (
     fit_in_steps_of,
     in_steps_of,
     moves_alike,
-    steps_alike,
 )
-from torchrl_athletic.diagnosis.descent import linearise
+from torchrl_athletic.diagnosis.descent import linearise, linearise_roughly
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.problem import problem_of
@@ -59,23 +57,32 @@ def test_how_alike_is_measured_by_the_error_that_there_is():
     assert 0 < ALIKE < 1
 
 
-@pytest.mark.parametrize(("alike_from", "counts"), [(2, [2]), (3, [2, 4]), (16, [2, 16]), (99, [2, 20])])
-def test_what_was_found_in_long_steps_is_fitted_again_in_the_longest_that_move_alike(monkeypatch, alike_from, counts):
-    """Steps of a copy are halved, until they are the take's own twenty a sample."""
+@pytest.mark.parametrize(
+    ("alike_from", "counts"),
+    [
+        ([2], [2]),
+        ([3, 3], [2, 4]),
+        ([3, 5, 5], [2, 4, 8]),  # by what is found in four steps a sample, four are too few
+        ([9], [2, 20]),  # 16 of the take's 20 would save next to nothing
+    ],
+)
+def test_a_fit_is_made_again_in_shorter_steps_until_they_move_alike_by_what_it_finds(monkeypatch, alike_from, counts):
+    """Steps of a copy are halved; ``alike_from`` so many a sample they move alike, by the first fit, the second..."""
     (take,) = takes_of(pendulum(STEP))
     own = take.stepped(20)
-    copy, names, told = own.stepped(2), fit_in_steps_of.__globals__, []
+    names, told = fit_in_steps_of.__globals__, []
 
     def fit(laws, takes, start, rng):
         told.append(([t.substeps for t in takes], start))
-        return SimpleNamespace(values="found")
+        return SimpleNamespace(values=len(told))
+
+    def alike(copy, take, h, x, rng):
+        return copy is take or copy.substeps >= alike_from[x - 1]
 
     monkeypatch.setitem(names, "fit", fit)
-    monkeypatch.setitem(names, "moves_alike", lambda c, t, h, x, rng: t is own and c.substeps >= alike_from)
-    fit_in_steps_of({copy: own}, "laws", "start", lambda purpose: purpose)
-    assert told == [([n], start) for n, start in zip(counts, ("start", "found"), strict=False)]
-    steps = steps_alike({copy: own}, "laws", "found", "rng")
-    assert (steps[copy] is copy, steps[copy] is own) == (counts[-1] == 2, counts[-1] == 20)
+    monkeypatch.setitem(names, "moves_alike", alike)
+    assert fit_in_steps_of({own.stepped(2): own}, "laws", 0, lambda purpose: purpose).values == len(counts)
+    assert told == [([count], k) for k, count in enumerate(counts)]
 
 
 def test_a_problem_keeps_its_windows_in_other_steps():
@@ -89,8 +96,8 @@ def test_a_problem_keeps_its_windows_in_other_steps():
     errors = [np.sqrt(p.mean_square(np.zeros((1, 0))).mean()) for p in (rough, fine)]
     assert errors[0] == pytest.approx(errors[1], rel=ALIKE)
     assert errors[0] != errors[1]
-    assert [w.take for w in fine.rough] == list(copies)
-    assert in_steps_of(fine, {take: copy for copy, take in copies.items()}).rough == ()  # its slopes are its own
+    assert [w.take for w in fine.slope_windows] == list(copies)
+    assert in_steps_of(fine, {take: copy for copy, take in copies.items()}).slope_windows == ()
 
 
 def test_slopes_are_those_of_the_longer_steps_and_errors_those_of_the_takes_own():
@@ -101,8 +108,9 @@ def test_slopes_are_those_of_the_longer_steps_and_errors_those_of_the_takes_own(
     copies = coarse(takes, h, h.nominal, np.random.default_rng(0))
     rough = problem_of(h, tuple(copies), WINDOW, 40, np.random.default_rng(1), h.nominal)
     fine, free = in_steps_of(rough, copies), np.ones(1, dtype=bool)
-    near, own, far = (linearise(p, h.nominal, free) for p in (fine, replace(fine, rough=()), rough))
+    near, own = linearise_roughly(fine, h.nominal, free), linearise(fine, h.nominal, free)
     np.testing.assert_array_equal(near.errors, own.errors)
-    assert not np.array_equal(near.errors, far.errors)
-    np.testing.assert_array_equal(near.columns, far.columns)
+    np.testing.assert_array_equal(near.columns, linearise(rough, h.nominal, free).columns)
     np.testing.assert_allclose(near.columns, own.columns, atol=0.02 * np.abs(own.columns).max())
+    assert not np.array_equal(near.columns, own.columns)
+    assert near.seconds > own.seconds  # a step by it takes as long as many in the takes' own

@@ -161,7 +161,7 @@ def test_a_number_that_no_window_shows_stays_where_it_is(monkeypatch, way):
 
 def test_a_descent_goes_on_from_where_it_is_as_long_as_it_pays(monkeypatch):
     """Its first slope may be given; each other one is taken where the last one ended."""
-    monkeypatch.setattr(module, "linearise", lambda problem, x, free: SimpleNamespace(seconds=0.0, values=x))
+    monkeypatch.setattr(module, "linearise_roughly", lambda problem, x, free: SimpleNamespace(seconds=0.0, values=x))
     saved = iter([0.5, 0.002, 0.0005, 0.5])
     monkeypatch.setattr(module, "_steps", lambda problem, near, deadline: (near.values + 1, next(saved)))
     given = SimpleNamespace(seconds=0.0, values=np.array([10.0]))

@@ -615,7 +615,9 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
             told["budget"] = seconds
 
         def part(self, share):
-            return SimpleNamespace(share=share, allows=lambda seconds: told.update(allowed=(share, seconds)) or True)
+            return SimpleNamespace(
+                share=share, over=False, allows=lambda seconds: told.update(allowed=(share, seconds)) or True
+            )
 
     problem = SimpleNamespace(hypothesis=h, torques=None)
     near = SimpleNamespace(problem=problem, normal=np.zeros((3, 1, 1)), step=step, values=np.full(5, 5.0), seconds=0.0)
@@ -641,8 +643,9 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         "starts": note("starts", "starts"), "search": note("search", near), "agreement": lambda *given: given,
         "affordable": lambda h, takes, deadline: fitting.SCARCE - extended,
         "coarse": lambda takes, h, x, rng: {"in longer steps": "take"},
-        "steps_alike": lambda copies, h, x, rng: told.update(steps=copies) or {c: "finer" for c in copies},
-        "moves_alike": lambda copy, take, h, x, rng: told.update(alike=(copy, take)) or True,
+        "steps_alike": lambda copies, h, x, rng: told.setdefault("steps", []).append(copies) or dict.fromkeys(
+            copies, "finer"
+        ),
         "in_steps_of": lambda problem, steps: problem,
         "with_given_scales": note("given scales", near),
         "with_gear": note("gear", near), "extend": note("extend", near), "prune": note("prune", needed),
@@ -668,12 +671,10 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
     assert told["step"] == ([True] * 3, [False, False, True, True])
     if extended:  # where a search can afford too few windows, it takes longer steps, and what is needed shorter ones
         assert (told["search"][1], told["search"][6]) == (("in longer steps",), fitting.SCARCE)
-        assert told["steps"] == {"in longer steps": "take"}
-        assert told["alike"] == ("finer", "take")
+        assert told["steps"] == [{"in longer steps": "take"}, {"finer": "take"}]
     else:
         assert (told["search"][1], told["search"][6]) == (tuple(dict.fromkeys("train")), fitting.MOST)
-        assert told["steps"] == {letter: letter for letter in "train"}
-        assert told["alike"][0] == "finer"
+        assert told["steps"] == [{letter: letter for letter in "train"}, {"finer": "n"}]
     pruned = [1.0, 2.0, 0.125, 0.25, 0.375]
     assert told["descend"][:3] == ((problem, pruned), pytest.approx(pruned), needed)
     assert [x.tolist() for x in told["best_of"][1]] == [pruned, [5.0, 5.0, 0.125, 0.25, 0.375]]

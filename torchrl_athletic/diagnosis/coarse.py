@@ -69,9 +69,9 @@ def steps_alike(copies: Mapping[Take, Take], h: Hypothesis, x: Array, rng: np.ra
 
 
 def _halved(copy: Take, take: Take) -> Iterator[Take]:
-    """A copy, and others in steps of half the length, a quarter and so on, as long as the take's own are shorter."""
+    """A copy, and others in steps of half the length, a quarter and so on, of at most half as many as the take's."""
     count = copy.substeps
-    while count < take.substeps:
+    while 2 * count <= take.substeps:
         yield copy if count == copy.substeps else take.stepped(count)
         count *= 2
 
@@ -79,7 +79,7 @@ def _halved(copy: Take, take: Take) -> Iterator[Take]:
 def fit_in_steps_of(
     copies: Mapping[Take, Take], h: Hypothesis, start: Array, rng: Callable[[str], np.random.Generator]
 ) -> Fitted:
-    """Fit copies from values (P,), and from there copies in shorter steps where these move otherwise by what was found.
+    """Fit copies from values (P,), and again in shorter steps as long as these move otherwise by what was found.
 
     Args:
         copies: Copy of each take -> the take.
@@ -87,16 +87,17 @@ def fit_in_steps_of(
         start: First guess. Shape (P,).
         rng: Randomness for one purpose.
     """
-    fitted = fit(h, tuple(copies), start, rng("fit"))
-    steps = steps_alike(copies, h, fitted.values, rng("coarse"))
-    if all(copy is step for copy, step in steps.items()):
-        return fitted
-    return fit(h, tuple(steps.values()), fitted.values, rng("fit"))
+    while True:
+        fitted = fit(h, tuple(copies), start, rng("fit"))
+        shorter = steps_alike(copies, h, fitted.values, rng("coarse"))
+        if all(copy is other for copy, other in shorter.items()):
+            return fitted
+        copies, start = {shorter[copy]: take for copy, take in copies.items()}, fitted.values
 
 
 def in_steps_of(problem: Problem, steps: Mapping[Take, Take]) -> Problem:
     """The same windows of other copies of their takes; slopes are taken in the longest steps that they had."""
     windows = tuple(replace(w, take=steps[w.take]) for w in problem.windows)
-    rough = problem.rough or problem.windows
-    same = all(a.take is b.take for a, b in zip(windows, rough, strict=True))
-    return replace(problem, windows=windows, rough=() if same else rough)
+    longest = problem.slope_windows or problem.windows
+    same = all(a.take is b.take for a, b in zip(windows, longest, strict=True))
+    return replace(problem, windows=windows, slope_windows=() if same else longest)

@@ -51,7 +51,7 @@ def descend(
     for k in range(slopes):
         if not deadline.allows(1.3 * seconds):
             break
-        near = first if first is not None and not k else linearise(problem, x, free)
+        near = first if first is not None and not k else linearise_roughly(problem, x, free)
         seconds = near.seconds
         x, saved = _steps(problem, near, deadline)
         if saved < FLAT:
@@ -118,7 +118,7 @@ class Linearised:
     pull_columns: Array
     """Shape (R, P)."""
     seconds: float = 0.0
-    """That it took [s]."""
+    """That it took, or that steps by it may take if that is more [s]."""
     ridge: float = RIDGE
     """Pull of a :meth:`step` towards the solution, per what windows say [1]."""
 
@@ -159,17 +159,43 @@ class Linearised:
 
 
 def linearise(problem: Problem, x: Array, free: Mask) -> Linearised:
-    """Finite differences about values (P,), into the bounds.
-
-    Those of the windows in longer steps, if the problem has such, are nearly the same and many times as quick.
-    """
+    """Finite differences about values (P,), into the bounds, in the problem's own steps."""
     begin = time.monotonic()
-    h, step = problem.hypothesis, FINITE
-    scale = h.scale[free]
-    sign = np.where(x[free] + step * scale > h.bounds[1][free], -1.0, 1.0)
+    errors = problem.errors(_about(problem, x, free))
+    return _by_differences(problem, x, free, errors[:, 0], errors, begin)
+
+
+def linearise_roughly(problem: Problem, x: Array, free: Mask) -> Linearised:
+    """:func:`linearise`, with the slopes of the windows in longer steps if the problem has such, many times as quick.
+
+    They are a few per cent off where a parameter moves much, and tens where it hardly does: good enough for a step, of
+    which the errors tell whether it helps, but for no interval.
+    """
+    if not problem.slope_windows:
+        return linearise(problem, x, free)
+    begin = time.monotonic()
+    errors = problem.errors(x[None])[:, 0]
+    once = time.monotonic() - begin
+    around = replace(problem, windows=problem.slope_windows).errors(_about(problem, x, free))
+    near = _by_differences(problem, x, free, errors, around, begin)
+    return replace(near, seconds=near.seconds + STEPS * len(DAMPING) * once)  # steps by it take longer than it did
+
+
+def _about(problem: Problem, x: Array, free: Mask) -> Array:
+    """Values (P,), and those with one of the free parameters moved. Shape (1 + F, P)."""
     values = np.repeat(x[None], int(free.sum()) + 1, axis=0)
-    values[1:, free] += np.diag(sign * step * scale)
-    e = (replace(problem, windows=problem.rough) if problem.rough else problem).errors(values)
-    errors, pull = problem.errors(x[None])[:, 0] if problem.rough else e[:, 0], problem.pull(values)
-    columns, pull_columns = ((y[:, 1:] - y[:, :1]) / (sign * step) for y in (e, pull))
+    values[1:, free] += np.diag(_differences(problem, x, free) * problem.hypothesis.scale[free])
+    return values
+
+
+def _differences(problem: Problem, x: Array, free: Mask) -> Array:
+    """How far each of the free parameters is moved, into its bounds, in units of its scale. Shape (F,)."""
+    h = problem.hypothesis
+    return np.where(x[free] + FINITE * h.scale[free] > h.bounds[1][free], -FINITE, FINITE)
+
+
+def _by_differences(problem: Problem, x: Array, free: Mask, errors: Array, around: Array, begin: float) -> Linearised:
+    """A problem about values (P,) with errors (N,), by the errors (N, 1 + F) of :func:`_about`."""
+    pull, step = problem.pull(_about(problem, x, free)), _differences(problem, x, free)
+    columns, pull_columns = ((y[:, 1:] - y[:, :1]) / step for y in (around, pull))
     return Linearised(problem, x, free, errors, columns, pull[:, 0], pull_columns, time.monotonic() - begin)

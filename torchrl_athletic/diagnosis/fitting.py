@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.coarse import coarse, in_steps_of, moves_alike, steps_alike
+from torchrl_athletic.diagnosis.coarse import coarse, in_steps_of, steps_alike
 from torchrl_athletic.diagnosis.compare import harms, score
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml, logged_gains
@@ -224,7 +224,7 @@ def fit(
     needed = prune(near, deadline.part(0.7), progress.update)
     x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
     y = best_of(near.problem, (y, np.where(needed, x, h.nominal)), 1)[0]
-    fine, y = _in_true_steps(near.problem, takes, y, needed, _rng(seed, "steps"), deadline.part(0.76))
+    fine, y = _polished(near.problem, takes, y, needed, _rng(seed, "steps"), deadline.part(0.76))
     again = linearise(weighed(fine, y), y, needed)
     asked, before = needed, _parameters(h, near, again, y, needed, seen)
     if deadline.part(0.78).allows(3 * again.seconds):
@@ -269,7 +269,7 @@ def fit(
     return result
 
 
-def _in_true_steps(
+def _polished(
     problem: Problem,
     takes: Mapping[Take, Take],
     x: Array,
@@ -290,14 +290,17 @@ def _in_true_steps(
     Returns:
         The problem in those steps, and its solution.
     """
-    h, copies, alike = problem.hypothesis, dict(takes), False
-    while not alike:
-        steps = steps_alike(copies, h, x, rng)
-        problem = in_steps_of(problem, steps)
+    h, copies = problem.hypothesis, takes
+    shorter = steps_alike(copies, h, x, rng)
+    while True:
+        problem = in_steps_of(problem, shorter)
+        copies = {shorter[copy]: take for copy, take in copies.items()}
         x = descend(weighed(problem, x), x, needed, SLOPES, deadline)
-        copies = {steps[copy]: take for copy, take in copies.items()}
-        alike = all(moves_alike(copy, take, h, x, rng) for copy, take in copies.items())
-    return problem, x
+        if deadline.over:
+            return problem, x
+        shorter = steps_alike(copies, h, x, rng)
+        if all(copy is other for copy, other in shorter.items()):
+            return problem, x
 
 
 def _rng(seed: int, purpose: str) -> np.random.Generator:

@@ -49,8 +49,8 @@ class Problem:
     """Whether all joints have one unit, as they have in an error that is stated of all."""
     torques: Agreement | None = None
     """What the torques say of the parameters; a fit pays for contradicting them."""
-    rough: tuple[Windows, ...] = ()
-    """The same windows in longer physics steps, in which slopes are taken; in their own if there are none."""
+    slope_windows: tuple[Windows, ...] = ()
+    """The same windows in longer physics steps, in which a descent takes slopes; in their own if there are none."""
 
     def pull(self, values: Array) -> Array:
         """Rows that the least squares has beside the windows'. Shape (R, K) for values (K, P)."""
@@ -240,4 +240,4 @@ def part_of(problem: Problem, chosen: Mask) -> Problem:
         first += len(w.start)
         if keep.any():
             windows.append(replace(w, start=w.start[keep]))
-    return replace(problem, windows=tuple(windows), weight=problem.weight[chosen], rough=())
+    return replace(problem, windows=tuple(windows), weight=problem.weight[chosen], slope_windows=())
