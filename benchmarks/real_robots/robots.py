@@ -211,7 +211,8 @@ def unitree(data: Path, robot: str) -> Robot:
         return Robot(spec.to_xml(), takes[:-2], takes[-2:], "no")
     [whole] = takes
     third = 2 * whole.num_samples // 3
-    return Robot(spec.to_xml(), [whole.slice(0, third)], [whole.slice(third, whole.num_samples)], "no")
+    looked = "not before its first fit" if robot == "z1" else "no"
+    return Robot(spec.to_xml(), [whole.slice(0, third)], [whole.slice(third, whole.num_samples)], looked)
 
 
 def go1(data: Path) -> Robot:
