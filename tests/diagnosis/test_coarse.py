@@ -58,18 +58,22 @@ def test_how_alike_is_measured_by_the_error_that_there_is():
 
 
 @pytest.mark.parametrize(
-    ("alike_from", "counts"),
+    ("own", "alike_from", "counts"),
     [
-        ([2], [2]),
-        ([3, 3], [2, 4]),
-        ([3, 5, 5], [2, 4, 8]),  # by what is found in four steps a sample, four are too few
-        ([9], [2, 20]),  # 16 of the take's 20 would save next to nothing
+        (20, [2], [2]),
+        (20, [3, 3], [2, 4]),
+        (20, [3, 5, 5], [2, 4, 8]),  # by what is found in four steps a sample, four are too few
+        (20, [9], [2, 20]),  # 16 of the take's 20 would save next to nothing
+        (3, [2], [2]),  # nor would others than the copy between 2 and 3, but it moves alike
+        (3, [3], [2, 3]),
     ],
 )
-def test_a_fit_is_made_again_in_shorter_steps_until_they_move_alike_by_what_it_finds(monkeypatch, alike_from, counts):
+def test_a_fit_is_made_again_in_shorter_steps_until_they_move_alike_by_what_it_finds(
+    monkeypatch, own, alike_from, counts
+):
     """Steps of a copy are halved; ``alike_from`` so many a sample they move alike, by the first fit, the second..."""
     (take,) = takes_of(pendulum(STEP))
-    own = take.stepped(20)
+    own = take.stepped(own)
     names, told = fit_in_steps_of.__globals__, []
 
     def fit(laws, takes, start, rng):

@@ -70,9 +70,10 @@ def steps_alike(copies: Mapping[Take, Take], h: Hypothesis, x: Array, rng: np.ra
 
 def _halved(copy: Take, take: Take) -> Iterator[Take]:
     """A copy, and others in steps of half the length, a quarter and so on, of at most half as many as the take's."""
-    count = copy.substeps
+    yield copy
+    count = 2 * copy.substeps
     while 2 * count <= take.substeps:
-        yield copy if count == copy.substeps else take.stepped(count)
+        yield take.stepped(count)
         count *= 2
 
 
