@@ -236,6 +236,7 @@ def test_a_motor_of_mjcf_moves_the_robot_as_the_corrected_drive_does(names):
         {"actuation_delay": [0.03], "torque_saturation": [0.5]},
         {"gain_mismatch": [1.4, 0.6]},
         {"torque_scale": [0.7], "torque_saturation": [0.5]},
+        {"torque_scale": [0.7], "torque_offset": [0.2], "torque_saturation": [0.5]},
         {"gain_mismatch": [0.5, 1.5], "actuation_delay": [0.02]},
     ],
     ids=lambda terms: "-".join(terms),
@@ -344,8 +345,10 @@ def test_limits_that_are_there_stay_and_a_constant_torque_makes_no_servo():
     assert model.jnt_actfrcrange[0] == pytest.approx([-0.28, 0.2])
     assert model.actuator_forcerange[0] == pytest.approx([-1.0, 1.0])
     xml = corrected_xml(given, corrected({"torque_offset": [0.1], "torque_saturation": [0.35]}, xml=given))
-    assert "torque_saturation of pendulum" in xml  # of what is commanded: beside an offset no range says it
-    assert mujoco.MjModel.from_xml_string(xml).actuator_forcerange[0] == pytest.approx([-1.0, 1.0])
+    assert "torque_saturation of pendulum" not in xml
+    model = mujoco.MjModel.from_xml_string(xml)
+    assert model.jnt_actfrcrange[0] == pytest.approx([-0.25, 0.2])  # of what is commanded, before the offset
+    assert model.actuator_forcerange[0] == pytest.approx([-1.0, 1.0])
     assert from_mjcf(xml).kp == (0.0,)
 
 

@@ -621,7 +621,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
 
     problem = SimpleNamespace(hypothesis=h, torques=None)
     near = SimpleNamespace(problem=problem, normal=np.zeros((3, 1, 1)), step=step, values=np.full(5, 5.0), seconds=0.0)
-    again = SimpleNamespace(seconds=2.0, values=np.array([1.5, 2.5, 0.125, 0.25, 0.375]))
+    again = SimpleNamespace(problem="weighed", seconds=2.0, values=np.array([1.5, 2.5, 0.125, 0.25, 0.375]))
     joint = {"before": 1.0, "after": 1.0, "floor": 0.0625}
     made = iter(["train", "aside"])
 
@@ -652,6 +652,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         "best_of": note("best_of", [np.array([1.0, 2.0, 0.125, 0.25, 0.375])]), "Deadline": Clock,
         "weighed": lambda problem, x: (problem, x.tolist()), "descend": note("descend", again.values),
         "linearise": note("linearise", again), "_without_unknown": note("without", (again, needed)),
+        "acting": note("acting", (Hypothesis((terms[1],)), np.array([2.5, 0.125]))),
         "vetoed": note("vetoed", [terms[0]]), "veto_sentence": lambda gone, moved: " ".join(moved),
         "cut_stretches": lambda r, *_: r, "recorded_time": lambda r: [0.0, 1.0],
         "load_model": lambda model: (None, "<xml/>", "m"), "_binds": lambda p, bounds: "",
@@ -710,6 +711,8 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         ("drag", 0.0, "taken back"), ("spring", 2.5, "identified"), ("spring", 0.125, "identified"),
         ("idle", 0.375, "identified"),
     ]  # fmt: skip
+    assert told["acting"] == ("weighed", again.values, needed, [terms[0]])
+    assert needed.tolist() == [False, True, False, False, False]  # the first was taken back
     assert fitted.corrected.hypothesis.terms == (terms[1],)
     assert fitted.corrected.values.tolist() == [2.5, 0.125]
     assert fitted.nominal.hypothesis.terms == ()

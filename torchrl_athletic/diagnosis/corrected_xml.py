@@ -209,9 +209,9 @@ def _write_drive(
         kp, kd = (scale * float(x) for x in effects.get("gain_mismatch", np.ones(2)))
         if _write_gains(actuator, kp, kd, logged):
             said |= servo
-    plain = "torque_offset" not in of and ("torque_scale" not in of or "torque_scale" in said)  # else no range says it
-    if "torque_saturation" in of and plain:
-        if _limit(spec.joint(name), of["torque_saturation"] * of.get("torque_scale", 1.0)):
+    if "torque_saturation" in of and ("torque_scale" not in of or "torque_scale" in said):  # else no range says it
+        most, offset = of["torque_saturation"] * of.get("torque_scale", 1.0), of.get("torque_offset", 0.0)
+        if _limit(spec.joint(name), offset - most, offset + most):
             said.add("torque_saturation")
     if "actuation_lag" in of and takes == "torques" and not _key_has_activations(spec):
         actuator.dyntype, actuator.dynprm[0] = mujoco.mjtDyn.mjDYN_FILTEREXACT, of["actuation_lag"]
@@ -351,9 +351,8 @@ def _commands_of(actuator: Any) -> Commands | None:
     return "targets" if actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and actuator.biasprm[1] else None
 
 
-def _limit(joint: Any, limit: float) -> bool:
+def _limit(joint: Any, low: float, high: float) -> bool:
     """Limit the torque of a joint's actuators, within what is there. Returns whether anything is left of it."""
-    low, high = -limit, limit
     if joint.actfrclimited != mujoco.mjtLimited.mjLIMITED_FALSE and np.ptp(joint.actfrcrange):
         low, high = max(low, joint.actfrcrange[0]), min(high, joint.actfrcrange[1])
     if low >= high:

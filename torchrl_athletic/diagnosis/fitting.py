@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_athletic.diagnosis.acting import acting
 from torchrl_athletic.diagnosis.coarse import coarse, in_steps_of, steps_alike
 from torchrl_athletic.diagnosis.compare import harms, score
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
@@ -238,6 +239,7 @@ def fit(
     remarks = [_binds(p, bounds) for p, bounds in zip(parameters, _free_parameters(h), strict=True)]
     if kept < 0.99 * whole:
         remarks.append(f"Of {whole:.0f} s of recordings, {kept:.0f} s were fitted, in stretches over all of them.")
+    gone: tuple[Candidate, ...] = ()
     if held is not None:
         stated = score(held.takes, h, y, held.position_noise, _rng(seed, "heldout"))[0]
         floor = np.array([joint["floor"] for joint in stated.per_joint.values()])
@@ -247,13 +249,10 @@ def fit(
         parameters = tuple(_taken_back(p, gone) for p in parameters)
         for c in gone:
             h.values_of(c, needed)[:] = False
-    nominal = Simulation(compiled, tuple(order), Hypothesis(()), np.zeros(0))
-    terms = tuple(c for c in h.terms if any(h.values_of(c, needed)))
-    numbers = np.concatenate([h.values_of(c, y) for c in terms]) if terms else np.zeros(0)
-    corrected = replace(nominal, hypothesis=Hypothesis(terms), values=numbers)
+    corrected = Simulation(compiled, tuple(order), *acting(again.problem, y, needed, gone))
     result = Fit(
         parameters=parameters,
-        nominal=nominal,
+        nominal=Simulation(compiled, tuple(order), Hypothesis(()), np.zeros(0)),
         corrected=corrected,
         scores=_scores(corrected, train, held, seed),
         remarks=tuple(r for r in remarks if r),
