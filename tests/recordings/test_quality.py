@@ -65,6 +65,26 @@ def test_under_30_hz_is_refused_and_under_100_hz_is_warned_of():
     assert check_quality(swing(np.arange(300) / 100)).warnings == ()
 
 
+@pytest.mark.parametrize(("unit", "said"), [(1000.0, True), (1.0, False)])
+def test_where_time_counts_milliseconds_the_velocities_tell(unit, said):
+    """A clock that is off by a thousand is not slow logging: the mend is another one."""
+    take = swing(np.arange(300) / (20.0 if unit == 1.0 else RATE))
+    with pytest.raises(RecordingError) as caught:
+        check_quality(replace(take, time=unit * take.time))
+    assert (f"by the logged velocities a sample lasts {1e3 / RATE:.3g} ms" in str(caught.value)) == said
+    with pytest.raises(RecordingError) as caught:
+        check_quality(replace(take, time=unit * take.time, velocity=None))
+    assert "logged velocities" not in str(caught.value)
+
+
+def test_joints_that_never_move_are_named_together():
+    still = np.zeros((2000, 3))
+    still[:, 1] = swing().position[:, 0]
+    take = Recording(swing().time, ("pan", "hinge", "tilt"), still, torque_command=np.zeros((2000, 3)))
+    warnings = [w for w in check_quality(take).warnings if "never move" in w]
+    assert warnings == ["memory: pan, tilt never move. Nothing can be said about them from this take."]
+
+
 def test_jitter_is_measured():
     rng = np.random.default_rng(0)
     time = (np.arange(4000) + 0.4 * rng.uniform(-0.5, 0.5, 4000)) / RATE  # steps off by up to 40 %, triangular
@@ -172,6 +192,11 @@ def test_a_velocity_that_does_not_come_to_zero_freezes_nothing():
     velocity = np.where(moving, 4.0 + np.random.default_rng(0).normal(0, 1e-3, 2000), 0.5)
     take = swing(position=travelled[:, None], velocity=velocity[:, None])
     assert not check_quality(take).masks["frozen"][:1790].any()
+
+
+def test_one_reading_of_thousands_that_jumps_is_counted_and_not_said_to_be_no_share():
+    take = swing(np.arange(4000) / RATE)
+    assert "hinge: 1 of the samples jump away" in check_quality(changed(take, "position", 62, 40.0)).warnings[0]
 
 
 @pytest.mark.parametrize(("name", "value"), [("position", 0.0), ("position", 40.0), ("velocity", 0.0)])
@@ -329,7 +354,8 @@ def test_a_late_velocity_is_measured(late):
     )
     quality = check_quality(take)
     assert quality.velocity_shift == pytest.approx((late,), abs=3e-4)
-    assert any("against its position" in w for w in quality.warnings) == (abs(late) > 0.0075)
+    said = f"{1e3 * abs(late):.1f} ms {'late' if late > 0 else 'early'} against its position"
+    assert any(said in w for w in quality.warnings) == (abs(late) > 0.0075)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.01, 0.035])

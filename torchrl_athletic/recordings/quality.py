@@ -190,7 +190,7 @@ def check_quality(recording: Recording, torque_limit: ArrayLike | None = None) -
         raise RecordingError(
             f"{recording.source}: sampled at {recording.rate:.1f} Hz (median step {1e3 / recording.rate:.1f} ms). "
             f"Below {SLOWEST_RATE:.0f} Hz delay, damping and friction look alike. Log at 200 Hz or more; resampling "
-            "does not help."
+            f"does not help.{_counted_otherwise(recording)}"
         )
     limit = _torque_limit(recording, torque_limit)
     position_noise, velocity_noise = sensor_noise(recording)
@@ -571,6 +571,21 @@ def _time_shift(a: Floats, b: Floats, step: float, longest: float = 0.3) -> tupl
     return float((peak - most + fraction) * step), float(top), float(products[peak] / power_a[peak])
 
 
+def _counted_otherwise(recording: Recording) -> str:
+    """A sentence where the logged velocities say that time is counted in another unit, or in samples."""
+    if recording.velocity is None:
+        return ""
+    moved, speed = np.diff(recording.position, axis=0), (recording.velocity[1:] + recording.velocity[:-1]) / 2
+    agree = float((moved * speed).sum() / max(np.sqrt((moved**2).sum() * (speed**2).sum()), 1e-300))
+    step = float((moved * speed).sum() / max((speed**2).sum(), 1e-300))
+    if agree < 0.9 or step > 0.1 / recording.rate:
+        return ""
+    return (
+        f" But by the logged velocities a sample lasts {1e3 * step:.3g} ms: if time counts samples or milliseconds, "
+        "say so in the column map, or write it in seconds."
+    )
+
+
 # --- warnings ---------------------------------------------------------------------------------------------------------
 
 
@@ -622,17 +637,18 @@ def _mask_warnings(quality: Quality, limit: Floats | None) -> list[str]:
         by_joint = quality.masks[reason].mean(axis=0)
         for joint, share in zip(quality.joint_names, by_joint, strict=True):
             if share > 0.01 or (share > 0 and reason == "dropout"):
-                found.append(f"{joint}: {share:.1%} of the samples {mend}.")
+                part = f"{share:.1%}" if share >= 0.001 else f"{round(share * quality.samples)}"
+                found.append(f"{joint}: {part} of the samples {mend}.")
     return found
 
 
 def _unit_warnings(quality: Quality, recording: Recording) -> list[str]:
-    found = []
+    found, still = [], []
     for j, joint in enumerate(quality.joint_names):
         q = recording.position[:, j]
         moves, travel = np.diff(q), float(np.ptp(q))
         if travel <= 10 * quality.position_noise[j] + 2 * (quality.encoder_step[j] or 0.0):
-            found.append(f"{joint} never moves. Nothing can be said about it from this take.")
+            still.append(joint)
             continue
         fastest = float(np.quantile(np.abs(moves / np.diff(recording.time)), 0.99))
         jumps = int(((np.abs(moves) > 5.5) & (np.abs(moves) > 20 * np.quantile(np.abs(moves), 0.99))).sum())
@@ -647,6 +663,10 @@ def _unit_warnings(quality: Quality, recording: Recording) -> list[str]:
                 "degrees or encoder counts. Convert it to rad, unless the joint does make several turns."
             )
         found += _velocity_warnings(joint, quality.velocity_scale[j], quality.velocity_shift[j], 1 / quality.rate)
+    if len(still) == 1:
+        found.append(f"{still[0]} never moves. Nothing can be said about it from this take.")
+    elif still:
+        found.append(f"{', '.join(still)} never move. Nothing can be said about them from this take.")
     return found
 
 
@@ -689,7 +709,7 @@ def _velocity_warnings(joint: str, scale: float | None, shift: float | None, ste
         )
     if abs(shift) > max(0.005, 1.5 * step):
         found.append(
-            f"the velocity of {joint} is {1e3 * shift:.1f} ms {'late' if shift > 0 else 'early'} against its "
+            f"the velocity of {joint} is {1e3 * abs(shift):.1f} ms {'late' if shift > 0 else 'early'} against its "
             "position. If the drive filters it, leave it out: position alone serves better."
         )
     return found
