@@ -16,6 +16,7 @@ folder                                      github                              
 ``servo-sysid`` at ``e4a4840``              mauicv/servo-sysid                       none stated
 ``sim2real-robot-identification``           RX-00/sim2real-robot-identification      BSD-3-Clause
 at ``1a22bd0``
+``dynamic-identification`` at ``3b3baef``   wissem01chiha/dynamic-identification     MIT
 ==========================================  =======================================  =======================
 """
 
@@ -35,7 +36,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from torchrl_athletic.recordings import Recording
+from torchrl_athletic.recordings import Column, ColumnMap, Recording, read_recordings
 from torchrl_athletic.recordings.datasets import load_dataset
 from torchrl_athletic.robots.benches import two_link_arm
 
@@ -213,6 +214,38 @@ def unitree(data: Path, robot: str) -> Robot:
     third = 2 * whole.num_samples // 3
     looked = "not before its first fit" if robot == "z1" else "no"
     return Robot(spec.to_xml(), [whole.slice(0, third)], [whole.slice(third, whole.num_samples)], looked)
+
+
+def gen3(data: Path) -> Robot:
+    """Kinova Gen3, seven joints at 1 kHz in closed loop: a take of all for 5 s, and one of each joint alone.
+
+    Those last 3 to 7 s. Kept aside are two other takes of all joints, for 2 s each. Torques are those that the drives
+    make of their currents. The model is the maker's URDF.
+    """
+    home = data / "dynamic-identification/pyDynaMapp"
+    spec = mujoco.MjSpec.from_file(str(home / "robot/kinova/gen3.urdf"))
+    spec.compiler.balanceinertia = True  # two links of the file have moments that no body has
+    names = tuple(joint.name for joint in spec.joints)
+    for joint in spec.joints:
+        motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_motor()
+        motor.forcelimited, motor.forcerange = True, joint.actfrcrange
+    columns = ColumnMap(
+        joint_names=names,
+        file_joint_names=tuple(str(k) for k in range(1, 8)),
+        time=Column("Time", unit="ms"),
+        position=Column("Position{joint}"),
+        torque_command=Column("TorqueCur{joint}"),
+    )
+
+    def takes(*files: str) -> list[Recording]:
+        return [take for name in files for take in read_recordings(home / f"data/kinova/{name}.csv", columns)]
+
+    spec.compile()
+    alone = [f"jointwise_motion/joint_{k}_trapez" for k in range(1, 8)]
+    fitted = takes("validation_data/opti_traj_testing1", *alone)
+    aside = takes("validation_data/opti_traj_testing2", "identification_data/RunTrajectory1")
+    return Robot(spec.to_xml(), fitted, aside, "no")
 
 
 def go1(data: Path) -> Robot:
@@ -438,6 +471,7 @@ ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     "airbot, second session": partial(airbot, second=True),
     "ur10e": ur10e,
     **{robot: partial(unitree, robot=robot) for robot in ("go2", "aliengo", "z1")},
+    "gen3": gen3,
     "go1": go1,
     **{motor.lower(): partial(sts, motor=motor) for motor in ("STS3215", "STS3250")},
     "miuzei": miuzei,

@@ -98,6 +98,15 @@ def test_draws_stay_within_bounds_and_a_number_without_an_interval_is_drawn_as_i
     assert _with_draws(nothing, Given(None, "", "", (), (), ())).values.shape == (0,)
 
 
+def test_what_acts_at_the_given_models_numbers_is_no_finding():
+    """A given limit, met before an offset that was fitted, belongs to the simulation and misses nothing."""
+    h = Hypothesis((law("drag", (0.0, 5.0), (0.0, 1.0)), law("limit", (0.0, 2.0))))
+    corrected = SimpleNamespace(hypothesis=h, values=np.array([0.0, 0.5, 0.0]))
+    drawn = _with_draws(SimpleNamespace(parameters=[], corrected=corrected), Given(None, "", "", (), (), ()))
+    assert (drawn.hypothesis.terms, drawn.hypothesis.trims) == (h.terms[:1], h.terms[1:])
+    assert drawn.values.tolist() == [0.0, 0.5, 0.0]
+
+
 @pytest.mark.parametrize(
     ("kept", "is_trial"), [(("drag",), True), ((), False), (("drag", "unheard_of"), False), (("unheard_of",), False)]
 )

@@ -185,8 +185,9 @@ def _with_draws(found: Fit, given: Given) -> Fitted:
         samples = np.clip(samples, *h.bounds)
     named = {e.name for e in given.catalogue}
     trims = {e.name for e in FIT_TRIMS} - named
+    resting = [c for c in h.terms if all(h.values_of(c, values) == [p.nominal for p in c.parameters])]
     whole = Fitted(h, values, samples, 0.0)
-    return as_trims(whole, [c for c in h.terms if c.effect.name in trims])
+    return as_trims(whole, [c for c in h.terms if c.effect.name in trims or c in resting])
 
 
 def _encode(fitted: Fitted) -> dict[str, Any]:
