@@ -293,7 +293,7 @@ def test_a_term_that_moves_the_simulation_away_from_the_recording_is_idle():
     assert idle_terms(worse, [take(pendulum(), r, 1e-4)], np.random.default_rng(0)) == (friction,)
 
 
-def shares(moved, error, error_without, monkeypatch, near=(1.0, 1.0), joints=None, together=None):
+def shares(moved, error, error_without, monkeypatch, near=(1.0, 1.0), joints=None, together=None, motion=np.inf):
     """Of terms on two joints, of mean squares over windows; what several together do is no less if it is not said."""
     terms = tuple(
         SimpleNamespace(key=("term", str(k)), joint_name=joint)
@@ -303,6 +303,7 @@ def shares(moved, error, error_without, monkeypatch, near=(1.0, 1.0), joints=Non
     without = [*error_without, *whole]
     told = lambda h, drawn, values, sets: tuple(np.array(x, dtype=float) for x in (moved, error, without))  # noqa: E731
     monkeypatch.setitem(shares_closed.__globals__, "_actions", told)
+    monkeypatch.setitem(shares_closed.__globals__, "motion_of", lambda windows: motion)
     fitted = Fitted(SimpleNamespace(terms=terms), np.zeros(1), np.zeros((0, 1)), 0.0)
     return list(shares_closed(fitted, [], np.array(near)).values())
 
@@ -322,6 +323,16 @@ def test_a_term_of_the_whole_robot_closes_what_it_closes_of_one_joint_and_its_ha
     assert alike == alone == [pytest.approx(0.1)]
     assert shares([[[9.0, 9.0]] * 2], [[2.0, 20.0]] * 2, [[[12.0, 9.0]] * 2], monkeypatch)[0] < 0.5
     assert shares([[[9.0, 9.0]] * 2], [[2.0, 2.0]] * 2, [[[12.0, 9.0]] * 2], monkeypatch)[0] > 0.8
+
+
+def test_what_falls_without_a_term_errs_by_a_radian_or_its_motion_at_most(monkeypatch):
+    """Else two numbers that keep a joint from falling would each close all, however badly it follows with them."""
+    moved, error, fallen = [[[900.0, 0.0]] * 2], [[0.5, 0.0]] * 2, [[[900.0, 0.0]] * 2]
+    for motion, most in ((0.1, 1.0), (4.0, 4.0)):
+        found = shares(moved, error, fallen, monkeypatch, near=(0.1, 0.1), motion=np.full((2, 2), motion))
+        assert found == [pytest.approx(1 - 0.49 / (most - 0.01), rel=0.02)]
+        lost = shares(moved, [[900.0, 0.0]] * 2, fallen, monkeypatch, near=(0.1, 0.1), motion=np.full((2, 2), motion))
+        assert lost == [0.0]
 
 
 def test_a_term_that_does_harm_closes_nothing_and_without_terms_nothing_is_asked(monkeypatch):

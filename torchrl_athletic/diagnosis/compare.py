@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis, draw_windows
-from torchrl_athletic.diagnosis.replay import Take, Windows, simulate, window_rmse
+from torchrl_athletic.diagnosis.replay import Take, Windows, motion_of, simulate, window_rmse
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.thresholds import SIMULATION, STATEMENT
 from torchrl_athletic.effects.signals import kernel_for
@@ -48,10 +48,10 @@ def score(
     if repeatability is not None:
         floor = np.maximum(floor, repeatability)
     names = takes[0].recording.joint_names
-    per_joint = {
-        name: {"before": float(b), "after": float(a), "floor": float(f)}
-        for name, b, a, f in zip(names, before, after, floor, strict=True)
-    }
+    motion = np.sqrt(motion_of(windows).mean(0))
+    rows = zip(before, after, floor, motion, strict=True)
+    keys = "before", "after", "floor", "motion"
+    per_joint = {name: dict(zip(keys, map(float, row), strict=True)) for name, row in zip(names, rows, strict=True)}
     was, left, least = (float(np.sqrt(np.mean(x**2))) for x in (before, after, floor))
     gap = was - least
     closed = float(np.clip((was - left) / gap, -1.0, 1.0)) if gap > 0 else 0.0
@@ -142,14 +142,20 @@ def follows(score: Score, times: float) -> bool:
 def open_share(score: Score) -> float:
     """Share of the error energy above the floor that is left, each joint in units of its floor, 0..1.
 
-    A joint that the correction makes worse counts with what it was made worse by.
+    A joint that the correction makes worse counts with what it was made worse by. A given model that falls errs by
+    radians or by its motion at most: of hundreds, what is left would be no share, however much it is.
     """
     was = left = 0.0
     for joint in score.per_joint.values():
         unit = max(joint["floor"], 1e-12) ** 2
-        was += max(joint["before"] ** 2 / unit - 1.0, 0.0)
+        was += max(_astray(joint) ** 2 / unit - 1.0, 0.0)
         left += max(joint["after"] ** 2 / unit - 1.0, 0.0)
     return float(np.clip(left / was, 0.0, 1.0)) if was > 0 else float(left > 1.0)
+
+
+def _astray(joint: Mapping[str, float]) -> float:
+    """Error of the given model, up to that from which on it has left the recording [rad, m]."""
+    return min(joint["before"], max(SIMULATION.fallen, joint.get("motion", np.inf)))
 
 
 def far_joints(scores: Collection[Score]) -> frozenset[str]:
@@ -158,5 +164,5 @@ def far_joints(scores: Collection[Score]) -> frozenset[str]:
         name
         for s in scores
         for name, e in s.per_joint.items()
-        if e["after"] > STATEMENT.near_floor * max(e["floor"], 1e-12) and e["after"] > STATEMENT.kept * e["before"]
+        if e["after"] > STATEMENT.near_floor * max(e["floor"], 1e-12) and e["after"] > STATEMENT.kept * _astray(e)
     )

@@ -10,7 +10,15 @@ import numpy as np
 from mujoco import minimize
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.replay import Take, Windows, follow_targets, simulate, window_rmse, windows_of
+from torchrl_athletic.diagnosis.replay import (
+    Take,
+    Windows,
+    follow_targets,
+    motion_of,
+    simulate,
+    window_rmse,
+    windows_of,
+)
 from torchrl_athletic.diagnosis.screen import Candidate, Key, bounded_least_squares
 from torchrl_athletic.diagnosis.thresholds import SIMULATION
 from torchrl_athletic.effects import Parameter, Plant
@@ -239,6 +247,8 @@ def shares_closed(fitted: Fitted, windows: Sequence[Windows], near: Array) -> di
         return {}
     together = set_back_together(h)
     moved, error, error_without = _actions(h, windows, fitted.values, together)
+    most = np.maximum(SIMULATION.fallen**2, motion_of(windows))  # what falls without a term errs by no more
+    error, error_without = np.minimum(error, most), np.minimum(error_without, most)
     moves = moved.mean(1) / unit
     far = moves.sum(1, keepdims=True)
     acts = np.where(far > 0.0, moves / np.maximum(far, 1e-300), 1.0 / len(near))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.compare import well_started
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis, draw_windows
-from torchrl_athletic.diagnosis.replay import Take, Windows, simulate
+from torchrl_athletic.diagnosis.replay import Take, Windows, motion_of, simulate
 from torchrl_athletic.diagnosis.standard import Agreement
 
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ class Problem:
     @cached_property
     def motion(self) -> Array:
         """Mean square distance from where a window begins: its error where nothing moves [rad², m²]. Shape (W, J)."""
-        return np.concatenate([((w.measured - w.take.measured[w.start][:, None]) ** 2).mean(1) for w in self.windows])
+        return motion_of(self.windows)
 
     @cached_property
     def window(self) -> NDArray[np.intp]:

@@ -691,3 +691,8 @@ def window_rmse(windows: Sequence[Windows], predicted: Sequence[Array]) -> tuple
     square = np.concatenate([((p - w.measured) ** 2).mean(1) for w, p in zip(windows, predicted, strict=True)])
     weight = np.concatenate([np.full(len(w.start), w.length, dtype=float) for w in windows])
     return np.sqrt((square * weight[:, None]).sum(0) / weight.sum()), np.sqrt(square)
+
+
+def motion_of(windows: Sequence[Windows]) -> Array:
+    """Mean square distance from where windows start: their error where nothing moves [rad², m²]. Shape (W, J)."""
+    return np.concatenate([((w.measured - w.take.measured[w.start][:, None]) ** 2).mean(1) for w in windows])

@@ -95,7 +95,7 @@ class Score:
     share_closed: float
     """(before - after) / (before - floor): the part of the closable gap that the correction closes."""
     per_joint: Mapping[str, Mapping[str, float]]
-    """Joint -> {before, after, floor}."""
+    """Joint -> {before, after, floor, motion}, the last from where windows start: the error where nothing moves."""
 
 
 @dataclass(frozen=True)
