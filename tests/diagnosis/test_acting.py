@@ -1,5 +1,8 @@
 """What is handed over moves as what was fitted did, and holds nothing that it moves without."""
 
+import sys
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
@@ -10,7 +13,9 @@ from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.problem import problem_of
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.effects import ActuationDelay, EncoderOffset, TorqueOffset, TorqueSaturation
+from torchrl_athletic.effects import ActuationDelay, EncoderOffset, Parameter, TorqueOffset, TorqueSaturation
+
+module = sys.modules["torchrl_athletic.diagnosis.acting"]
 
 EFFECTS = (TorqueSaturation(), TorqueOffset(), ActuationDelay(), EncoderOffset())
 LIMIT = 0.6
@@ -27,6 +32,46 @@ def fitted(request):
     h = Hypothesis(tuple(Candidate(e, 0, "pendulum", e.parameters(model, address, 0)) for e in EFFECTS))
     problem = problem_of(h, takes, 0.5, 30, np.random.default_rng(0), h.nominal)
     return problem, request.param > 1.0
+
+
+@pytest.fixture
+def two_joints(monkeypatch):
+    """A limit of each of two joints that is met in five windows of thirty, the second's after the first's; made up.
+
+    A term is its number, which is added to its joint's error; a limit is none but beside its joint's offset.
+    """
+    name = [f"{kind}_{joint}" for joint in "ab" for kind in ("offset", "limit")]
+    parameter = Parameter("p", "1", 0.0, -9.0, 9.0, 1.0)
+    terms = tuple(Candidate(SimpleNamespace(name=n), "ab".index(n[-1]), n[-1], (parameter,)) for n in name)
+    met = np.zeros((30, 2))
+    met[3:8, 0] = met[20:25, 1] = 1.0
+
+    class Made(SimpleNamespace):
+        def errors(self, values):
+            out = np.zeros((len(self.met), 2))
+            for c, v in zip(self.hypothesis.terms, values[0], strict=True):
+                beside = any(o.joint == c.joint for o in self.hypothesis.terms if o is not c)
+                out[:, c.joint] += v if "offset" in c.effect.name else beside * self.met[:, c.joint]
+            return out.reshape(-1, 1)
+
+        def squares(self, errors):
+            return errors.reshape(-1, 2) ** 2
+
+    monkeypatch.setattr(module, "replace", lambda problem, hypothesis: Made(hypothesis=hypothesis, met=problem.met))
+    monkeypatch.setattr(module, "part_of", lambda p, chosen: Made(met=p.met[chosen], unit=p.unit))
+    return Made(hypothesis=Hypothesis(terms), met=met, unit=np.ones(2))
+
+
+@pytest.mark.parametrize("told", [1, 3, 20])
+def test_limits_that_are_met_in_turn_are_both_handed_over(two_joints, monkeypatch, told):
+    """However few windows are asked at a time: one joint's first windows say nothing of the other's."""
+    monkeypatch.setattr(module, "TOLD", told)
+    x, needed = values(two_joints, offset_a=0.1, offset_b=0.2)
+    assert names_of(acting(two_joints, x, needed)[0]) == {"offset_a", "limit_a", "offset_b", "limit_b"}
+    two_joints.met[:, 1] = 0.02 * module.VISIBLE
+    assert names_of(acting(two_joints, x, needed)[0]) == {"offset_a", "limit_a", "offset_b"}
+    two_joints.met[12, 1] = 2 * module.VISIBLE
+    assert "limit_b" in names_of(acting(two_joints, x, needed)[0])
 
 
 def values(problem, **moved):

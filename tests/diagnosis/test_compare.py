@@ -9,6 +9,7 @@ from diagnosis.plants import candidate, pendulum, record, smooth_torque, take
 
 from torchrl_athletic.diagnosis import compare
 from torchrl_athletic.diagnosis.compare import (
+    _within_reach,
     far_joints,
     follows,
     harms,
@@ -22,7 +23,6 @@ from torchrl_athletic.diagnosis.compare import (
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.replay import Windows, join, simulate, windows_of
 from torchrl_athletic.diagnosis.result import Score
-from torchrl_athletic.diagnosis.thresholds import STATEMENT
 from torchrl_athletic.effects import ViscousFriction
 
 FINE = pendulum(step=0.001)  # the integrator's own error is far below the noise
@@ -112,13 +112,28 @@ def test_the_open_share_is_energy_above_the_floor_that_is_left():
     assert open_share(of(a=(1.0, 1.0, 1.0))) == 0.0
 
 
-@pytest.mark.parametrize(("motion", "most"), [(0.3, 1.0), (1.0, 1.0), (4.0, 4.0), (300.0, 200.0)])
-def test_a_given_model_that_falls_errs_by_a_radian_or_its_motion_and_not_by_how_far_it_fell(motion, most):
+def test_a_window_in_which_a_model_falls_errs_by_a_radian_or_its_motion_and_not_by_how_far_it_fell():
+    """One of three falls by 200 rad; the joint moves by 4 rad in the last, whose ten samples count as five do twice."""
+    t = made_up()
+    t.measured[100] = -4.0, 0.0
+    windows = [Windows(t, np.array([0, 40]), 5), Windows(t, np.array([100]), 10)]
+    each = np.array([[200.0, 0.5], [0.3, 0.5], [200.0, 0.5]])
+    fallen, calm = _within_reach(windows, each)
+    assert fallen == pytest.approx(np.sqrt((1.0 + 0.3**2 + 2 * 16.0) / 4))
+    assert calm == pytest.approx(0.5)
+
+
+def test_shares_are_of_errors_within_reach_on_either_side():
     """A wrist without friction spins by 200 rad: of that 0.5 rad would be next to nothing, and nobody would use it."""
-    score = of(wrist=(200.0, 0.5, 0.01))
-    score.per_joint["wrist"]["motion"] = motion
-    assert open_share(score) == pytest.approx((0.5**2 - 0.01**2) / (most**2 - 0.01**2))
-    assert (far_joints([score]) == {"wrist"}) == (0.5 > STATEMENT.kept * most)
+    score = of(wrist=(200.0, 0.5, 0.01), thumb=(0.2, 0.1, 0.01))
+    score.per_joint["wrist"].update(before_within_reach=1.0, after_within_reach=0.5)
+    was, left = (np.sum([(e / 0.01) ** 2 - 1 for e in errors]) for errors in ((1.0, 0.2), (0.5, 0.1)))
+    assert open_share(score) == pytest.approx(left / was)
+    assert far_joints([score]) == {"wrist", "thumb"}
+    score.per_joint["wrist"].update(after=150.0, after_within_reach=1.0)
+    assert open_share(score) == pytest.approx(((1 / 0.01) ** 2 - 1 + (0.1 / 0.01) ** 2 - 1) / was)
+    again = uncorrected(score).per_joint["wrist"]
+    assert (again["after"], again["after_within_reach"]) == (200.0, 1.0)
 
 
 def test_a_correction_that_makes_the_fitted_takes_worse_is_none():
@@ -300,7 +315,7 @@ def test_the_floor_is_of_noisy_starts_readings_and_twice_the_step_of_each_joint(
 
 def test_a_score_is_the_root_of_the_joints_mean_square_and_of_the_given_and_the_corrected_numbers(monkeypatch):
     t = made_up()
-    t.measured[[0, 40]] = -0.5, 2.0  # from there the joints move to zero
+    t.measured[[0, 40]] = -0.5, 2.5  # from there the joints move to zero
     windows = [Windows(t, np.array([0, 40]), 10)]
     monkeypatch.setattr(compare, "draw_windows", lambda takes, seconds, most, rng: windows if seconds == 0.5 else [])
     monkeypatch.setattr(compare, "well_started", lambda w: w)
@@ -312,8 +327,12 @@ def test_a_score_is_the_root_of_the_joints_mean_square_and_of_the_given_and_the_
     h = SimpleNamespace(nominal=np.array([3.0, 4.0]), build=None)
     rng = np.random.default_rng(0)
     found, before, after, _ = score([t], h, np.array([1.0, 2.0]), np.ones(2), rng, np.array([0.2, 0.3]))
-    assert found.per_joint["hip"] == pytest.approx({"before": 3.0, "after": 1.0, "floor": 0.2, "motion": 0.5})
-    assert found.per_joint["knee"] == pytest.approx({"before": 4.0, "after": 2.0, "floor": 0.7, "motion": 2.0})
+    assert found.per_joint["hip"] == pytest.approx({
+        "before": 3.0, "after": 1.0, "floor": 0.2, "before_within_reach": 1.0, "after_within_reach": 1.0,
+    })  # fmt: skip
+    assert found.per_joint["knee"] == pytest.approx({
+        "before": 4.0, "after": 2.0, "floor": 0.7, "before_within_reach": 2.5, "after_within_reach": 2.0,
+    })  # fmt: skip
     was, left, least = np.sqrt([12.5, 2.5, (0.04 + 0.49) / 2])
     assert (found.before, found.after, found.floor) == pytest.approx((was, left, least))
     assert found.share_closed == pytest.approx((was - left) / (was - least))

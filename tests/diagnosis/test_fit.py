@@ -331,8 +331,9 @@ def test_what_falls_without_a_term_errs_by_a_radian_or_its_motion_at_most(monkey
     for motion, most in ((0.1, 1.0), (4.0, 4.0)):
         found = shares(moved, error, fallen, monkeypatch, near=(0.1, 0.1), motion=np.full((2, 2), motion))
         assert found == [pytest.approx(1 - 0.49 / (most - 0.01), rel=0.02)]
-        lost = shares(moved, [[900.0, 0.0]] * 2, fallen, monkeypatch, near=(0.1, 0.1), motion=np.full((2, 2), motion))
-        assert lost == [0.0]
+        half = [[900.0, 0.0], [0.5, 0.0]]  # with it one window falls as well
+        lost = shares(moved, half, fallen, monkeypatch, near=(0.1, 0.1), motion=np.full((2, 2), motion))
+        assert lost == [pytest.approx(1 - np.sqrt(0.5 / most))]  # of the typical window
 
 
 def test_a_term_that_does_harm_closes_nothing_and_without_terms_nothing_is_asked(monkeypatch):

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 VISIBLE = 1e-3
 """Change of a window's error, in typical errors, that makes it another simulation [1]."""
 TOLD = 20
-"""Windows by which it is told which of the terms that did not move make one."""
+"""Windows at a time by which it is told which of the terms that did not move make one."""
 
 
 def acting(problem: Problem, values: Array, needed: Mask, gone: Sequence[Candidate] = ()) -> tuple[Hypothesis, Array]:
@@ -34,19 +34,26 @@ def acting(problem: Problem, values: Array, needed: Mask, gone: Sequence[Candida
     """
     h = problem.hypothesis
     kept = [c for c in h.terms if c not in gone]
-    moved = [c for c in kept if h.values_of(c, needed).any()]
+    chosen = [c for c in kept if h.values_of(c, needed).any()]
 
     def part(terms: Sequence[Candidate]) -> tuple[Hypothesis, Array]:
         return Hypothesis(tuple(terms)), np.concatenate([np.zeros(0), *(h.values_of(c, values) for c in terms)])
 
-    def changes(windows: Problem, terms: Sequence[Candidate]) -> NDArray[np.bool_]:
-        """Which windows those terms alone move otherwise than all that are kept."""
-        whole, less = (
-            replace(windows, hypothesis=own).errors(numbers[None])[:, 0] for own, numbers in (part(kept), part(terms))
-        )
-        return np.asarray((windows.squares(less - whole) > (VISIBLE * windows.unit) ** 2).any(1))
+    def errors(windows: Problem, terms: Sequence[Candidate]) -> Array:
+        own, numbers = part(terms)
+        return replace(windows, hypothesis=own).errors(numbers[None])[:, 0]
 
-    if not moved or not (different := changes(problem, moved)).any():
-        return part(moved)
-    few = part_of(problem, different & (np.cumsum(different) <= TOLD))
-    return part([c for c in kept if c in moved or changes(few, [o for o in kept if o is not c]).any()])
+    def differs(windows: Problem, some: Array, others: Array) -> Mask:
+        """Which windows move otherwise."""
+        return np.asarray((windows.squares(some - others) > (VISIBLE * windows.unit) ** 2).any(1))
+
+    if not chosen:
+        return part(chosen)
+    whole = errors(problem, kept)
+    while (different := differs(problem, errors(problem, chosen), whole)).any():
+        few = part_of(problem, different & (np.cumsum(different) <= TOLD))
+        fewer = errors(few, kept)
+        resting = [c for c in kept if c not in chosen]
+        act = [c for c in resting if differs(few, errors(few, [o for o in kept if o is not c]), fewer).any()]
+        chosen = [c for c in kept if c in chosen or c in (act or resting)]  # two may act only where both are missing
+    return part(chosen)

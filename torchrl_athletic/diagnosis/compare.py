@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +49,9 @@ def score(
     if repeatability is not None:
         floor = np.maximum(floor, repeatability)
     names = takes[0].recording.joint_names
-    motion = np.sqrt(motion_of(windows).mean(0))
-    rows = zip(before, after, floor, motion, strict=True)
-    keys = "before", "after", "floor", "motion"
+    within = [_within_reach(windows, each) for each in (each_before, each_after)]
+    rows = zip(before, after, floor, *within, strict=True)
+    keys = "before", "after", "floor", "before_within_reach", "after_within_reach"
     per_joint = {name: dict(zip(keys, map(float, row), strict=True)) for name, row in zip(names, rows, strict=True)}
     was, left, least = (float(np.sqrt(np.mean(x**2))) for x in (before, after, floor))
     gap = was - least
@@ -130,7 +131,7 @@ def harms(score: Score | None) -> bool:
 
 def uncorrected(score: Score) -> Score:
     """The score of the given model, which nothing corrects."""
-    per_joint = {name: {**errors, "after": errors["before"]} for name, errors in score.per_joint.items()}
+    per_joint = {name: {k: e[k.replace("after", "before")] for k in e} for name, e in score.per_joint.items()}
     return replace(score, after=score.before, share_closed=0.0, per_joint=per_joint)
 
 
@@ -139,23 +140,36 @@ def follows(score: Score, times: float) -> bool:
     return all(joint["after"] <= times * max(joint["floor"], 1e-12) for joint in score.per_joint.values())
 
 
+def _within_reach(windows: Sequence[Windows], each: Array) -> Array:
+    """RMSE of the windows, none of which counts for more than a radian, a metre, or its motion if that is more.
+
+    ``each``: errors of the windows, shape (W, J). Shape (J,).
+    """
+    most = np.maximum(SIMULATION.fallen**2, motion_of(windows))
+    weight = np.concatenate([np.full(len(w.start), w.length) for w in windows])
+    return np.asarray(np.sqrt(np.average(np.minimum(each**2, most), axis=0, weights=weight)), dtype=np.float64)
+
+
+def within_reach(joint: Mapping[str, float], when: Literal["before", "after"]) -> float:
+    """Error of a joint that shares are made of: where a model falls it counts as a radian off, or as its motion.
+
+    A frictionless wrist that spins away by 200 rad would else make half a radian next to nothing.
+    """
+    return joint.get(f"{when}_within_reach", joint[when])
+
+
 def open_share(score: Score) -> float:
     """Share of the error energy above the floor that is left, each joint in units of its floor, 0..1.
 
-    A joint that the correction makes worse counts with what it was made worse by. A given model that falls errs by
-    radians or by its motion at most: of hundreds, what is left would be no share, however much it is.
+    A joint that the correction makes worse counts with what it was made worse by, as far as that is
+    :func:`within_reach`.
     """
     was = left = 0.0
     for joint in score.per_joint.values():
         unit = max(joint["floor"], 1e-12) ** 2
-        was += max(_astray(joint) ** 2 / unit - 1.0, 0.0)
-        left += max(joint["after"] ** 2 / unit - 1.0, 0.0)
+        was += max(within_reach(joint, "before") ** 2 / unit - 1.0, 0.0)
+        left += max(within_reach(joint, "after") ** 2 / unit - 1.0, 0.0)
     return float(np.clip(left / was, 0.0, 1.0)) if was > 0 else float(left > 1.0)
-
-
-def _astray(joint: Mapping[str, float]) -> float:
-    """Error of the given model, up to that from which on it has left the recording [rad, m]."""
-    return min(joint["before"], max(SIMULATION.fallen, joint.get("motion", np.inf)))
 
 
 def far_joints(scores: Collection[Score]) -> frozenset[str]:
@@ -164,5 +178,6 @@ def far_joints(scores: Collection[Score]) -> frozenset[str]:
         name
         for s in scores
         for name, e in s.per_joint.items()
-        if e["after"] > STATEMENT.near_floor * max(e["floor"], 1e-12) and e["after"] > STATEMENT.kept * _astray(e)
+        if e["after"] > STATEMENT.near_floor * max(e["floor"], 1e-12)
+        and e["after"] > STATEMENT.kept * within_reach(e, "before")
     )

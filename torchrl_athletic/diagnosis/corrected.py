@@ -104,7 +104,7 @@ class Simulation:
             )
         names = tuple(content["joint_names"])
         address = JointAddress.of(model, names, "corrected.json")
-        known = {effect.name: effect for effect in (*FIT_TRIMS, *catalogue)}
+        known = {effect.name: effect for effect in (*FIT_TRIMS, *CATALOGUE, *catalogue)}
         groups: list[tuple[Candidate, ...]] = []
         values: list[float] = []
         for group in ("effects", "trims"):

@@ -72,7 +72,8 @@ def fewest(spoken_for: int, trials: Sequence[Trial]) -> int:
     closed = [1.0 - open_share(t.scores["train"]) for t in (few, many)]
     named = {c.key for c in few.fitted.hypothesis.terms} & keys(few.proposal.best.fit.terms)
     offered = all(c.key in few.proposal.offered for c in many.fitted.hypothesis.terms)
-    return motion if named and offered and closed[0] >= DECISION.few * closed[1] else spoken_for
+    good = closed[0] > 0.0 and closed[0] >= DECISION.few * closed[1]
+    return motion if named and offered and good else spoken_for
 
 
 def torque_is_open(trial: Trial) -> bool:

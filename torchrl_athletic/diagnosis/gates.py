@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.calibration import Grounds, class_probability, probability, rival_probability, widened
-from torchrl_athletic.diagnosis.compare import far_joints, follows, open_share
+from torchrl_athletic.diagnosis.compare import far_joints, follows, open_share, within_reach
 from torchrl_athletic.diagnosis.fit import Fitted
 from torchrl_athletic.diagnosis.locate import regime_of
 from torchrl_athletic.diagnosis.proposal import Proposal, StandIn
@@ -179,10 +179,16 @@ def summarise(
         kind = "recordings kept aside" if heldout else "the fitted recordings (none were kept aside)"
         out.append(
             f"Over 0.5 s windows of {kind} the error falls to {100 * score.after / max(score.before, 1e-12):.0f} % "
-            "of what it was; "
-            f"the correction leaves {100 * left:.0f} % of its energy above the sensors' floor."
+            f"of what it was; the correction leaves {100 * left:.0f} % of its energy above the sensors' floor"
+            f"{_with_falls(score)}."
         )
     return tuple(out)
+
+
+def _with_falls(score: Score) -> str:
+    """How the share of the energy is counted, where windows fall and it is no longer what the errors say."""
+    fell = any(within_reach(e, "before") < 0.99 * e["before"] for e in score.per_joint.values())
+    return ", where a window that falls counts as a radian off, or as its motion" if fell else ""
 
 
 def _nothing_missing(score: Score | None) -> str:

@@ -95,7 +95,10 @@ class Score:
     share_closed: float
     """(before - after) / (before - floor): the part of the closable gap that the correction closes."""
     per_joint: Mapping[str, Mapping[str, float]]
-    """Joint -> {before, after, floor, motion}, the last from where windows start: the error where nothing moves."""
+    """Joint -> {before, after, floor, before_within_reach, after_within_reach}.
+
+    In the last two no window counts for more than a radian, a metre, or its motion if that is more.
+    """
 
 
 @dataclass(frozen=True)

@@ -105,8 +105,8 @@ class Simulation:
     window: float = 0.5
     """Length of the windows that scores are stated for [s; contract]."""
     fallen: float = 1.0
-    """Error of a window, or its motion if that is more, from which on a simulation has left the recording: more is no
-    worse [rad, m; physical]."""
+    """Error of a window from which on a simulation has left the recording, if it moves no further: more is no worse
+    [rad, m; physical]."""
     drift: float = 5.0
     """End-to-end error over a window's error up to which a take is fitted end to end [1; tuned]."""
     acts: float = 0.5

@@ -20,6 +20,8 @@ _ALIKE = 0.15
 """Relative error of these variances up to which noise explains them."""
 _ENOUGH = 100
 """Fewest windows that say something of noise with a memory."""
+_INTERPOLATED = 100
+"""Samples, at most, over which a logger draws a step of the encoder out."""
 _CONDITIONS = ("robot", "payload", "fixture", "excitation")
 _REPEAT_KEYS = ("repeat_id", "repeat")
 
@@ -189,7 +191,8 @@ def repeat_noise(recordings: Sequence[Recording]) -> NDArray[np.float64] | None:
 def encoder_step(values: NDArray[np.float64]) -> float | None:
     """Resolution of a quantised channel: the greatest common spacing of its values [unit of the values].
 
-    Where a logger has interpolated between readings, the values that stay the same over three samples or more decide.
+    Where a logger has interpolated between readings, the values that stay the same over three samples or more decide,
+    if the channel bends sharply enough between them: two poses in which a joint rests are no step of its encoder.
 
     Args:
         values: One channel. Shape (T,).
@@ -202,7 +205,8 @@ def encoder_step(values: NDArray[np.float64]) -> float | None:
         return step
     same = np.diff(values) == 0
     held = values[1:-1][same[1:] & same[:-1]]
-    return _common_spacing(held, len(held) // 3) if len(held) else None
+    step = _common_spacing(held, len(held) // 3) if len(held) else None
+    return step if step is not None and step <= _INTERPOLATED * np.abs(np.diff(values, 2)).max() else None
 
 
 def _common_spacing(values: NDArray[np.float64], most_of_few: int) -> float | None:

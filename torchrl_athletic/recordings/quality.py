@@ -581,8 +581,8 @@ def _counted_otherwise(recording: Recording) -> str:
     if agree < 0.9 or step > 0.1 / recording.rate:
         return ""
     return (
-        f" But by the logged velocities a sample lasts {1e3 * step:.3g} ms: if time counts samples or milliseconds, "
-        "say so in the column map, or write it in seconds."
+        f" But by the logged velocities a sample lasts {1e3 * step:.3g} ms: either time counts samples or "
+        "milliseconds, or velocities have another unit. Say which in the column map."
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from torchrl_athletic.diagnosis.compare import within_reach
 from torchrl_athletic.diagnosis.result import Answer, Score
 
 NAMES = {
@@ -33,12 +34,12 @@ def energy_shares(answer: Answer, split: str) -> dict[str, float]:
     corrected, learned = _rows(answer.fit[split]), _rows(answer.fit.get(f"{split}_uan"))
     parts: dict[str, list[float]] = {}
     for joint, row in corrected.items():
-        whole = max(row["before"] ** 2, 1e-300)
+        whole = max(within_reach(row, "before") ** 2, 1e-300)
         noise = min(row["floor"] ** 2 / whole, 1.0)
-        left = min(max(row["after"] ** 2 / whole - noise, 0.0), 1.0 - noise)
+        left = min(max(within_reach(row, "after") ** 2 / whole - noise, 0.0), 1.0 - noise)
         parts.setdefault("physics", []).append(1.0 - noise - left)
         if learned:
-            rest = min(max(learned[joint]["after"] ** 2 / whole - noise, 0.0), left)
+            rest = min(max(within_reach(learned[joint], "after") ** 2 / whole - noise, 0.0), left)
             parts.setdefault("uan", []).append(left - rest)
             left = rest
         parts.setdefault("unexplained", []).append(left)
