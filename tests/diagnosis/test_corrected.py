@@ -170,6 +170,11 @@ def test_an_effect_of_another_catalogue_is_refused_by_name():
     few = tuple(e for e in CATALOGUE if e.name != "coulomb_friction")
     with pytest.raises(ValueError, match=r"'coulomb_friction' is not in the catalogue.*Pass yours"):
         Simulation.from_json(content, corrected({}).model, few)
+    content["trims"] = [e for e in content["effects"] if e["effect"] == "coulomb_friction"]  # that rests beside others
+    content["effects"] = []
+    assert [c.effect.name for c in Simulation.from_json(content, corrected({}).model, few).hypothesis.trims] == [
+        "coulomb_friction"
+    ]
 
 
 @pytest.mark.parametrize("name", [*sorted(NATIVE_TERMS), "all"])

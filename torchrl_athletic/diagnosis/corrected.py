@@ -104,10 +104,13 @@ class Simulation:
             )
         names = tuple(content["joint_names"])
         address = JointAddress.of(model, names, "corrected.json")
-        known = {effect.name: effect for effect in (*FIT_TRIMS, *CATALOGUE, *catalogue)}
         groups: list[tuple[Candidate, ...]] = []
         values: list[float] = []
-        for group in ("effects", "trims"):
+        for group, beside in (
+            ("effects", ()),
+            ("trims", CATALOGUE),
+        ):  # what no finding names needs no name of the user's
+            known = {effect.name: effect for effect in (*FIT_TRIMS, *beside, *catalogue)}
             candidates = []
             for entry in content[group]:
                 if entry["effect"] not in known:
