@@ -131,7 +131,8 @@ def by_pace(replay: Replay, seed: int = 0) -> Array:
 def by_sysid(replay: Replay) -> Array | None:
     """mujoco.sysid with friction, damping, rotor, offset and scale or gain, one model for all; None if it cannot.
 
-    Delays and limits by parameter, logs with several payloads, gains or rates are beyond its one model.
+    Delays and limits by parameter, logs with several payloads, gains or rates are beyond its one model; a simulation
+    that diverges, as of the Gen3 without friction, ends it.
     """
     sysid = import_module("mujoco.sysid")
     if not hasattr(sysid, "ParameterDict") or len({w.kind for w in replay.windows}) > 1:
@@ -169,7 +170,10 @@ def by_sysid(replay: Replay) -> Array | None:
             )
         )
     residual = _sysid_residual(sysid, params, build, trajectories)
-    found, _ = sysid.optimize(params, residual, optimizer="mujoco", verbose=False, max_iters=15, x_scale="jac")
+    try:
+        found, _ = sysid.optimize(params, residual, optimizer="mujoco", verbose=False, max_iters=15, x_scale="jac")
+    except ValueError:  # MuJoCo sets the clock back where a simulation diverges, which it does not take
+        return None
     for k in rows:
         x[k] = np.ravel(found[NAMES[k]].value)
     return x
