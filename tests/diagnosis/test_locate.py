@@ -9,7 +9,7 @@ from diagnosis.columns import NAMES, STEP, signals
 from diagnosis.plants import slider
 
 from torchrl_athletic.diagnosis import locate as locating
-from torchrl_athletic.diagnosis.locate import _binned, feature, feature_unit, locate, regime_maps, regime_of
+from torchrl_athletic.diagnosis.locate import _binned, _said, feature, feature_unit, locate, regime_maps, regime_of
 from torchrl_athletic.diagnosis.screen import Bank
 from torchrl_athletic.effects import JointAddress
 
@@ -401,3 +401,10 @@ def test_the_noise_below_which_nothing_counts_is_the_mean_over_the_takes():
     joints, _ = joints_and_regimes(locate(bank, rng()))
     got = {x.joint: x.share_of_error for x in joints}
     assert [got[name] for name in NAMES] == pytest.approx(list(energy / energy.sum()))
+
+
+@pytest.mark.parametrize(
+    ("edge", "said"), [(-4.3e-8, "0"), (0.0, "0"), (0.0019, "0"), (0.0021, "0.0021"), (-0.31, "-0.31")]
+)
+def test_an_edge_that_is_nothing_beside_the_range_is_zero(edge, said):
+    assert _said(edge, np.array([-0.5, 0.0, 1.5])) == said

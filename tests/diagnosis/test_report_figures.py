@@ -478,3 +478,25 @@ def test_a_fit_is_shown_on_what_was_kept_aside_with_the_worst_joints_first_and_t
         unit = {"rail": "m", "hip": "rad"}[names[0]]
         said = f"{names[0]}: error over 0.5 s {score['before']:.3g} → {score['after']:.3g} {unit}"
         assert figure.axes[0].get_title(loc="left") == said
+
+
+@pytest.mark.parametrize(("fell", "left"), [(200.0, True), (-200.0, True), (0.3, False)])
+def test_a_given_model_that_falls_does_not_flatten_what_is_fitted(fell, left):
+    xml = """<mujoco><worldbody><body><joint name="hip"/><geom size="0.1"/></body></worldbody></mujoco>"""
+    time = np.arange(300) / 100
+    take = Recording(time, ("hip",), np.sin(time)[:, None], torque_command=np.zeros((300, 1)), source="logs/aside.csv")
+    scores = {"heldout": SimpleNamespace(per_joint={"hip": {"before": 9.0, "after": 0.1, "floor": 0.0}})}
+    fit = SimpleNamespace(
+        nominal=Still(xml, fell * time[:, None]),
+        corrected=Still(xml, 0.01),
+        scores=scores,
+        recordings=[],
+        heldout=[take],
+    )
+    (axes,) = fit_picture(fit).axes
+    low, high = axes.get_ylim()
+    assert low < take.position.min()
+    assert high > take.position.max() + 0.01
+    assert high - low < 3.5 * np.ptp(take.position)
+    assert axes.get_title(loc="left").endswith("leaves the picture") == left
+    assert axes.get_xlabel() == "time [s], kept aside: aside.csv"

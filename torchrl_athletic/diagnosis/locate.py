@@ -174,13 +174,18 @@ def regime_of(bank: Bank, explained: Array, joint: int, name: str) -> str:
     unit, top = feature_unit(bank.takes[0], name, joint), int(np.argmax(shares))
     word = f"{name}s"
     where = (
-        f"{word} below {cuts[0]:.2g} {unit}",
-        f"{word} from {cuts[0]:.2g} to {cuts[1]:.2g} {unit}",
-        f"{word} above {cuts[1]:.2g} {unit}",
+        f"{word} below {_said(cuts[0], x)} {unit}",
+        f"{word} from {_said(cuts[0], x)} to {_said(cuts[1], x)} {unit}",
+        f"{word} above {_said(cuts[1], x)} {unit}",
     )
     if shares[top] < 0.45:
         return f"at all {word}"
     return f"most at {where[top]}: {100 * shares[top]:.0f} % of what it explains in a third of the time"
+
+
+def _said(edge: float, x: Array) -> str:
+    """An edge of a regime in words; what is nothing beside the range of values is zero."""
+    return f"{0.0 if abs(edge) < 1e-3 * np.ptp(x) else edge:.2g}"
 
 
 def _regimes(takes: Sequence[Signals], joint: int) -> list[tuple[str, NDArray[np.bool_]]]:
@@ -194,7 +199,7 @@ def _regimes(takes: Sequence[Signals], joint: int) -> list[tuple[str, NDArray[np
         x, u = feature(takes, name, joint), feature_unit(takes[0], name, joint)
         if np.ptp(x) > 1e-9:
             low, high = np.quantile(x, [1 / 3, 2 / 3])
-            out += [(f"{name} below {low:.2g} {u}", x < low), (f"{name} above {high:.2g} {u}", x > high)]
+            out += [(f"{name} below {_said(low, x)} {u}", x < low), (f"{name} above {_said(high, x)} {u}", x > high)]
     a, u = np.abs(feature(takes, "acceleration", joint)), feature_unit(takes[0], "acceleration", joint)
     hard = np.quantile(a, 2 / 3)
     out.append((f"accelerating harder than {hard:.2g} {u}", a > hard))

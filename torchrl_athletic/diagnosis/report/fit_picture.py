@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.model import position_unit
 from torchrl_athletic.diagnosis.report.figures import AFTER, BEFORE, INK
 from torchrl_athletic.diagnosis.thresholds import SIMULATION
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from torchrl_athletic.diagnosis.fitting import Fit
+
+Array = NDArray[np.float64]
 
 SECONDS = 5.0
 """Length that is drawn of one recording [s]."""
@@ -41,8 +46,24 @@ def fit_picture(fit: Fit) -> Figure:
         unit = position_unit(fit.nominal.model, name)
         axes.set_ylabel(f"[{unit}]")
         told = f"error over {SIMULATION.window:g} s {error['before']:.3g} → {error['after']:.3g} {unit}"
+        left = _look_at(axes, recording.position[shown, j], *(path[shown, j] for path in paths))
+        told += "; the given model leaves the picture" if left else ""
         axes.set_title(f"{name}: {told}", loc="left", fontsize=10)
-    axes.set_xlabel(f"time [s], {'kept aside' if fit.heldout else 'fitted'}: {recording.source}")
+    axes.set_xlabel(f"time [s], {'kept aside' if fit.heldout else 'fitted'}: {Path(recording.source).name}")
     lines, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(lines, labels, frameon=False, ncols=3, loc="outside upper right", fontsize=9)
     return figure
+
+
+def _look_at(axes: Axes, recorded: Array, given: Array, fitted: Array) -> bool:
+    """Limit the picture to what is near the recorded and the fitted motion. Whether the given model leaves it.
+
+    Beside a model that falls by hundreds of radians nobody would see how well the fitted one follows.
+    """
+    near = np.concatenate([recorded, fitted])
+    reach = np.ptp(near) + 1e-9
+    low, high = (np.clip(edge, near.min() - reach, near.max() + reach) for edge in (given.min(), given.max()))
+    low, high = min(low, near.min()), max(high, near.max())
+    margin = 0.05 * (high - low) + 1e-9
+    axes.set_ylim(low - margin, high + margin)
+    return bool(given.min() < low - margin or given.max() > high + margin)
