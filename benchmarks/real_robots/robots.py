@@ -155,10 +155,7 @@ def _ur10e(data: Path, fitted: Sequence[str], aside: Sequence[str], looked_at: s
     spec = mujoco.MjSpec.from_file(str(home / "URe/urdf/ur10e.urdf"))
     _delete_shapes(spec)
     names = tuple(joint.name for joint in spec.joints)
-    for joint in spec.joints:
-        motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        motor.set_to_motor()
-        motor.forcelimited, motor.forcerange = True, joint.actfrcrange
+    _add_motors(spec)
     gains = np.array([10.0, 10.6956, 8.4566, 9.0029, 9.48, 10.1232])  # UR10E_parameters.txt [N·m/A]
 
     def take(name: str) -> Recording:
@@ -226,10 +223,7 @@ def gen3(data: Path) -> Robot:
     spec = mujoco.MjSpec.from_file(str(home / "robot/kinova/gen3.urdf"))
     spec.compiler.balanceinertia = True  # two links of the file have moments that no body has
     names = tuple(joint.name for joint in spec.joints)
-    for joint in spec.joints:
-        motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        motor.set_to_motor()
-        motor.forcelimited, motor.forcerange = True, joint.actfrcrange
+    _add_motors(spec)
     columns = ColumnMap(
         joint_names=names,
         file_joint_names=tuple(str(k) for k in range(1, 8)),
@@ -492,6 +486,14 @@ def without_shapes(path: Path) -> str:
     _delete_shapes(spec)
     spec.compile()
     return str(spec.to_xml())
+
+
+def _add_motors(spec: mujoco.MjSpec) -> None:
+    """A motor for each joint of a URDF, which gives what the joint allows."""
+    for joint in spec.joints:
+        motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_motor()
+        motor.forcelimited, motor.forcerange = True, joint.actfrcrange
 
 
 def _delete_shapes(spec: mujoco.MjSpec) -> None:

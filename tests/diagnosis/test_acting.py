@@ -54,6 +54,10 @@ def two_joints(monkeypatch):
                 out[:, c.joint] += v if "offset" in c.effect.name else beside * self.met[:, c.joint]
             return out.reshape(-1, 1)
 
+        @property
+        def window(self):
+            return np.repeat(np.arange(len(self.met)), 2)
+
         def squares(self, errors):
             return errors.reshape(-1, 2) ** 2
 

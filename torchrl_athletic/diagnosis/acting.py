@@ -47,12 +47,12 @@ def acting(problem: Problem, values: Array, needed: Mask, gone: Sequence[Candida
         """Which windows move otherwise."""
         return np.asarray((windows.squares(some - others) > (VISIBLE * windows.unit) ** 2).any(1))
 
-    if not chosen:
+    if len(chosen) in (0, len(kept)):
         return part(chosen)
     whole = errors(problem, kept)
     while (different := differs(problem, errors(problem, chosen), whole)).any():
-        few = part_of(problem, different & (np.cumsum(different) <= TOLD))
-        fewer = errors(few, kept)
+        looked_at = different & (np.cumsum(different) <= TOLD)
+        few, fewer = part_of(problem, looked_at), whole[looked_at[problem.window]]
         resting = [c for c in kept if c not in chosen]
         act = [c for c in resting if differs(few, errors(few, [o for o in kept if o is not c]), fewer).any()]
         chosen = [c for c in kept if c in chosen or c in (act or resting)]  # two may act only where both are missing

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis, draw_windows
-from torchrl_athletic.diagnosis.replay import Take, Windows, motion_of, simulate, window_rmse
+from torchrl_athletic.diagnosis.replay import Take, Windows, motion_of, rms_over, simulate, window_rmse
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.thresholds import SIMULATION, STATEMENT
 from torchrl_athletic.effects.signals import kernel_for
@@ -145,9 +145,7 @@ def _within_reach(windows: Sequence[Windows], each: Array) -> Array:
 
     ``each``: errors of the windows, shape (W, J). Shape (J,).
     """
-    most = np.maximum(SIMULATION.fallen**2, motion_of(windows))
-    weight = np.concatenate([np.full(len(w.start), w.length) for w in windows])
-    return np.asarray(np.sqrt(np.average(np.minimum(each**2, most), axis=0, weights=weight)), dtype=np.float64)
+    return rms_over(windows, np.minimum(each**2, np.maximum(SIMULATION.fallen**2, motion_of(windows))))
 
 
 def within_reach(joint: Mapping[str, float], when: Literal["before", "after"]) -> float:

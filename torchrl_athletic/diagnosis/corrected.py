@@ -106,11 +106,9 @@ class Simulation:
         address = JointAddress.of(model, names, "corrected.json")
         groups: list[tuple[Candidate, ...]] = []
         values: list[float] = []
-        for group, beside in (
-            ("effects", ()),
-            ("trims", CATALOGUE),
-        ):  # what no finding names needs no name of the user's
-            known = {effect.name: effect for effect in (*FIT_TRIMS, *beside, *catalogue)}
+        named = {effect.name: effect for effect in (*FIT_TRIMS, *catalogue)}
+        beside = {effect.name: effect for effect in CATALOGUE} | named  # a trim needs no name of the user's
+        for group, known in (("effects", named), ("trims", beside)):
             candidates = []
             for entry in content[group]:
                 if entry["effect"] not in known:

@@ -689,8 +689,13 @@ def window_rmse(windows: Sequence[Windows], predicted: Sequence[Array]) -> tuple
         Over all windows [rad, m], shape (J,), and of each window, shape (sum of W, J).
     """
     square = np.concatenate([((p - w.measured) ** 2).mean(1) for w, p in zip(windows, predicted, strict=True)])
+    return rms_over(windows, square), np.sqrt(square)
+
+
+def rms_over(windows: Sequence[Windows], square: Array) -> Array:
+    """Root of the mean over windows, by their samples, of mean squares (sum of W, J). Shape (J,)."""
     weight = np.concatenate([np.full(len(w.start), w.length, dtype=float) for w in windows])
-    return np.sqrt((square * weight[:, None]).sum(0) / weight.sum()), np.sqrt(square)
+    return np.asarray(np.sqrt((square * weight[:, None]).sum(0) / weight.sum()), dtype=np.float64)
 
 
 def motion_of(windows: Sequence[Windows]) -> Array:
