@@ -17,6 +17,8 @@ folder                                      github                              
 ``sim2real-robot-identification``           RX-00/sim2real-robot-identification      BSD-3-Clause
 at ``1a22bd0``
 ``dynamic-identification`` at ``3b3baef``   wissem01chiha/dynamic-identification     MIT
+``FloBaRoID`` at ``9c06804``, with its      kjyv/FloBaRoID                           LGPL-3.0
+files of Git LFS
 ==========================================  =======================================  =======================
 """
 
@@ -240,6 +242,29 @@ def gen3(data: Path) -> Robot:
     fitted = takes("validation_data/opti_traj_testing1", *alone)
     aside = takes("validation_data/opti_traj_testing2", "identification_data/RunTrajectory1")
     return Robot(spec.to_xml(), fitted, aside, "not before its first fit")
+
+
+def lwr4(data: Path) -> Robot:
+    """KUKA LWR4+, seven joints at 200 Hz in closed loop: one motion for 25 s, twice; another one is kept aside.
+
+    Torques are those of the sensors in the joints. The model is the URDF beside the logs, with its friction.
+    """
+    home = data / "FloBaRoID"
+    text = (home / "model/kuka_lwr4.urdf").read_text()
+    spec = mujoco.MjSpec.from_string(text.replace('<origin rpy="0 0 0" xyz="-0.25 0 1"/>', "", 1))  # a joint has two
+    _delete_shapes(spec)
+    _add_motors(spec)
+    columns = ColumnMap(
+        joint_names=tuple(joint.name for joint in spec.joints),
+        time="times",
+        position="positions",
+        velocity="velocities",
+        torque_command="torques",
+    )
+    files = [home / f"data/KUKA/HW/measurements_{k}.npz" for k in (1, 2, 3)]
+    first, second, other = (take for file in files for take in read_recordings(file, columns))
+    spec.compile()
+    return Robot(spec.to_xml(), [first, second], [other], "not before its first fit")
 
 
 def go1(data: Path) -> Robot:
@@ -466,6 +491,7 @@ ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     "ur10e": ur10e,
     **{robot: partial(unitree, robot=robot) for robot in ("go2", "aliengo", "z1")},
     "gen3": gen3,
+    "lwr4": lwr4,
     "go1": go1,
     **{motor.lower(): partial(sts, motor=motor) for motor in ("STS3215", "STS3250")},
     "miuzei": miuzei,

@@ -25,6 +25,12 @@ from torchrl_athletic.recordings import Recording, RecordingError
 
 diagnosing = sys.modules["torchrl_athletic.diagnosis.diagnose"]
 
+URDF_WITH_A_MESH = """<robot name="arm"><link name="base"/><link name="link">
+<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><geometry><mesh filename="package://arm/base.obj"/></geometry></collision></link>
+<joint name="hinge" type="revolute"><parent link="base"/><child link="link"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="5" velocity="1"/></joint></robot>"""
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 NUMBER = {"type": "number"}
 SHARE = {"type": "number", "minimum": 0, "maximum": 1}
 INTERVAL = {"type": "array", "items": NUMBER, "minItems": 2, "maxItems": 2}
@@ -206,6 +212,17 @@ def test_a_model_that_does_not_compile_is_refused_in_one_line(text, says, tmp_pa
         with pytest.raises(ModelError, match=f"{name}: MuJoCo cannot compile it .*{says}") as caught:
             load_model(way)
         assert "\n" not in str(caught.value)
+
+
+def test_a_urdf_whose_meshes_are_elsewhere_says_how_to_name_their_folder(tmp_path):
+    (tmp_path / "arm.urdf").write_text(URDF_WITH_A_MESH)
+    with pytest.raises(ModelError, match=r"arm\.urdf: .*/base\.obj.*<compiler meshdir=\"FOLDER\" strippath"):
+        load_model(tmp_path / "arm.urdf")
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "base.obj").write_text(TETRAHEDRON)
+    named = '<robot name="arm"><mujoco><compiler meshdir="shapes" strippath="true"/></mujoco>'
+    (tmp_path / "arm.urdf").write_text(URDF_WITH_A_MESH.replace('<robot name="arm">', named))
+    assert load_model(tmp_path / "arm.urdf")[0].nmesh == 1
 
 
 def test_a_model_that_is_not_there_is_named():

@@ -9,6 +9,12 @@ import mujoco
 
 Model: TypeAlias = str | Path | mujoco.MjSpec
 
+_SHAPE_IS_MISSING = (
+    'Name the folder of its shapes: <mujoco><compiler meshdir="FOLDER" strippath="true"/></mujoco>, in a URDF inside '
+    "<robot>. Where nothing touches anything in the recordings, shapes may be deleted: links keep their <inertial>."
+)
+"""Mend of a model whose meshes or textures are elsewhere, as those of a URDF with ``package://`` are."""
+
 
 def load_model(model: Model) -> tuple[mujoco.MjModel, str, str]:
     """Compile MJCF given as a path, as text or as a spec.
@@ -37,9 +43,8 @@ def load_model(model: Model) -> tuple[mujoco.MjModel, str, str]:
         return spec.compile(), spec.to_xml(), spec.modelname or "model"
     except ValueError as error:
         reason = " ".join(str(error).split())
-        raise ModelError(
-            f"{source}: MuJoCo cannot compile it ({reason}). Mend it until MuJoCo's viewer opens it."
-        ) from error
+        mend = _SHAPE_IS_MISSING if "opening file" in reason else "Mend it until MuJoCo's viewer opens it."
+        raise ModelError(f"{source}: MuJoCo cannot compile it ({reason}). {mend}") from error
 
 
 class ModelError(ValueError):
