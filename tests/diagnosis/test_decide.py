@@ -388,6 +388,8 @@ def few_and_many(few=0.3, many=0.1, offered=("friction", "inertia"), named=("fri
         ({"few": 0.54}, True),
         ({"few": 0.56}, False),  # less than half of the nine tenths that more effects close
         ({"many": 0.9, "few": 0.94}, True),
+        ({"many": 0.001, "few": 0.006}, True),
+        ({"many": 0.001, "few": 0.007}, False),  # more than 2.5 times the error of what follows
         ({"offered": ("friction",)}, False),  # what the torques name was not offered
         ({"offered": ()}, False),  # nor was anything, as there was no time to ask for all
         ({"named": ()}, False),  # the torques show none of it, so that it has no names

@@ -592,11 +592,16 @@ def test_terms_beside_a_finding_are_those_of_its_own_joint_and_of_the_robot_all(
     assert (alone.terms, alone.closes) == (1, 1.0)  # what is not stated does not count, nor what was not asked
 
 
+def part_of(*candidates, joints=False, motion=False, **more):
+    """A proposal with these terms."""
+    fit = SimpleNamespace(terms=[SimpleNamespace(candidate=c) for c in candidates])
+    return SimpleNamespace(joints=joints, motion=motion, best=SimpleNamespace(fit=fit), **more)
+
+
 def test_the_worst_of_the_scores_says_how_much_is_open(monkeypatch):
     told = []
     one, *_ = terms()
-    term = SimpleNamespace(candidate=one)
-    part = SimpleNamespace(joints=False, best=SimpleNamespace(fit=SimpleNamespace(terms=[term])))
+    part = part_of(one)
     monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a[5]) or FINDING)
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
     for scores in ([score(0.2), score(0.7)], []):
@@ -606,12 +611,7 @@ def test_the_worst_of_the_scores_says_how_much_is_open(monkeypatch):
 
 def test_each_term_of_each_part_is_stated_with_its_own_number_stand_ins_and_far_joints(monkeypatch):
     told, (dry, soft, elsewhere) = [], terms()
-    drive, mechanics = (
-        SimpleNamespace(
-            joints=False, best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=c) for c in own]))
-        )
-        for own in ((soft,), (elsewhere, dry))
-    )
+    drive, mechanics = part_of(soft), part_of(elsewhere, dry)
     kept = [dataclasses.replace(c) for c in (dry, soft, elsewhere)]  # as the fit has them, with bounds of its own
     fitted = Fitted(Hypothesis(tuple(kept)), np.full(3, 0.5), np.full((3, 3), 0.5), 0.0)
     monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a) or FINDING)
@@ -643,12 +643,32 @@ def test_what_no_robot_has_and_a_gear_in_the_noise_make_no_sense_each_alone(
     for effect in (CoulombFriction, Compliance):
         monkeypatch.setattr(effect, "is_physical", lambda self, parameters, values: values[0] > 0)
     monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a[6]) or FINDING)
-    part = SimpleNamespace(
-        joints=False, best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=dry)]))
-    )
+    part = part_of(dry)
     fitted = Fitted(Hypothesis((dry, soft)), np.array([friction, gear]), np.zeros((3, 2)), 0.0)
     gates.judge_findings([part], fitted, [score(0.2, before)], {dry.key: ()}, {})
     assert told == [{(name, "elbow") for name in senseless}]
+
+
+@pytest.mark.parametrize(
+    ("motion", "backed", "joint", "asked", "senseless"),
+    [
+        (True, False, "elbow", 11.0, True),
+        (True, False, "elbow", 9.0, False),
+        (True, True, "elbow", 11.0, False),  # the torques speak for it as well
+        (False, False, "elbow", 11.0, False),  # it is of the torques themselves
+        (True, False, None, 11.0, False),  # what acts on the whole robot has no joint's torque
+    ],
+)
+def test_a_term_of_the_motion_that_asks_for_torques_which_are_not_missing_makes_no_sense(
+    motion, backed, joint, asked, senseless, monkeypatch
+):
+    told, one = [], dataclasses.replace(terms()[0], joint_name=joint)
+    monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a[6]) or FINDING)
+    monkeypatch.setattr(gates, "torque_asked", lambda judge, c, values: asked if (c, values) == (one, [0.5]) else 0.0)
+    part = part_of(one, motion=motion, judge=None, backing=lambda key: one if backed else None)
+    fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
+    gates.judge_findings([part], fitted, [score(0.2, 4.0)], {one.key: ()}, {})
+    assert told == [{one.key} if senseless else set()]
 
 
 def test_findings_are_told_by_whole_per_cent_and_then_by_what_they_account_for(monkeypatch):
@@ -658,9 +678,7 @@ def test_findings_are_told_by_whole_per_cent_and_then_by_what_they_account_for(m
     ]
     left = list(told)
     monkeypatch.setattr(gates, "_finding", lambda *_: left.pop(0))
-    part = SimpleNamespace(
-        joints=False, best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)] * 3))
-    )
+    part = part_of(one, one, one)
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
     found = gates.judge_findings([part], fitted, [score(0.2)], {one.key: ()}, {})
     assert found == (told[2], told[1], told[0])
@@ -699,18 +717,15 @@ def test_only_the_standard_joints_classes_share(joints, monkeypatch):
     one, *_ = terms()
     monkeypatch.setattr(gates, "_finding", lambda *_: FINDING)
     monkeypatch.setattr(gates, "one_class_of_each_joint", lambda findings: [])
-    best = SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)]))
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
-    part = SimpleNamespace(best=best, joints=joints)
+    part = part_of(one, joints=joints)
     assert gates.judge_findings([part], fitted, [score(0.2)], {one.key: ()}, {}) == (() if joints else (FINDING,))
 
 
 def test_a_term_that_the_fit_does_not_have_is_not_stated(monkeypatch):
     one, *_ = terms()
     monkeypatch.setattr(gates, "_finding", lambda *_: FINDING)
-    part = SimpleNamespace(
-        joints=False, best=SimpleNamespace(fit=SimpleNamespace(terms=[SimpleNamespace(candidate=one)]))
-    )
+    part = part_of(one)
     nothing = Fitted(Hypothesis(()), np.zeros(0), np.zeros((3, 0)), 0.0)
     assert gates.judge_findings([part], nothing, [score(0.2)], {one.key: ()}, {}) == ()
     fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)

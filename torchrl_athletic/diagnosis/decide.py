@@ -59,7 +59,8 @@ def fewest(spoken_for: int, trials: Sequence[Trial]) -> int:
     """What the motion asks for, one after the other, in place of what torques and simulation speak for.
 
     Of many effects, each offered to the motion, most only stand in. Few take their place that have names and close a
-    good part of what those close, though more of them follow better. What holds something that was not offered stays.
+    good part of what those close, though more of them follow better; but not where they do not follow what those do:
+    of a model that falls either closes nearly all. What holds something that was not offered stays.
 
     Args:
         spoken_for: Which trial torques and simulation speak for.
@@ -69,11 +70,12 @@ def fewest(spoken_for: int, trials: Sequence[Trial]) -> int:
     if motion == spoken_for:
         return spoken_for
     few, many = trials[motion], trials[spoken_for]
-    closed = [1.0 - open_share(t.scores["train"]) for t in (few, many)]
+    left = [open_share(t.scores["train"]) for t in (few, many)]
     named = {c.key for c in few.fitted.hypothesis.terms} & keys(few.proposal.best.fit.terms)
     offered = all(c.key in few.proposal.offered for c in many.fitted.hypothesis.terms)
-    good = closed[0] > 0.0 and closed[0] >= DECISION.few * closed[1]
-    return motion if named and offered and good else spoken_for
+    good = left[0] < 1.0 and 1.0 - left[0] >= DECISION.few * (1.0 - left[1])
+    near = left[0] <= DECISION.follows**2 * left[1]
+    return motion if named and offered and good and near else spoken_for
 
 
 def torque_is_open(trial: Trial) -> bool:
