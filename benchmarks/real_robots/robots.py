@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -247,11 +248,12 @@ def gen3(data: Path) -> Robot:
 def lwr4(data: Path) -> Robot:
     """KUKA LWR4+, seven joints at 200 Hz in closed loop: one motion for 25 s, twice; another one is kept aside.
 
-    Torques are those of the sensors in the joints. The model is the URDF beside the logs, with its friction.
+    Torques are those of the sensors in the joints, behind rotors and most of the friction, which the URDF beside the
+    logs has.
     """
     home = data / "FloBaRoID"
     text = (home / "model/kuka_lwr4.urdf").read_text()
-    spec = mujoco.MjSpec.from_string(text.replace('<origin rpy="0 0 0" xyz="-0.25 0 1"/>', "", 1))  # a joint has two
+    spec = mujoco.MjSpec.from_string(re.sub(r"<origin[^>]*/>\s*(?=<origin)", "", text))  # a joint has two
     _delete_shapes(spec)
     _add_motors(spec)
     columns = ColumnMap(

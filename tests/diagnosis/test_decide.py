@@ -1,5 +1,6 @@
 """Which combination is the answer: what torques and simulation say of each, together."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -388,8 +389,7 @@ def few_and_many(few=0.3, many=0.1, offered=("friction", "inertia"), named=("fri
         ({"few": 0.54}, True),
         ({"few": 0.56}, False),  # less than half of the nine tenths that more effects close
         ({"many": 0.9, "few": 0.94}, True),
-        ({"many": 0.001, "few": 0.006}, True),
-        ({"many": 0.001, "few": 0.007}, False),  # more than 2.5 times the error of what follows
+        ({"many": 0.01, "few": 0.4}, True),
         ({"offered": ("friction",)}, False),  # what the torques name was not offered
         ({"offered": ()}, False),  # nor was anything, as there was no time to ask for all
         ({"named": ()}, False),  # the torques show none of it, so that it has no names
@@ -403,6 +403,27 @@ def test_few_effects_of_the_motion_take_the_place_of_many_that_were_offered_to_i
         assert deciding.fewest(spoken_for, trials) == (2 if takes else spoken_for)
     assert deciding.fewest(2, trials) == 2
     assert deciding.fewest(1, trials[:2]) == 1  # where nothing was asked
+
+
+@pytest.mark.parametrize(
+    ("reach", "few", "many", "takes"),
+    [
+        (20.0, 10.0, 4.1, True),
+        (20.0, 10.0, 3.9, False),  # more than 2.5 times the error of what follows
+        (50.0, 10.0, 3.9, True),  # the given model does not fall
+        (20.0, 2.4, 0.5, True),  # what is below the floor is followed, and the floor is the larger one of both
+        (20.0, 2.6, 0.0, False),
+    ],
+)
+def test_of_a_model_that_falls_few_effects_take_the_place_only_of_what_follows_no_better(reach, few, many, takes):
+    def score_of(error, floor):
+        joint = {"before": 50.0, "before_within_reach": reach, "after": error, "floor": floor}
+        return {"train": Score(1.0, 1.0, 1.0, 0.0, {f"joint{k}": joint for k in range(2)})}
+
+    *torques, motion = few_and_many()
+    trials = [replace(t, scores=score_of(many, 0.1)) for t in torques]
+    trials.append(replace(motion, scores=score_of(few, 1.0)))
+    assert deciding.fewest(0, trials) == (2 if takes else 0)
 
 
 @pytest.mark.parametrize(("preferred", "spoken_for"), [(0, 0), (1, 1), (2, 1)])

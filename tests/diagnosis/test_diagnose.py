@@ -218,6 +218,9 @@ def test_a_urdf_whose_meshes_are_elsewhere_says_how_to_name_their_folder(tmp_pat
     (tmp_path / "arm.urdf").write_text(URDF_WITH_A_MESH)
     with pytest.raises(ModelError, match=r"arm\.urdf: .*/base\.obj.*<compiler meshdir=\"FOLDER\" strippath"):
         load_model(tmp_path / "arm.urdf")
+    for missing in ('<include file="base.obj"/>', '<asset><texture type="2d" file="base.png"/></asset>'):  # no meshes
+        with pytest.raises(ModelError, match=r"Error opening file .* Mend it until MuJoCo's viewer opens it\.$"):
+            load_model(f"<mujoco>{missing}</mujoco>")
     (tmp_path / "shapes").mkdir()
     (tmp_path / "shapes" / "base.obj").write_text(TETRAHEDRON)
     named = '<robot name="arm"><mujoco><compiler meshdir="shapes" strippath="true"/></mujoco>'

@@ -592,10 +592,10 @@ def test_terms_beside_a_finding_are_those_of_its_own_joint_and_of_the_robot_all(
     assert (alone.terms, alone.closes) == (1, 1.0)  # what is not stated does not count, nor what was not asked
 
 
-def part_of(*candidates, joints=False, motion=False, **more):
+def part_of(*candidates, joints=False):
     """A proposal with these terms."""
     fit = SimpleNamespace(terms=[SimpleNamespace(candidate=c) for c in candidates])
-    return SimpleNamespace(joints=joints, motion=motion, best=SimpleNamespace(fit=fit), **more)
+    return SimpleNamespace(joints=joints, best=SimpleNamespace(fit=fit))
 
 
 def test_the_worst_of_the_scores_says_how_much_is_open(monkeypatch):
@@ -647,28 +647,6 @@ def test_what_no_robot_has_and_a_gear_in_the_noise_make_no_sense_each_alone(
     fitted = Fitted(Hypothesis((dry, soft)), np.array([friction, gear]), np.zeros((3, 2)), 0.0)
     gates.judge_findings([part], fitted, [score(0.2, before)], {dry.key: ()}, {})
     assert told == [{(name, "elbow") for name in senseless}]
-
-
-@pytest.mark.parametrize(
-    ("motion", "backed", "joint", "asked", "senseless"),
-    [
-        (True, False, "elbow", 11.0, True),
-        (True, False, "elbow", 9.0, False),
-        (True, True, "elbow", 11.0, False),  # the torques speak for it as well
-        (False, False, "elbow", 11.0, False),  # it is of the torques themselves
-        (True, False, None, 11.0, False),  # what acts on the whole robot has no joint's torque
-    ],
-)
-def test_a_term_of_the_motion_that_asks_for_torques_which_are_not_missing_makes_no_sense(
-    motion, backed, joint, asked, senseless, monkeypatch
-):
-    told, one = [], dataclasses.replace(terms()[0], joint_name=joint)
-    monkeypatch.setattr(gates, "_finding", lambda *a: told.append(a[6]) or FINDING)
-    monkeypatch.setattr(gates, "torque_asked", lambda judge, c, values: asked if (c, values) == (one, [0.5]) else 0.0)
-    part = part_of(one, motion=motion, judge=None, backing=lambda key: one if backed else None)
-    fitted = Fitted(Hypothesis((one,)), np.array([0.5]), np.full((3, 1), 0.5), 0.0)
-    gates.judge_findings([part], fitted, [score(0.2, 4.0)], {one.key: ()}, {})
-    assert told == [{one.key} if senseless else set()]
 
 
 def test_findings_are_told_by_whole_per_cent_and_then_by_what_they_account_for(monkeypatch):

@@ -6,16 +6,14 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from diagnosis.plants import pendulum, record, smooth_torque
+from diagnosis.plants import pendulum
 
 from torchrl_athletic.diagnosis import joints
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis
 from torchrl_athletic.diagnosis.fitting import JointParameter
-from torchrl_athletic.diagnosis.joints import _decode, _encode, _with_draws, standard_joints_of, torque_asked
-from torchrl_athletic.diagnosis.prepare import prepare
-from torchrl_athletic.diagnosis.screen import Bank, Candidate, candidates_for
-from torchrl_athletic.diagnosis.search import Judge
+from torchrl_athletic.diagnosis.joints import _decode, _encode, _with_draws, standard_joints_of
+from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.stages import Given
 from torchrl_athletic.diagnosis.standard import LIMITS
 from torchrl_athletic.diagnosis.thresholds import SIMULATION
@@ -71,17 +69,6 @@ def test_a_fit_comes_back_from_a_checkpoint_as_it_was():
     np.testing.assert_array_equal(again.values, drawn.values)
     np.testing.assert_array_equal(again.samples, drawn.samples)
     assert again.values == pytest.approx(drawn.values)
-
-
-def test_a_rotor_asks_for_the_missing_torque_if_it_is_the_true_one_and_for_four_times_its_square_if_it_is_twice_it():
-    with_rotor = pendulum(joint='damping="0.05" armature="0.02"')
-    given = prepare([record(with_rotor, smooth_torque(10.0))], mujoco.MjModel.from_xml_string(pendulum()))
-    judge = Judge(Bank(given.signals, ()))
-    (rotor,) = candidates_for(judge.bank.takes, [e for e in CATALOGUE if e.name == "reflected_inertia"])
-    asked = [torque_asked(judge, rotor, np.array([armature])) for armature in (0.0, 0.02, 0.04)]
-    assert asked[0] == 0.0
-    assert asked[1] == pytest.approx(1.0, abs=0.05)
-    assert asked[2] == pytest.approx(4.0 * asked[1])
 
 
 def test_with_an_empty_catalogue_nothing_is_fitted_since_nothing_could_be_kept():

@@ -170,6 +170,11 @@ def open_share(score: Score) -> float:
     return float(np.clip(left / was, 0.0, 1.0)) if was > 0 else float(left > 1.0)
 
 
+def falls(score: Score) -> bool:
+    """Whether the given model falls, so that some of its error counts no longer as what it is."""
+    return any(within_reach(joint, "before") < 0.99 * joint["before"] for joint in score.per_joint.values())
+
+
 def far_joints(scores: Collection[Score]) -> frozenset[str]:
     """Joints that the corrected model does not follow, in fitted recordings or in those kept aside."""
     return frozenset(

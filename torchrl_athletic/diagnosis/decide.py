@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.compare import open_share
+from torchrl_athletic.diagnosis.compare import falls, open_share, within_reach
 from torchrl_athletic.diagnosis.proposal import Proposal, answer_set
+from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Key
 from torchrl_athletic.diagnosis.search import Scored, keys
 from torchrl_athletic.diagnosis.stages import Decided, Simulated, Trial
@@ -59,8 +60,8 @@ def fewest(spoken_for: int, trials: Sequence[Trial]) -> int:
     """What the motion asks for, one after the other, in place of what torques and simulation speak for.
 
     Of many effects, each offered to the motion, most only stand in. Few take their place that have names and close a
-    good part of what those close, though more of them follow better; but not where they do not follow what those do:
-    of a model that falls either closes nearly all. What holds something that was not offered stays.
+    good part of what those close, though more of them follow better. What holds something that was not offered stays,
+    and of a model that falls what follows much better: there either closes nearly all.
 
     Args:
         spoken_for: Which trial torques and simulation speak for.
@@ -70,12 +71,21 @@ def fewest(spoken_for: int, trials: Sequence[Trial]) -> int:
     if motion == spoken_for:
         return spoken_for
     few, many = trials[motion], trials[spoken_for]
-    left = [open_share(t.scores["train"]) for t in (few, many)]
+    closed = [1.0 - open_share(t.scores["train"]) for t in (few, many)]
     named = {c.key for c in few.fitted.hypothesis.terms} & keys(few.proposal.best.fit.terms)
     offered = all(c.key in few.proposal.offered for c in many.fitted.hypothesis.terms)
-    good = left[0] < 1.0 and 1.0 - left[0] >= DECISION.few * (1.0 - left[1])
-    near = left[0] <= DECISION.follows**2 * left[1]
+    good = closed[0] > 0.0 and closed[0] >= DECISION.few * closed[1]
+    near = not falls(few.scores["train"]) or _follows_alike(few.scores["train"], many.scores["train"])
     return motion if named and offered and good and near else spoken_for
+
+
+def _follows_alike(one: Score, other: Score) -> bool:
+    """Whether the error of the one, of all joints in units of their floors, is within a few times the other's."""
+    pairs = [(one.per_joint[name], joint) for name, joint in other.per_joint.items()]
+    floors = np.maximum([max(a["floor"], b["floor"]) for a, b in pairs], 1e-12)
+    errors = [np.array([within_reach(joint, "after") for joint in joints]) for joints in zip(*pairs, strict=True)]
+    mine, others = (float(np.mean(np.maximum(error / floors, 1.0) ** 2)) for error in errors)
+    return mine <= DECISION.follows**2 * others
 
 
 def torque_is_open(trial: Trial) -> bool:

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.calibration import Grounds, class_probability, probability, rival_probability, widened
-from torchrl_athletic.diagnosis.compare import far_joints, follows, open_share, within_reach
+from torchrl_athletic.diagnosis.compare import falls, far_joints, follows, open_share
 from torchrl_athletic.diagnosis.fit import Fitted
-from torchrl_athletic.diagnosis.joints import torque_asked
 from torchrl_athletic.diagnosis.locate import regime_of
 from torchrl_athletic.diagnosis.proposal import Proposal, StandIn
 from torchrl_athletic.diagnosis.result import Estimate, Finding, Location, Rival, Score, Verdict
@@ -58,9 +57,7 @@ def judge_findings(
     senseless = {
         c.key
         for c in h.terms
-        if not c.effect.is_physical(c.parameters, h.values_of(c, fitted.values))
-        or _is_noise(c, above)
-        or _is_asked_in_vain(c, h.values_of(c, fitted.values), evidence)
+        if not c.effect.is_physical(c.parameters, h.values_of(c, fitted.values)) or _is_noise(c, above)
     }
     out = [
         _finding(part, term, fitted, stated[key], sets[key], still_open, senseless, far, closes.get(key), beside, asked)
@@ -190,8 +187,7 @@ def summarise(
 
 def _with_falls(score: Score) -> str:
     """How the share of the energy is counted, where windows fall and it is no longer what the errors say."""
-    fell = any(within_reach(e, "before") < 0.99 * e["before"] for e in score.per_joint.values())
-    return ", where a window that falls counts as a radian off, or as its motion" if fell else ""
+    return ", where a window that falls counts as a radian off, or as its motion" if falls(score) else ""
 
 
 def _nothing_missing(score: Score | None) -> str:
@@ -356,14 +352,6 @@ def _is_noise(candidate: Candidate, above: Mapping[str, float]) -> bool:
     """
     name = candidate.joint_name or ""
     return candidate.effect.of_accelerations and above.get(name, np.inf) < STATEMENT.shown
-
-
-def _is_asked_in_vain(candidate: Candidate, values: Array, evidence: Sequence[Proposal]) -> bool:
-    """Whether only the motion asks for a term, by values (P,) that ask for many times the torque that is missing."""
-    parts = [p for p in evidence if p.motion and any(a.candidate.key == candidate.key for a in p.best.fit.terms)]
-    if candidate.joint_name is None or any(p.backing(candidate.key) is not None for p in parts):
-        return False
-    return any(torque_asked(p.judge, candidate, values) > STATEMENT.in_vain for p in parts)
 
 
 def _within(parameter: Parameter, ends: tuple[float, float]) -> tuple[float, float]:

@@ -163,27 +163,6 @@ def in_torques(judge: Judge, fitted: Fitted) -> Scored:
     return scored
 
 
-def torque_asked(judge: Judge, c: Candidate, values: Array) -> float:
-    """Mean square of the torque that a term asks for at its joint, per that of the torque that is missing there.
-
-    The motion may ask for a rotor of tons, behind which a joint that its friction holds coasts as it was recorded to
-    move; the torques would have had to be others. Zero where the torques do not show it.
-
-    Args:
-        judge: Of the torques.
-        c: A term of one joint.
-        values: Fitted in simulation. Shape (P,).
-    """
-    atom = _atom(judge, c, values)
-    if atom is None:
-        return 0.0
-    change = [1.0 if k < 0 else c.effect.change(c.parameters[k], float(values[k])) for k in atom.linear]
-    bank, joint = judge.bank, c.joint
-    asked = bank.whole(atom)[:, joint] @ np.array(change)
-    square = [float(np.sum((bank.weight[:, joint] * torque) ** 2)) for torque in (asked, bank.target[:, joint])]
-    return square[0] / max(square[1], 1e-12)
-
-
 def _atom(judge: Judge, c: Candidate, values: Array) -> Atom | None:
     """A candidate at its fitted values; None where the torques do not show it."""
     takes = judge.bank.takes

@@ -9,11 +9,11 @@ import mujoco
 
 Model: TypeAlias = str | Path | mujoco.MjSpec
 
-_SHAPE_IS_MISSING = (
-    'Name the folder of its shapes: <mujoco><compiler meshdir="FOLDER" strippath="true"/></mujoco>, in a URDF inside '
-    "<robot>. Where nothing touches anything in the recordings, shapes may be deleted: links keep their <inertial>."
+_MESH_IS_MISSING = (
+    'Name the folder of its meshes: <compiler meshdir="FOLDER"/>, in a URDF <mujoco><compiler meshdir="FOLDER" '
+    'strippath="true"/></mujoco> inside <robot>. Where nothing touches anything in the recordings, the shapes of links '
+    "that have an <inertial> may be deleted."
 )
-"""Mend of a model whose meshes or textures are elsewhere, as those of a URDF with ``package://`` are."""
 
 
 def load_model(model: Model) -> tuple[mujoco.MjModel, str, str]:
@@ -26,7 +26,7 @@ def load_model(model: Model) -> tuple[mujoco.MjModel, str, str]:
         FileNotFoundError: If the path does not exist.
         ModelError: If MuJoCo cannot compile it.
     """
-    source = "the model"
+    source, spec = "the model", None
     try:
         if isinstance(model, mujoco.MjSpec):
             spec = model.copy()
@@ -43,7 +43,9 @@ def load_model(model: Model) -> tuple[mujoco.MjModel, str, str]:
         return spec.compile(), spec.to_xml(), spec.modelname or "model"
     except ValueError as error:
         reason = " ".join(str(error).split())
-        mend = _SHAPE_IS_MISSING if "opening file" in reason else "Mend it until MuJoCo's viewer opens it."
+        meshes = [] if spec is None else [Path(mesh.file).name for mesh in spec.meshes]
+        is_missing = "opening file" in reason and any(f"{mesh}'" in reason for mesh in meshes if mesh)
+        mend = _MESH_IS_MISSING if is_missing else "Mend it until MuJoCo's viewer opens it."
         raise ModelError(f"{source}: MuJoCo cannot compile it ({reason}). {mend}") from error
 
 

@@ -209,9 +209,6 @@ class Statement:
     refused: float = 0.1
     """The most of a finding with which recordings kept aside are followed worse: of 34 such findings of tuning cases
     and a spent sealed seed two were right [1; tuned]."""
-    in_vain: float = 10.0
-    """Mean square of the torque that a term of the motion asks for, per that of the missing torque, beyond which it
-    makes no sense: terms that cancel each other, as a gain and a friction, ask for a few times it [1; physical]."""
     senseless: float = 0.2
     """The most of a finding that makes no sense as it stands: a motor at the end of what may be, a gear seen in noise
     [1; tuned]."""
