@@ -227,6 +227,29 @@ def test_every_flag_reaches_the_fit(tmp_path, monkeypatch, capsys):
     assert f"Files: {tmp_path / 'out'}" in shown
 
 
+def test_of_several_draws_the_best_one_is_written(tmp_path, monkeypatch, capsys):
+    told = []
+
+    def fitted(*given, seed, output, time_budget, **settings):
+        told.append((seed, output, time_budget))
+        error = {3: 0.3, 4: 0.1}[seed]
+        score = Score(1.0, error, 0.0, 0.0, {"pendulum": {"before": 1.0, "after": error, "floor": 0.1}})
+        bare = Simulation(mujoco.MjModel.from_xml_string(pendulum(STEP)), ("pendulum",), Hypothesis(()), np.zeros(0))
+        return Fit((), bare, bare, {"train": score}, (), "pendulum", pendulum(STEP), 1.0, tuple(given[1]))
+
+    monkeypatch.setattr(fit_command, "fit", fitted)
+    (tmp_path / "model.xml").write_text(pendulum(STEP))
+    write_recording(recording(np.ones((100, 1)), np.zeros((100, 1))), tmp_path / "take.npz")
+    flags = {"output": tmp_path / "out", "seed": 3}
+    main(FitConfig(tmp_path / "model.xml", (tmp_path / "take.npz",), draws=2, **flags))
+    assert told == [(3, None, None), (4, None, None)]
+    written = json.loads((tmp_path / "out" / "fit.json").read_text("utf-8"))
+    assert written["fit"]["train"]["after"] == 0.1
+    assert "that of seed 4 stays." in capsys.readouterr().out
+    with pytest.raises(SystemExit, match=r"error: --draws 0\. Ask for one fit or more\."):
+        main(FitConfig(tmp_path / "model.xml", (tmp_path / "take.npz",), draws=0, **flags))
+
+
 def test_a_table_names_what_a_law_has_several_of_and_says_why_a_number_is_none():
     """A number that is not needed or known is left blank, unless it differs from the given one all the same."""
     rows = [

@@ -104,7 +104,7 @@ def main(config: Config, hand_over: Callable[[Diagnosis, Path], Diagnosis] | Non
     if config.fit_only:
         from torchrl_athletic.diagnosis import fit_command  # which takes its inputs from here
 
-        same = {f.name: getattr(config, f.name) for f in fields(fit_command.FitConfig)}
+        same = {f.name: getattr(config, f.name) for f in fields(fit_command.FitConfig) if f.name != "draws"}
         return fit_command.main(fit_command.FitConfig(**same))
     try:
         if config.output.is_file():  # said now, not after the fit

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from torchrl_athletic.diagnosis.draws import best_of_draws
 from torchrl_athletic.diagnosis.extension import GEARS, LAWS
 from torchrl_athletic.diagnosis.fitting import STAGES, Fit, JointParameter, fit
 from torchrl_athletic.diagnosis.folder import locked
@@ -48,6 +49,8 @@ class FitConfig:
     """Memory that it may take [GB]; half of what is free unless said. Of longer logs, stretches are fitted."""
     seed: int = 0
     """Seed of the starts and of the choice of windows."""
+    draws: int = 1
+    """Fits by so many seeds, from ``seed`` on, of which the one stays that follows best what was fitted."""
 
 
 def main(config: FitConfig) -> Fit:
@@ -56,6 +59,8 @@ def main(config: FitConfig) -> Fit:
         text, usable = checked(config)
         print(text)
         sys.exit(0 if usable else 1)
+    if config.draws < 1:
+        sys.exit(f"error: --draws {config.draws}. Ask for one fit or more.")
     try:
         if config.output.is_file():  # said now, not after the fit
             raise NotADirectoryError(f"--output {config.output} is a file. Name a folder.")
@@ -74,18 +79,26 @@ def _fitted(config: FitConfig) -> Fit:
     refuse_wrong_flags(config)
     given = inputs(config)
     print("\n".join(given.notes), end="\n" if given.notes else "")
-    with Progress(STAGES) as progress:
-        return fit(
-            given.model,
-            given.recordings,
-            given.heldout,
-            drive=config.drive,
-            seed=config.seed,
-            time_budget=config.time_budget,
-            memory=config.memory,
-            output=config.output,
-            progress=progress,
-        )
+
+    def once(seed: int, time_budget: float | None, output: Path | None = None) -> Fit:
+        with Progress(STAGES) as progress:
+            return fit(
+                given.model,
+                given.recordings,
+                given.heldout,
+                drive=config.drive,
+                seed=seed,
+                time_budget=time_budget,
+                memory=config.memory,
+                output=output,
+                progress=progress,
+            )
+
+    if config.draws == 1:
+        return once(config.seed, config.time_budget, config.output)
+    fitted = best_of_draws(once, config.draws, config.seed, config.time_budget)
+    fitted.save(config.output)
+    return fitted
 
 
 def fit_table(fitted: Fit) -> str:
