@@ -444,7 +444,7 @@ def test_a_remainder_that_cannot_be_learnt_leaves_the_diagnosis_and_says_why(fol
     ],
 )
 def test_nothing_is_asked_for_unless_it_is_said(config, said):
-    """No flag is up and no number other than none or zero, but for one draw, where it writes and what drives a robot."""
+    """No flag is up and no number but none or zero, but for one draw, where it writes and what drives a robot."""
     assert {name: value for name, value in asdict(tyro.cli(config, args=[])).items() if value} == said
 
 
