@@ -60,61 +60,68 @@ GAIN = 0.02
 SURE = 1.0
 """Standard errors by which it must help [1]."""
 SURE_WITHOUT = 2.0
-"""Standard errors by which a fit must follow folds better that does without the torques: two are tried [1]."""
+"""Standard errors by which a fit must follow folds better that does without the torques [1]."""
+WILD_GAIN = 0.1
+"""Share of the error of folds that weights must save that take windows for wild [1]: plain least squares is right of
+most logs, and weights are not asked for by a window more or less."""
 
 
 def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
-    """The solution of whichever weights follow folds best that it was not fitted to: the weighed one, or a plain one.
+    """The solution of whichever weights follow folds best that it was not fitted to: plain ones, or other ones.
 
-    What is asked is the error that is stated. Plain least squares minimises it where a few wild windows do not lead it
-    astray, joint by joint or of all joints together; folds tell. Where it ends, the weighed one begins once more: it
-    may have been stuck where it took for wild what can be followed.
+    What is asked is the error that is stated, which plain least squares minimises: joint by joint, or of all joints
+    together. Where pushes or a fall lead it astray, weights that take windows for wild save much of the error of folds.
     """
-    problem, best, least = near.problem, near, stated(near)
-    plain = replace(problem, tuning=np.inf)
-    others = [plain] if len(problem.unit) == 1 else [plain, replace(plain, pooled=True)]
-    for other in others:
-        start = best
-        for way, slopes in ((other, 1), (problem, SLOPES[2])):
+    problem, best = near.problem, near
+    if len(problem.unit) > 1:
+        start = near
+        for way, slopes in ((replace(problem, pooled=True), 1), (problem, SLOPES[2])):
             if not deadline.allows((2 + slopes) * near.seconds):
                 break
-            way = in_units(way, problem.squares(start.errors))
-            x = descend(way, start.values, near.free, slopes, deadline, start)
-            start = trusted(linearise(weighed(way, x), x, near.free))
-            if (error := stated(start)) < least:
-                best, least = start, error
+            start = _from(way, start, slopes, deadline)
+            best = min(best, start, key=stated)
+    if deadline.allows((2 + SLOPES[2]) * near.seconds):
+        robust = _from(replace(problem, tuning=TUNING), best, SLOPES[2], deadline)
+        best = robust if _follows_better(best, robust, WILD_GAIN, SURE) else best
     return best
+
+
+def _from(way: Problem, start: Linearised, slopes: int, deadline: Deadline) -> Linearised:
+    """The solution of a problem from that of another one of the same windows."""
+    way = in_units(way, way.squares(start.errors))
+    x = descend(way, start.values, start.free, slopes, deadline, start)
+    return trusted(linearise(weighed(way, x), x, start.free))
 
 
 def without_torques(near: Linearised, deadline: Deadline) -> Linearised:
     """The solution that the torques have no say in, where it follows folds that it was not fitted to better.
 
     A servo whose gain, delay and limit are not as given asks for other torques than its law with the given ones does.
-    It has to save as much as a new law would, and more surely: torques keep a simulation from coasting. Both are
-    compared with the larger ridge of the two, or the one whose folds hardly move would be judged by what it was fitted
-    to.
+    It has to save as much as a new law would, and more surely: torques keep a simulation from coasting.
     """
-    problem, best, start = near.problem, near, near
-    if problem.torques is None:
+    slopes = 2 * SLOPES[2]  # the way is long
+    if near.problem.torques is None or not deadline.allows((1 + slopes) * near.seconds):
         return near
-    alone = replace(problem, torques=None, tuning=TUNING, pooled=False)
-    for way in (replace(alone, tuning=np.inf), alone):
-        if not deadline.allows((1 + SLOPES[2]) * near.seconds):
-            break
-        start = replace(start, pull=start.pull[:0], pull_columns=start.pull_columns[:0])
-        way = in_units(way, problem.squares(start.errors))
-        x = descend(way, start.values, near.free, SLOPES[2], deadline, start)
-        start = trusted(linearise(weighed(way, x), x, near.free))
-        ridge = max(best.ridge, start.ridge)
-        if follows_better(replace(best, ridge=ridge), replace(start, ridge=ridge), SURE_WITHOUT):
-            best = start
-    return best
+    alone = replace(near.problem, torques=None, tuning=np.inf, pooled=False)
+    start = replace(near, pull=near.pull[:0], pull_columns=near.pull_columns[:0])
+    other = _from(alone, start, slopes, deadline)
+    return other if _follows_better(near, other, GAIN / 2, SURE_WITHOUT) else near
 
 
-def follows_better(near: Linearised, other: Linearised, sure: float = SURE) -> bool:
+def _follows_better(near: Linearised, other: Linearised, least: float, sure: float) -> bool:
+    """:func:`follows_better`, with the larger ridge of the two.
+
+    Else the one whose folds hardly move would be judged by what it was fitted to.
+    """
+    ridge = max(near.ridge, other.ridge)
+    before, after = (stated_of_windows(replace(fit, ridge=ridge)) for fit in (near, other))
+    return gain_of(before, after, independent(near.problem), least, sure) > 0
+
+
+def follows_better(near: Linearised, other: Linearised) -> bool:
     """Whether another fit of the same windows has less of the error that is stated, and by more than it is in doubt."""
     count = independent(near.problem)
-    return gain_of(stated_of_windows(near), stated_of_windows(other), count, GAIN / 2, sure) > 0
+    return gain_of(stated_of_windows(near), stated_of_windows(other), count, GAIN / 2) > 0
 
 
 def gain_of(before: Array, after: Array, count: int, least: float = GAIN, sure: float = SURE) -> float:
