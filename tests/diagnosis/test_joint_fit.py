@@ -28,7 +28,7 @@ from torchrl_athletic.diagnosis.joint_fit import (
     without_torques,
 )
 from torchrl_athletic.diagnosis.prepare import prepare
-from torchrl_athletic.diagnosis.problem import Problem, problem_of, weighed, window_cost
+from torchrl_athletic.diagnosis.problem import TUNING, Problem, problem_of, weighed, window_cost
 from torchrl_athletic.diagnosis.replay import Windows
 from torchrl_athletic.diagnosis.standard import agreement, seen_in, standard_joints
 from torchrl_athletic.recordings import Recording
@@ -195,7 +195,7 @@ def test_of_points_the_best_are_kept_once_each_and_the_torques_have_a_say(monkey
     points = [np.array([1.1]), np.array([1.5])]  # of 25 and 1 times the least square error, 12.0 and 0.9 robustly
     for size, best in ((20.0, 1.1), (25.0, 1.5)):  # a fiftieth of the torques' squares: 8.0 and 12.5
         told = SimpleNamespace(rows=lambda values, size=size: size * (values[:, 0] < 1.3)[None])
-        assert module.best_of(replace(problem, torques=told), points, 1)[0] == best
+        assert module.best_of(replace(problem, torques=told, tuning=TUNING), points, 1)[0] == best
 
 
 def test_a_joint_that_is_stuck_is_not_the_answer_where_most_windows_hold_still(monkeypatch):
@@ -227,7 +227,7 @@ def test_of_two_joints_the_torques_have_their_say_once(monkeypatch):
     points = [np.array([1.1, 1.1]), np.array([1.5, 1.5])]
     for size, best in ((30.0, 1.1), (36.0, 1.5)):
         told = SimpleNamespace(rows=lambda values, size=size: size * (values[:, 0] < 1.3)[None])
-        assert module.best_of(replace(problem, torques=told), points, 1)[0][0] == best
+        assert module.best_of(replace(problem, torques=told, tuning=TUNING), points, 1)[0][0] == best
 
 
 def test_some_windows_follow_no_worse_by_what_they_weigh_in_units_and_with_the_torques(monkeypatch):
@@ -344,50 +344,65 @@ def test_windows_are_as_many_as_five_million_steps_allow(monkeypatch, step, coun
     assert sizes == [5]
 
 
+@dataclass(frozen=True)
+class Ended:
+    """A fit that is no more than where it ended."""
+
+    problem: Problem
+    values: str
+    free: str = "free"
+    errors: str = ""
+    seconds: float = 10.0
+    ridge: float = 1e-6
+
+
 def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
-    """Each way goes on from the best so far, and the weighed one begins once more where each plain one ended."""
-    name = lambda problem: "pooled" if problem.pooled else "plain" if np.isinf(problem.tuning) else "weighed"  # noqa: E731
+    """Pooled and plain least squares by what is stated; weights where they save a tenth of it."""
     errors, moved, units = {}, [], []
+
+    def name(problem):
+        return "weighed" if np.isfinite(problem.tuning) else "pooled" if problem.pooled else "plain"
 
     def descend(problem, x, free, slopes, deadline, first):
         assert (free, first.values) == ("free", x)
         moved.append((x, slopes))
-        return f"{name(problem)} after {x}" if name(problem) == "weighed" else name(problem)
+        return f"{name(problem)} after {x}"
 
     monkeypatch.setattr(module, "in_units", lambda problem, square: units.append(square) or problem)
     monkeypatch.setattr(module, "weighed", lambda problem, x: problem)
     monkeypatch.setattr(module, "descend", descend)
-    monkeypatch.setattr(module, "stated", lambda near: errors[near.values])
-    monkeypatch.setattr(
-        module,
-        "linearise",
-        lambda problem, x, free: SimpleNamespace(problem=problem, values=x, free=free, errors=f"of {x}", seconds=10.0),
-    )
+    monkeypatch.setattr(module, "independent", lambda problem: 100)
+    monkeypatch.setattr(module, "stated_of_windows", lambda near: errors.get(near.values, 1.0) * np.ones(100))
+    monkeypatch.setattr(module, "linearise", lambda problem, x, free: Ended(problem, x, errors=f"of {x}"))
     monkeypatch.setattr(module, "trusted", lambda near: near)
     monkeypatch.setattr(Problem, "squares", lambda self, errors: errors)
-    own = ("near", "plain", "weighed after plain", "pooled", "weighed after pooled")
 
-    def best(*told, joints=2, left=np.inf):
-        errors.update(zip(own, told, strict=True))
-        problem = Problem(None, (), np.ones(joints), np.ones(1))
-        near = SimpleNamespace(problem=problem, values="near", free="free", errors="of near", seconds=10.0)
+    def best(joints=2, left=np.inf, **told):
+        errors.clear()
+        errors.update({key.replace("_", " "): value for key, value in told.items()})
         moved.clear()
+        near = Ended(Problem(None, (), np.ones(joints), np.ones(1)), "near", errors="of near")
         return more_telling(near, Deadline(left)).values
 
-    assert best(1.0, 2.0, 2.0, 3.0, 3.0) == "near"
-    assert moved == [("near", 1), ("plain", 3), ("near", 1), ("pooled", 3)]
+    pooled, again = "pooled after near", "plain after pooled after near"
+    assert best(near=0.9) == "near"
+    assert moved == [("near", 1), (pooled, 3), ("near", 3)]
     assert units == [f"of {x}" for x, _ in moved]  # windows are weighed by what each way begins with
-    for k, ended in enumerate(own):
-        assert best(*np.where(np.arange(5) == k, 1.0, 2.0)) == ended
-    assert best(3.0, 2.0, 1.0, 2.0, 2.0) == "weighed after plain"
-    assert moved == [("near", 1), ("plain", 3), ("weighed after plain", 1), ("pooled", 3)]
-    assert best(3.0, 2.0, 2.0, 1.0, 1.0, joints=1) == "plain"  # of one joint there is nothing to pool
-    assert best(3.0, 2.0, 1.0, 1.0, 1.0, left=25.0) == "near"  # each takes two slopes more than its descent
-    assert best(3.0, 2.0, 1.0, 1.0, 1.0, left=45.0) == "pooled"  # no time for the weighed one after plain
+    assert best(pooled_after_near=0.9) == pooled
+    assert moved[-1] == (pooled, 3)
+    assert best(plain_after_pooled_after_near=0.9) == again
+    assert moved[-1] == (again, 3)
+    for saved, ended in ((0.09, "near"), (0.11, "weighed after near")):
+        assert best(near=0.9, weighed_after_near=0.9 * (1 - saved)) == ended
+    assert best(joints=1) == "near"  # of one joint there is nothing to pool
+    assert moved == [("near", 3)]
+    assert best(left=45.0, weighed_after_near=0.5) == "near"  # five slopes of 10 s
+    assert moved == [("near", 1)]
+    assert best(left=0.0, pooled_after_near=0.5) == "near"
 
 
-def test_plain_least_squares_leads_out_of_a_place_where_all_is_wild_and_is_not_led_astray_by_pushes():
-    """By friction of 0.5 and a scale of 0.3 the joint is stuck; two pushes that no log tells of pull plain numbers."""
+def test_weights_that_take_windows_for_wild_are_not_led_astray_by_pushes():
+    """Two pushes that no log tells of pull plain numbers, which lead out of a place where the joint is stuck."""
     command = smooth_torque(12.0, 2.5, 1)
     push = np.zeros_like(command)
     for begin in (300, 700):
@@ -402,7 +417,10 @@ def test_plain_least_squares_leads_out_of_a_place_where_all_is_wild_and_is_not_l
     stuck[at["viscous_friction", "damping"]] = 0.05
     stuck[own] = 0.5, 0.3
     problem = problem_of(h, prepared.takes, 0.5, 24, np.random.default_rng(0), stuck)
-    found = more_telling(trusted(linearise(problem, stuck, free)), Deadline())
+    plain = descend(problem, stuck, free, 3, Deadline())
+    assert plain[own[1]] > 0.6
+    assert plain[own] != pytest.approx([0.1, 0.8], rel=0.1)
+    found = more_telling(trusted(linearise(weighed(problem, plain), plain, free)), Deadline())
     assert np.isfinite(found.problem.tuning)
     assert found.values[own] == pytest.approx([0.1, 0.8], rel=0.1)
 
@@ -432,23 +450,20 @@ def test_torques_have_no_say_where_folds_are_followed_clearly_better_without(mon
     assert without_torques(alone, Deadline()) is alone
 
 
-def test_without_torques_plain_windows_are_weighed_again_and_both_ways_are_compared_by_one_ridge(monkeypatch):
+def test_without_torques_windows_are_plain_and_both_ways_are_compared_by_one_ridge(monkeypatch):
     problem, _ = following(monkeypatch, each_its_own(1.0, 1.0), torques=SimpleNamespace(rows=lambda values: values.T))
     x, free, ways, compared = np.array([0.1]), np.array([True]), [], []
-    near = replace(linearise(replace(problem, tuning=np.inf, pooled=True), x, free), ridge=10.0)
+    near = replace(linearise(replace(problem, tuning=TUNING, pooled=True), x, free), ridge=10.0)
 
-    def descend(way, x, *_):
-        ways.append((way.tuning, way.pooled))
+    def descend(way, x, free, slopes, *_):
+        ways.append((way.tuning, way.pooled, slopes))
         return x
 
     monkeypatch.setattr(module, "descend", descend)
-    told = lambda a, b, sure: compared.append((a.ridge, b.ridge, sure)) is None  # noqa: E731
-    monkeypatch.setattr(module, "follows_better", told)
-    found = without_torques(near, Deadline())
-    assert ways == [(np.inf, False), (module.TUNING, False)]
-    assert all(a == b for a, b, _ in compared)
-    assert compared[0] == (10.0, 10.0, module.SURE_WITHOUT)
-    assert found.ridge != 10.0  # each keeps its own
+    monkeypatch.setattr(module, "stated_of_windows", lambda near: compared.append(near.ridge) or np.ones(2))
+    assert without_torques(near, Deadline()) is near
+    assert ways == [(np.inf, False, 2 * module.SLOPES[2])]
+    assert compared == [10.0, 10.0]
 
 
 def test_a_search_whose_every_descent_goes_astray_ends_at_the_best_of_its_starts(monkeypatch):
