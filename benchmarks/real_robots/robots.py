@@ -385,12 +385,13 @@ def _loaded_pendulum(
     """
 
     def pendulum(payload: float) -> str:
-        mass, inertia = arm_mass + payload, arm_mass / 3 * length**2 + payload * length**2
-        centre = (arm_mass / 2 + payload) * length / mass
-        about = inertia - mass * centre**2
+        """The payload is a body of its own, so that what a fit says of the arm's mass is said of the arm."""
+        about = arm_mass / 12 * length**2
+        end = f'<body pos="0 0 {-length}"><inertial pos="0 0 0" mass="{payload}" diaginertia="1e-9 1e-9 1e-9"/></body>'
         return f"""<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
           <joint name="motor" axis="0 1 0"/><site name="end" pos="0 0 {-length}"/>
-          <inertial pos="0 0 {-centre}" mass="{mass}" diaginertia="{about} {about} {0.01 * about}"/></body></worldbody>
+          <inertial pos="0 0 {-length / 2}" mass="{arm_mass}" diaginertia="{about} {about} {0.01 * about}"/>
+          {end if payload else ""}</body></worldbody>
           <actuator><position joint="motor" kp="{kp}" kv="{kv}" forcerange="-{limit} {limit}"/></actuator></mujoco>"""
 
     def model_of(recording: Recording) -> mujoco.MjModel:

@@ -195,7 +195,7 @@ def test_of_points_the_best_are_kept_once_each_and_the_torques_have_a_say(monkey
     points = [np.array([1.1]), np.array([1.5])]  # of 25 and 1 times the least square error, 12.0 and 0.9 robustly
     for size, best in ((20.0, 1.1), (25.0, 1.5)):  # a fiftieth of the torques' squares: 8.0 and 12.5
         told = SimpleNamespace(rows=lambda values, size=size: size * (values[:, 0] < 1.3)[None])
-        assert module.best_of(replace(problem, torques=told, tuning=TUNING), points, 1)[0] == best
+        assert module.best_of(replace(problem, torques=told), points, 1)[0] == best
 
 
 def test_a_joint_that_is_stuck_is_not_the_answer_where_most_windows_hold_still(monkeypatch):
@@ -227,7 +227,7 @@ def test_of_two_joints_the_torques_have_their_say_once(monkeypatch):
     points = [np.array([1.1, 1.1]), np.array([1.5, 1.5])]
     for size, best in ((30.0, 1.1), (36.0, 1.5)):
         told = SimpleNamespace(rows=lambda values, size=size: size * (values[:, 0] < 1.3)[None])
-        assert module.best_of(replace(problem, torques=told, tuning=TUNING), points, 1)[0][0] == best
+        assert module.best_of(replace(problem, torques=told), points, 1)[0][0] == best
 
 
 def test_some_windows_follow_no_worse_by_what_they_weigh_in_units_and_with_the_torques(monkeypatch):
@@ -356,7 +356,7 @@ class Ended:
     ridge: float = 1e-6
 
 
-def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
+def test_pooled_and_plain_numbers_stay_by_folds_and_weights_if_they_save_a_tenth(monkeypatch):
     """Pooled and plain least squares by what is stated; weights where they save a tenth of it."""
     errors, moved, units = {}, [], []
 
@@ -381,7 +381,7 @@ def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
         errors.clear()
         errors.update({key.replace("_", " "): value for key, value in told.items()})
         moved.clear()
-        near = Ended(Problem(None, (), np.ones(joints), np.ones(1)), "near", errors="of near")
+        near = Ended(Problem(None, (), np.ones(joints), np.ones(1), tuning=np.inf), "near", errors="of near")
         return more_telling(near, Deadline(left)).values
 
     pooled, again = "pooled after near", "plain after pooled after near"
@@ -402,7 +402,7 @@ def test_whichever_weights_follow_folds_best_are_taken(monkeypatch):
 
 
 def test_weights_that_take_windows_for_wild_are_not_led_astray_by_pushes():
-    """Two pushes that no log tells of pull plain numbers, which lead out of a place where the joint is stuck."""
+    """Two pushes that no log tells of. Plain numbers lead out of a place where the joint is stuck, to wrong ones."""
     command = smooth_torque(12.0, 2.5, 1)
     push = np.zeros_like(command)
     for begin in (300, 700):
@@ -416,8 +416,8 @@ def test_weights_that_take_windows_for_wild_are_not_led_astray_by_pushes():
     free[own] = True
     stuck[at["viscous_friction", "damping"]] = 0.05
     stuck[own] = 0.5, 0.3
-    problem = problem_of(h, prepared.takes, 0.5, 24, np.random.default_rng(0), stuck)
-    plain = descend(problem, stuck, free, 3, Deadline())
+    problem = module._plain(problem_of(h, prepared.takes, 0.5, 24, np.random.default_rng(0), stuck))
+    plain = descend(weighed(problem, stuck), stuck, free, 3, Deadline())
     assert plain[own[1]] > 0.6
     assert plain[own] != pytest.approx([0.1, 0.8], rel=0.1)
     found = more_telling(trusted(linearise(weighed(problem, plain), plain, free)), Deadline())
@@ -464,6 +464,24 @@ def test_without_torques_windows_are_plain_and_both_ways_are_compared_by_one_rid
     assert without_torques(near, Deadline()) is near
     assert ways == [(np.inf, False, 2 * module.SLOPES[2])]
     assert compared == [10.0, 10.0]
+    near = replace(near, ridge=1e-9)
+    assert without_torques(near, Deadline()) is near
+    assert compared[2] == compared[3] > 1e-9
+
+
+@pytest.mark.parametrize(
+    ("saved", "doubt", "taken"), [(0.5, 1.5, False), (0.5, 2.5, True), (0.009, 99.0, False), (0.011, 99.0, True)]
+)
+def test_torques_keep_their_say_unless_a_hundredth_is_saved_by_two_standard_errors(monkeypatch, saved, doubt, taken):
+    """Of a hundred windows, by ``saved`` in the mean, which is ``doubt`` standard errors."""
+    problem, _ = following(monkeypatch, each_its_own(1.0, 1.0), torques=SimpleNamespace(rows=lambda values: values.T))
+    near = linearise(problem, np.array([0.1]), np.array([True]))
+    spread = np.tile([-1.0, 1.0], 50)
+    after = 1.0 - saved - saved / doubt * np.sqrt(99.0) * spread
+    monkeypatch.setattr(module, "independent", lambda problem: 100)
+    told = lambda fit: np.ones(100) if fit.problem.torques is not None else after  # noqa: E731
+    monkeypatch.setattr(module, "stated_of_windows", told)
+    assert (without_torques(near, Deadline()) is not near) == taken
 
 
 def test_a_search_whose_every_descent_goes_astray_ends_at_the_best_of_its_starts(monkeypatch):

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from torchrl_athletic.diagnosis.problem import TUNING, Problem, folds_of, in_units, part_of, problem_of, window_cost
+from torchrl_athletic.diagnosis.problem import Problem, folds_of, in_units, part_of, problem_of, window_cost
 from torchrl_athletic.diagnosis.replay import Windows
 
 module = sys.modules["torchrl_athletic.diagnosis.problem"]
@@ -82,18 +82,17 @@ def test_of_a_slow_log_every_sample_is_compared(monkeypatch):
 def test_a_window_weighs_less_the_more_typical_errors_it_is_off_and_in_plain_least_squares_as_any_other():
     square = np.array([[1.0, 4.0], [9.0, 4.0], [2.0, 4.0], [500.0, 160.0]])
     problem = moving(99.0, np.ones(2), np.ones(4))
-    robust = in_units(moving(99.0, np.ones(2), np.ones(4), tuning=TUNING), square)
+    robust = in_units(problem, square)
     assert robust.unit == pytest.approx([2, 2])  # means of the best three of four: 4
     ratio = np.array([0.625, 1.625, 0.75, 82.5])
     assert robust.weight == pytest.approx(1 / (1 + ratio / 9))
     assert window_cost(robust, square[None])[0] == pytest.approx(9 * np.log(1 + ratio / 9))
-    plain = in_units(problem, square)
+    plain = in_units(replace(problem, tuning=np.inf), square)
     assert plain.unit**2 == pytest.approx([128, 43])
     assert plain.weight.tolist() == [1, 1, 1, 1]
     assert window_cost(plain, square[None])[0, 0] == pytest.approx((1 / 128 + 4 / 43) / 2)
-    pooled = moving(99.0, np.ones(2), np.ones(4), tuning=TUNING, pooled=True)
-    assert in_units(pooled, square).unit ** 2 == pytest.approx([4, 4])
-    pooled = in_units(replace(pooled, tuning=np.inf), square)
+    assert in_units(moving(99.0, np.ones(2), np.ones(4), pooled=True), square).unit ** 2 == pytest.approx([4, 4])
+    pooled = in_units(replace(problem, tuning=np.inf, pooled=True), square)
     assert pooled.unit**2 == pytest.approx([85.5, 85.5])
 
 
@@ -115,9 +114,7 @@ def test_a_typical_error_is_that_of_the_three_quarters_that_are_followed_best():
 
 def test_a_joint_that_stands_still_has_the_scale_of_its_own_error():
     """A model that sags while the robot holds still is off by much more than the motion, which is none."""
-    assert in_units(moving(0.0, np.ones(1), np.ones(8), tuning=TUNING), np.full((8, 1), 0.04)).unit == pytest.approx(
-        [0.2]
-    )
+    assert in_units(moving(0.0, np.ones(1), np.ones(8)), np.full((8, 1), 0.04)).unit == pytest.approx([0.2])
 
 
 @pytest.mark.parametrize("wild", [4, 7, 10])
@@ -127,7 +124,7 @@ def test_windows_that_go_astray_set_no_scale_up_to_half_of_them_and_however_far(
     square[:wild] = 1e8
     for size in (1e2, 1e8):
         square[:wild] = size
-        found = in_units(moving(2.0, np.ones(1), np.ones(24), tuning=TUNING), square)
+        found = in_units(moving(2.0, np.ones(1), np.ones(24)), square)
         assert found.unit[0] <= 2.0
         assert (found.weight[wild:] > 0.4).all()
         assert (found.weight[:wild] < 0.3).all()

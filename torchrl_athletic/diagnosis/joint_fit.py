@@ -62,15 +62,15 @@ SURE = 1.0
 SURE_WITHOUT = 2.0
 """Standard errors by which a fit must follow folds better that does without the torques [1]."""
 WILD_GAIN = 0.1
-"""Share of the error of folds that weights must save that take windows for wild [1]: plain least squares is right of
-most logs, and weights are not asked for by a window more or less."""
+"""Share of the error of folds that weights must save that take windows for wild [1]."""
 
 
 def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
-    """The solution of whichever weights follow folds best that it was not fitted to: plain ones, or other ones.
+    """Plain least squares in units of each joint or of all joints alike, by folds; robust ones if they save much.
 
-    What is asked is the error that is stated, which plain least squares minimises: joint by joint, or of all joints
-    together. Where pushes or a fall lead it astray, weights that take windows for wild save much of the error of folds.
+    What is asked is the error that is stated, which is a plain one. Weights that take windows for wild are for logs in
+    which some were pushed, or fell: they stay where they save :data:`WILD_GAIN` of the error of folds. One push, or
+    pushes in most folds, save less than that, so that such windows are better left out of the recordings.
     """
     problem, best = near.problem, near
     if len(problem.unit) > 1:
@@ -82,7 +82,7 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
             best = min(best, start, key=stated)
     if deadline.allows((2 + SLOPES[2]) * near.seconds):
         robust = _from(replace(problem, tuning=TUNING), best, SLOPES[2], deadline)
-        best = robust if _follows_better(best, robust, WILD_GAIN, SURE) else best
+        best = robust if _follows_surely(best, robust, WILD_GAIN, SURE) else best
     return best
 
 
@@ -96,20 +96,21 @@ def _from(way: Problem, start: Linearised, slopes: int, deadline: Deadline) -> L
 def without_torques(near: Linearised, deadline: Deadline) -> Linearised:
     """The solution that the torques have no say in, where it follows folds that it was not fitted to better.
 
-    A servo whose gain, delay and limit are not as given asks for other torques than its law with the given ones does.
+    A servo whose gain, delay and limit are not as given asks for other torques than its law with the given ones does,
+    often far from where the search ended: hence twice the Jacobians, and plain windows, none of which is wild yet.
     It has to save as much as a new law would, and more surely: torques keep a simulation from coasting.
     """
-    slopes = 2 * SLOPES[2]  # the way is long
+    slopes = 2 * SLOPES[2]
     if near.problem.torques is None or not deadline.allows((1 + slopes) * near.seconds):
         return near
     alone = replace(near.problem, torques=None, tuning=np.inf, pooled=False)
     start = replace(near, pull=near.pull[:0], pull_columns=near.pull_columns[:0])
     other = _from(alone, start, slopes, deadline)
-    return other if _follows_better(near, other, GAIN / 2, SURE_WITHOUT) else near
+    return other if _follows_surely(near, other, GAIN / 2, SURE_WITHOUT) else near
 
 
-def _follows_better(near: Linearised, other: Linearised, least: float, sure: float) -> bool:
-    """:func:`follows_better`, with the larger ridge of the two.
+def _follows_surely(near: Linearised, other: Linearised, least: float, sure: float) -> bool:
+    """:func:`follows_better` by a share and a surety of its own, with the larger ridge of the two.
 
     Else the one whose folds hardly move would be judged by what it was fitted to.
     """
@@ -195,11 +196,11 @@ def search(
     """
     free = h.bounds[1] > h.bounds[0]
     count = min(affordable(h, takes, deadline), most)
-    full = problem_of(h, takes, WINDOW, count, rng, begin[0], torques)
-    few = problem_of(h, takes, WINDOW, COMPARED, rng, begin[0], torques) if count > COMPARED else full
+    full = _plain(problem_of(h, takes, WINDOW, count, rng, begin[0], torques))
+    few = _plain(problem_of(h, takes, WINDOW, COMPARED, rng, begin[0], torques)) if count > COMPARED else full
     points = list(begin)
     for horizon, (seconds, kept) in enumerate(zip(HORIZONS, KEPT, strict=True)):
-        problem = problem_of(h, takes, seconds, SEARCHED, rng, points[0], torques)
+        problem = _plain(problem_of(h, takes, seconds, SEARCHED, rng, points[0], torques))
         if not horizon:
             half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
             points = [p for q in (problem, few) for p in _mixed(q, q.mean_square(begin), begin, half)]
@@ -215,6 +216,11 @@ def search(
     return without_torques(more_telling(near, deadline), deadline)
 
 
+def _plain(problem: Problem) -> Problem:
+    """With windows that all weigh alike, as they do in the error that is stated."""
+    return replace(problem, tuning=np.inf, weight=np.ones_like(problem.weight))
+
+
 def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Array]:
     """Starts in which each joint has its own best numbers, its second best, and so on."""
     joint = np.array([c.joint for c in problem.hypothesis.terms for _ in c.parameters])
@@ -223,7 +229,7 @@ def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Ar
 
 
 def best_of(problem: Problem, points: Sequence[Array], count: int) -> list[Array]:
-    """Those of the least robust error, none twice."""
+    """Those of the least cost, none twice; it counts errors in units of the least typical one of each joint."""
     distinct = list({tuple(x): x for x in points}.values())
     square = problem.mean_square(np.stack(distinct))
     unit = np.sqrt(np.maximum(typical(problem, square).min(0), 1e-18))
@@ -259,7 +265,8 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
     """Which parameters folds that are kept aside ask for; the others are held at the given model's. Shape (P,), of all.
 
     Backwards: of each joint the parameter goes whose absence costs least to first order, as long as folds that were
-    kept aside allow it: their stated error must not rise, and the weighed one by less than its own uncertainty. The
+    kept aside allow it: their stated error must not rise, nor, in a fit of weighed windows, the weighed one by more
+    than its own uncertainty. The
     fits without a fold and without a parameter are one bounded Gauss-Newton step from the solution; their errors are
     simulated.
     """

@@ -43,7 +43,7 @@ class Problem:
     """Errors of the joints that count as one [rad, m]. Shape (J,)."""
     weight: Array
     """Weight of each window [1]. Shape (W,)."""
-    tuning: float = np.inf
+    tuning: float = TUNING
     """Typical errors at which a window weighs half [1]; infinite for plain least squares."""
     pooled: bool = False
     """Whether all joints have one unit, as they have in an error that is stated of all."""
