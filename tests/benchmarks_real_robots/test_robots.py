@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 import torch
 
-from benchmarks.real_robots.robots import unitree
+from benchmarks.real_robots.robots import _loaded_pendulum, unitree
 
 LEG = """
 <mujoco>
@@ -85,3 +87,18 @@ def test_of_a_unitree_with_one_take_the_last_third_is_kept_aside(tmp_path):
     first, last = (group[0].time for group in (robot.recordings, robot.heldout))
     np.testing.assert_allclose(np.concatenate([first, last]), 0.005 * np.arange(90))
     assert (len(robot.recordings), len(robot.heldout), len(last)) == (1, 1, 30)
+
+
+def test_a_motors_payload_is_a_body_of_its_own_that_weighs_and_turns_as_a_point_at_the_arms_end():
+    """A rod of 0.2 kg and 0.3 m, which turns about its end, with 0.5 kg there."""
+    take: Any = SimpleNamespace(metadata={"payload_kg": 0.5})
+    robot = _loaded_pendulum([take], 0.2, 0.3, kp=5.0, kv=0.1, limit=2.0, aside=0.5, looked_at="no")
+    model = robot.model_of(take)
+    data, mass = mujoco.MjData(model), np.zeros((1, 1))
+    data.qpos[0] = 0.4
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass)
+    assert mass[0, 0] == pytest.approx((0.2 / 3 + 0.5) * 0.3**2, rel=1e-6)
+    assert data.qfrc_bias[0] == pytest.approx((0.2 / 2 + 0.5) * 0.3 * 9.81 * np.sin(0.4), rel=1e-6)
+    assert model.body_mass.tolist() == [0.0, 0.2, 0.5]
+    assert mujoco.MjModel.from_xml_string(robot.xml).body_mass.tolist() == [0.0, 0.2]
