@@ -74,12 +74,13 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
     """
     problem, best = near.problem, near
     if len(problem.unit) > 1:
-        start = near
+        start, least = near, stated(near)
         for way, slopes in ((replace(problem, pooled=True), 1), (problem, SLOPES[2])):
             if not deadline.allows((2 + slopes) * near.seconds):
                 break
             start = _from(way, start, slopes, deadline)
-            best = min(best, start, key=stated)
+            if (error := stated(start)) < least:
+                best, least = start, error
     if deadline.allows((2 + SLOPES[2]) * near.seconds):
         robust = _from(replace(problem, tuning=TUNING), best, SLOPES[2], deadline)
         best = robust if _follows_surely(best, robust, WILD_GAIN, SURE) else best
@@ -115,14 +116,13 @@ def _follows_surely(near: Linearised, other: Linearised, least: float, sure: flo
     Else the one whose folds hardly move would be judged by what it was fitted to.
     """
     ridge = max(near.ridge, other.ridge)
-    before, after = (stated_of_windows(replace(fit, ridge=ridge)) for fit in (near, other))
-    return gain_of(before, after, independent(near.problem), least, sure) > 0
+    return follows_better(replace(near, ridge=ridge), replace(other, ridge=ridge), least, sure)
 
 
-def follows_better(near: Linearised, other: Linearised) -> bool:
+def follows_better(near: Linearised, other: Linearised, least: float = GAIN / 2, sure: float = SURE) -> bool:
     """Whether another fit of the same windows has less of the error that is stated, and by more than it is in doubt."""
     count = independent(near.problem)
-    return gain_of(stated_of_windows(near), stated_of_windows(other), count, GAIN / 2) > 0
+    return gain_of(stated_of_windows(near), stated_of_windows(other), count, least, sure) > 0
 
 
 def gain_of(before: Array, after: Array, count: int, least: float = GAIN, sure: float = SURE) -> float:
@@ -266,9 +266,8 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
 
     Backwards: of each joint the parameter goes whose absence costs least to first order, as long as folds that were
     kept aside allow it: their stated error must not rise, nor, in a fit of weighed windows, the weighed one by more
-    than its own uncertainty. The
-    fits without a fold and without a parameter are one bounded Gauss-Newton step from the solution; their errors are
-    simulated.
+    than its own uncertainty. The fits without a fold and without a parameter are one bounded Gauss-Newton step from the
+    solution; their errors are simulated.
     """
     problem, fold = near.problem, folds_of(near.problem)
     index = np.flatnonzero(near.free)
