@@ -19,6 +19,14 @@ at ``1a22bd0``
 ``dynamic-identification`` at ``3b3baef``   wissem01chiha/dynamic-identification     MIT
 ``FloBaRoID`` at ``9c06804``, with its      kjyv/FloBaRoID                           LGPL-3.0
 files of Git LFS
+``torque_limited_simple_pendulum``          dfki-ric-underactuated-lab/...           BSD-3-Clause
+at ``ed17ea2``
+``FrankaEmikaPandaDynModel``                marcocognetti/FrankaEmikaPandaDynModel   GPL-3.0
+at ``24d85ce``
+``mujoco_menagerie`` at ``b4d7d13``         google-deepmind/mujoco_menagerie         Apache-2.0
+``SydneyCompassGait`` at ``92546f6``        imanchester/SydneyCompassGait            MIT
+``bam_rhoban`` at ``0b0c5b4``               Rhoban/bam                               Apache-2.0
+``masterThesisMatlab`` at ``0e2c725``       nielsSkov/masterThesisMatlab             none stated
 ==========================================  =======================================  =======================
 """
 
@@ -37,6 +45,7 @@ import mujoco
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.io import loadmat
 from scipy.signal import savgol_filter
 
 from torchrl_athletic.recordings import Column, ColumnMap, Recording, read_recordings
@@ -277,7 +286,7 @@ def go1(data: Path) -> Robot:
     paths = sorted((data / "bam/example_data/data_raw_go1").glob("*.json"))
     takes = [take for path in paths for take in _servo_takes(path)]
     return _loaded_pendulum(
-        takes, arm_mass=0.078, length=0.15, kp=10.0, kv=0.3, limit=23.7, aside=2.0, looked_at=LOOKED
+        takes, arm_mass=0.078, length=0.15, kp=10.0, kv=0.3, limit=23.7, aside=partial(_carries, 2.0), looked_at=LOOKED
     )
 
 
@@ -300,7 +309,48 @@ def sts(data: Path, motor: str) -> Robot:
         if log["length"] == 0.15:
             first.setdefault((log["mass"], log["kp"], log["trajectory"]), path)
     takes = [take for path in first.values() for take in _servo_takes(path, stiffness)]
-    return _loaded_pendulum(takes, 0.05, 0.15, 16 * stiffness, 0.0, stall, aside=0.969, looked_at="no")
+    return _loaded_pendulum(
+        takes, 0.05, 0.15, 16 * stiffness, 0.0, stall, aside=partial(_carries, 0.969), looked_at="no"
+    )
+
+
+def rhoban_xl330(data: Path) -> Robot:
+    """An XL330 servo that swings 0.49 kg on 100 mm: 190 Hz, four motions by four firmware gains; the gain 200 aside.
+
+    Another day, load and gains than those of the bench ``xl330``. A unit of the gain is turned into N m/rad by the duty
+    per error, the resistance and the torque constant of the authors' first model, at 7.4 V; the damping by the same
+    constants is left out. The arm's mass is that of their later arm, per length.
+    """
+    torque = 7.4 * 0.323 / 4.76
+    stiffness = torque * 4096 / (2 * np.pi) / (256 * 885)
+    paths = sorted((data / "bam_rhoban/bam/data.bak/raw").glob("2026-01-15_10h*.json"))
+    takes = [take for path in paths for take in _servo_takes(path, stiffness)]
+    aside = {path.stem for path in paths if json.loads(path.read_text())["kp"] == 200}
+    return _loaded_pendulum(
+        takes, 0.009, 0.1, 400 * stiffness, 0.0, torque,
+        aside=lambda take: take.source.rpartition("_")[0] in aside, looked_at="not before its first fit",
+    )  # fmt: skip
+
+
+def compass_leg(data: Path) -> Robot:
+    """The inner leg of a compass gait walker that swings about its hip, at 200 Hz: 28 s fitted, the last 50 s aside.
+
+    First a free swing and steps of the motor's voltage, last steps and a chirp. The torque is that of the voltage by
+    the data sheet, the link that of its authors, without friction.
+    """
+    xml = """<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbody><body>
+      <joint name="hip" axis="0 1 0"/>
+      <inertial pos="0 0 -0.0448" mass="0.7" diaginertia="0.002919 0.002919 0.002919"/></body></worldbody>
+      <actuator><motor joint="hip" ctrlrange="-0.2 0.2"/></actuator></mujoco>"""
+    home = data / "SydneyCompassGait/System Identification/SysID_Experiment 1"
+    log = loadmat(home / "realVSmodel_fwAnd5vstepsx3AndChirp_innerSW.mat")
+    time, angle, volt = (np.asarray(log[f"data{name}all"], dtype=np.float64).ravel() for name in ("time", "out", "in"))
+
+    def part(chosen: NDArray[np.bool_], name: str) -> Recording:
+        position, torque = np.radians(angle)[chosen, None], 0.0182 * volt[chosen, None]
+        return Recording(time[chosen], ("hip",), position, torque_command=torque, source=name)
+
+    return Robot(xml, [part(time < 28.0, "first 28 s")], [part(time >= 28.0, "last 50 s")], "not before its first fit")
 
 
 def miuzei(data: Path) -> Robot:
@@ -360,6 +410,10 @@ def _servo_takes(path: Path, stiffness: float = 1.0) -> list[Recording]:
     return takes
 
 
+def _carries(payload: float, recording: Recording) -> bool:
+    return bool(recording.metadata["payload_kg"] == payload)
+
+
 def _loaded_pendulum(
     takes: Sequence[Recording],
     arm_mass: float,
@@ -368,10 +422,10 @@ def _loaded_pendulum(
     kv: float,
     limit: float,
     *,
-    aside: float,
+    aside: Callable[[Recording], bool],
     looked_at: str,
 ) -> Robot:
-    """A motor that swings an arm with a payload at its end, of which one is kept aside.
+    """A motor that swings an arm with a payload at its end.
 
     Args:
         takes: What was recorded.
@@ -380,7 +434,7 @@ def _loaded_pendulum(
         kp: Of recordings that have no gain [N m/rad].
         kv: As well [N m s/rad].
         limit: Of the torque [N m].
-        aside: Payload [kg].
+        aside: Whether a take is kept aside.
         looked_at: As of :class:`Robot`.
     """
 
@@ -397,7 +451,7 @@ def _loaded_pendulum(
     def model_of(recording: Recording) -> mujoco.MjModel:
         return mujoco.MjModel.from_xml_string(pendulum(float(recording.metadata["payload_kg"])))
 
-    fitted, held = ([t for t in takes if (t.metadata["payload_kg"] == aside) == out] for out in (False, True))
+    fitted, held = ([t for t in takes if aside(t) == out] for out in (False, True))
     return Robot(pendulum(0.0), fitted, held, looked_at, model_of=model_of)
 
 
@@ -486,6 +540,85 @@ def double_pendulum(data: Path, design: str) -> Robot:
     return Robot(xml, takes[:6], takes[6:], LOOKED)
 
 
+def panda(data: Path) -> Robot:
+    """Franka Panda, seven joints at 1 kHz in closed loop: the first 14 s of one motion, and the last 7 s kept aside.
+
+    Torques are those of the sensors in the joints. The model is the Menagerie's, with motors for its servos.
+    """
+    spec = mujoco.MjSpec.from_file(str(data / "mujoco_menagerie/franka_emika_panda/panda_nohand.xml"))
+    for part in (*spec.keys, *spec.actuators):
+        spec.delete(part)
+    _delete_shapes(spec)
+    for joint, limit in zip(spec.joints, 4 * [87.0] + 3 * [12.0], strict=True):
+        joint.actfrcrange = [-limit, limit]
+    _add_motors(spec)
+    spec.compile()
+    home = data / "FrankaEmikaPandaDynModel/matlab/data/Exciting_Traj/Trajectory_1/rbt_log"
+    time = np.loadtxt(home / "exciting_traj_time.txt")
+    position, torque = (
+        np.loadtxt(home / f"exciting_traj_{name}.txt").reshape(len(time), 7) for name in ("positions", "torques")
+    )
+    names = tuple(joint.name for joint in spec.joints)
+
+    def part(chosen: NDArray[np.bool_], name: str) -> Recording:
+        return Recording(time[chosen], names, position[chosen], torque_command=torque[chosen], source=name)
+
+    return Robot(
+        spec.to_xml(), [part(time < 14.0, "first 14 s")], [part(time >= 14.0, "last 7 s")], "not before its first fit"
+    )
+
+
+def ak80_pendulum(data: Path) -> Robot:
+    """A pendulum on an AK80-6 drive, swung up by five controllers: three of them fitted for 64 s, two kept aside.
+
+    Torques are those that the drive makes of its currents. The link is that of the URDF beside the logs. Left out are
+    two logs whose torques are noise of up to 18 N·m, one that a hand moved and one with another weight.
+    """
+    home = data / "torque_limited_simple_pendulum"
+    xml = """<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbody><body>
+      <joint name="pendulum" axis="0 1 0"/>
+      <inertial pos="0 0 -0.4338" mass="0.67531" diaginertia="0.0033 0.0033 0.0007"/></body></worldbody>
+      <actuator><motor joint="pendulum" ctrlrange="-12 12"/></actuator></mujoco>"""
+    columns = ColumnMap(
+        joint_names=("pendulum",), time="time", position="position", velocity="velocity", torque_command="torque"
+    )
+
+    def takes(*methods: str) -> list[Recording]:
+        paths = [home / f"results/control_method_{method}/data_measured.csv" for method in methods]
+        return [take for path in paths for take in read_recordings(path, columns)]
+
+    fitted = takes("energy_shaping", "sac", "direct_collocation")
+    aside = takes("ddp", "ilqr")
+    return Robot(xml, fitted, aside, "not before its first fit")
+
+
+def cart_pendulum(data: Path) -> Robot:
+    """A cart on a belt that swings up a pendulum without a motor, at 150 Hz: four takes of 28 to 47 s; three aside.
+
+    Masses and lengths are those of its thesis, without friction; the force is that of the motor's current.
+    """
+    xml = """<mujoco><option timestep="0.001" gravity="0 0 -9.82" integrator="implicitfast"/><worldbody><body>
+      <joint name="cart" type="slide" axis="1 0 0"/>
+      <inertial pos="0 0 0" mass="6.28" diaginertia="1 1 1"/>
+      <body><joint name="pendulum" axis="0 -1 0"/>
+      <inertial pos="0 0 0.31692" mass="0.2235" diaginertia="1e-5 1e-5 1e-5"/></body></body></worldbody>
+      <actuator><motor joint="cart" ctrlrange="-45 45"/><motor joint="pendulum" ctrlrange="-1 1"/></actuator>
+      </mujoco>"""
+    force_per_current = 0.0934 / 0.028  # torque constant over the pulley's radius
+
+    def take(name: str) -> Recording:
+        column = np.loadtxt(data / f"masterThesisMatlab/testResults/data/{name}.csv", delimiter=",", skiprows=2).T
+        force = force_per_current * column[11]
+        torque = np.stack([force, np.zeros_like(force)], -1)
+        position = np.stack([column[4], column[1]], -1)
+        return Recording(column[0], ("cart", "pendulum"), position, torque_command=torque, source=name)
+
+    fitted = [take(f"swingUp/{name}") for name in ("swing1", "swing1_p005")]
+    fitted += [take(f"swingUpAndCatch/{name}") for name in ("swNsl1", "swNsl3")]
+    aside = [take(f"swingUp/{name}") for name in ("swing1_p006", "swing1_p007")]
+    return Robot(xml, fitted, [*aside, take("swingUpAndCatch/swNsl4")], "not before its first fit")
+
+
 ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     **{n: bench(n) for n in ("pendulum", "xl330", "unbalanced_disk", "emps", "two_link_arm", "two_link_arm:measured")},
     "so101": so101,
@@ -499,6 +632,11 @@ ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     **{motor.lower(): partial(sts, motor=motor) for motor in ("STS3215", "STS3250")},
     "miuzei": miuzei,
     **{f"damper, {tension} lb": partial(damper, tension=tension) for tension in (0, 30, 36)},
+    "panda": panda,
+    "compass leg": compass_leg,
+    "xl330, other gains": rhoban_xl330,
+    "ak80": ak80_pendulum,
+    "cart pendulum": cart_pendulum,
     **{f"double pendulum {design}": partial(double_pendulum, design=design) for design in ("C.0", "C.1")},
 }
 

@@ -213,7 +213,7 @@ def test_a_joint_that_is_stuck_is_not_the_answer_where_most_windows_hold_still(m
 
     monkeypatch.setattr(windows_module, "simulate", simulate)
     monkeypatch.setattr(module, "affordable", lambda *_: 12)
-    monkeypatch.setattr(module, "problem_of", lambda *_: problem)
+    monkeypatch.setattr(module, "problem_of", lambda *_, **told: problem)
     begin = np.array([[9.0], [1.0], [8.0]])
     found = search(problem.hypothesis, [SimpleNamespace()], begin, np.random.default_rng(0), Deadline())
     assert found.values == pytest.approx([4.0], rel=1e-3)
@@ -276,10 +276,11 @@ def test_windows_that_overlap_a_fold_do_not_tell_it(monkeypatch):
 @pytest.mark.parametrize(("count", "asked"), [(400, [(0.5, 400), (0.5, 40)]), (30, [(0.5, 30)])])
 def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(monkeypatch, count, asked):
     problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
-    told, moved, spent, progress = [], [], [], []
+    told, moved, spent, progress, kicked = [], [], [], [], []
     deadline = SimpleNamespace(part=lambda share: share)
 
-    def problem_of(h, takes, seconds, most, rng, x, torques=None):
+    def problem_of(h, takes, seconds, most, rng, x, *, torques, tuning):
+        assert np.isinf(tuning)
         told.append((seconds, most, torques))
         assert (h, takes, rng) == (problem.hypothesis, "takes", "dice")
         assert seconds != 0.5 or x is begin[0] or x.tolist() == [2.0]
@@ -299,10 +300,12 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
     for last in ("more_telling", "without_torques"):
         monkeypatch.setattr(module, last, lambda near, deadline: near)
     monkeypatch.setattr(module, "descend", descend)
+    monkeypatch.setattr(module, "iterated_local_search", lambda problem, x, dice, until: (kicked.append(until), x)[1])
     begin = np.arange(2.0, 12.0)[:, None]
     search(problem.hypothesis, "takes", begin, "dice", deadline, torques="said", progress=progress.append)
     assert list(dict.fromkeys(spent)) == [(2, 0.3), (2, 0.5), (3, 0.7)]
-    assert progress == [0.25, 0.5, 0.7, 0.9]
+    assert progress == [0.25, 0.5, 0.7, 0.8, 0.9]
+    assert kicked == [0.6]
     assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
     assert len(moved) == 2 * 2 + 2 + 2 + 1  # two that short windows like and two that long ones do are the same here
 
@@ -416,7 +419,7 @@ def test_weights_that_take_windows_for_wild_are_not_led_astray_by_pushes():
     free[own] = True
     stuck[at["viscous_friction", "damping"]] = 0.05
     stuck[own] = 0.5, 0.3
-    problem = module._plain(problem_of(h, prepared.takes, 0.5, 24, np.random.default_rng(0), stuck))
+    problem = problem_of(h, prepared.takes, 0.5, 24, np.random.default_rng(0), stuck, tuning=np.inf)
     plain = descend(weighed(problem, stuck), stuck, free, 3, Deadline())
     assert plain[own[1]] > 0.6
     assert plain[own] != pytest.approx([0.1, 0.8], rel=0.1)
@@ -488,9 +491,10 @@ def test_a_search_whose_every_descent_goes_astray_ends_at_the_best_of_its_starts
     problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
     take = SimpleNamespace()
     monkeypatch.setattr(module, "affordable", lambda *_: 400)
-    monkeypatch.setattr(module, "problem_of", lambda *_: problem)
+    monkeypatch.setattr(module, "problem_of", lambda *_, **told: problem)
     monkeypatch.setattr(module, "more_telling", lambda near, deadline: near)
     monkeypatch.setattr(module, "descend", lambda problem, x, free, slopes, deadline: x + 50.0 * (slopes < 3))
+    monkeypatch.setattr(module, "iterated_local_search", lambda problem, x, *_: x)
     begin, told = np.array([[9.0], [8.0], [7.0], [6.0], [1.25], [5.0]]), []
     found = search(problem.hypothesis, [take], begin, np.random.default_rng(0), Deadline(), progress=told.append)
     assert found.values.tolist() == [1.25]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.descent import DAMPING, RIDGE, Linearised, descend, linearise
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis
+from torchrl_athletic.diagnosis.iterated import iterated_local_search
 from torchrl_athletic.diagnosis.problem import (
     TUNING,
     Mask,
@@ -196,11 +198,12 @@ def search(
     """
     free = h.bounds[1] > h.bounds[0]
     count = min(affordable(h, takes, deadline), most)
-    full = _plain(problem_of(h, takes, WINDOW, count, rng, begin[0], torques))
-    few = _plain(problem_of(h, takes, WINDOW, COMPARED, rng, begin[0], torques)) if count > COMPARED else full
+    plain = partial(problem_of, torques=torques, tuning=np.inf)  # as the error is that is stated
+    full = plain(h, takes, WINDOW, count, rng, begin[0])
+    few = plain(h, takes, WINDOW, COMPARED, rng, begin[0]) if count > COMPARED else full
     points = list(begin)
     for horizon, (seconds, kept) in enumerate(zip(HORIZONS, KEPT, strict=True)):
-        problem = _plain(problem_of(h, takes, seconds, SEARCHED, rng, points[0], torques))
+        problem = plain(h, takes, seconds, SEARCHED, rng, points[0])
         if not horizon:
             half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
             points = [p for q in (problem, few) for p in _mixed(q, q.mean_square(begin), begin, half)]
@@ -210,15 +213,12 @@ def search(
     ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
     progress(0.7)
     x = best_of(full, [*ends, *points], 1)[0]
+    x = iterated_local_search(full, x, rng, deadline.part(0.6))
+    progress(0.8)
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
     near = trusted(linearise(weighed(full, x), x, free))
     progress(0.9)
     return without_torques(more_telling(near, deadline), deadline)
-
-
-def _plain(problem: Problem) -> Problem:
-    """With windows that all weigh alike, as they do in the error that is stated."""
-    return replace(problem, tuning=np.inf, weight=np.ones_like(problem.weight))
 
 
 def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Array]:

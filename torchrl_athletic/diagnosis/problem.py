@@ -118,6 +118,7 @@ def problem_of(
     rng: np.random.Generator,
     x: Array,
     torques: Agreement | None = None,
+    tuning: float = TUNING,
 ) -> Problem:
     """Windows of some length, each started where its state is known best, weighed by how values (P,) follow them."""
     windows = [well_started(w) for w in draw_windows(takes, seconds, most, rng)]
@@ -125,7 +126,7 @@ def problem_of(
         windows = [_overlapping(w, -(-min(ENOUGH, most) // few)) for w in windows]
     count = sum(len(w.start) for w in windows)
     unit = np.ones(len(takes[0].address.dof))
-    return weighed(Problem(h, tuple(windows), unit, np.ones(count), torques=torques), x)
+    return weighed(Problem(h, tuple(windows), unit, np.ones(count), tuning, torques=torques), x)
 
 
 def weighed(problem: Problem, x: Array) -> Problem:
