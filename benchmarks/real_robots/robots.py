@@ -546,8 +546,8 @@ def panda(data: Path) -> Robot:
     Torques are those of the sensors in the joints. The model is the Menagerie's, with motors for its servos.
     """
     spec = mujoco.MjSpec.from_file(str(data / "mujoco_menagerie/franka_emika_panda/panda_nohand.xml"))
-    for part in (*spec.keys, *spec.actuators):
-        spec.delete(part)
+    for thing in (*spec.keys, *spec.actuators):
+        spec.delete(thing)
     _delete_shapes(spec)
     for joint, limit in zip(spec.joints, 4 * [87.0] + 3 * [12.0], strict=True):
         joint.actfrcrange = [-limit, limit]
