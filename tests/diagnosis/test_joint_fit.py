@@ -276,7 +276,7 @@ def test_windows_that_overlap_a_fold_do_not_tell_it(monkeypatch):
 @pytest.mark.parametrize(("count", "asked"), [(400, [(0.5, 400), (0.5, 40)]), (30, [(0.5, 30)])])
 def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(monkeypatch, count, asked):
     problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
-    told, moved, spent, progress, kicked = [], [], [], [], []
+    told, moved, spent, progress = [], [], [], []
     deadline = SimpleNamespace(part=lambda share: share)
 
     def problem_of(h, takes, seconds, most, rng, x, *, torques, tuning):
@@ -300,12 +300,10 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
     for last in ("more_telling", "without_torques"):
         monkeypatch.setattr(module, last, lambda near, deadline: near)
     monkeypatch.setattr(module, "descend", descend)
-    monkeypatch.setattr(module, "iterated_local_search", lambda problem, x, dice, until: (kicked.append(until), x)[1])
     begin = np.arange(2.0, 12.0)[:, None]
     search(problem.hypothesis, "takes", begin, "dice", deadline, torques="said", progress=progress.append)
     assert list(dict.fromkeys(spent)) == [(2, 0.3), (2, 0.5), (3, 0.7)]
-    assert progress == [0.25, 0.5, 0.7, 0.8, 0.9]
-    assert kicked == [0.6]
+    assert progress == [0.25, 0.5, 0.7, 0.9]
     assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
     assert len(moved) == 2 * 2 + 2 + 2 + 1  # two that short windows like and two that long ones do are the same here
 
@@ -494,7 +492,6 @@ def test_a_search_whose_every_descent_goes_astray_ends_at_the_best_of_its_starts
     monkeypatch.setattr(module, "problem_of", lambda *_, **told: problem)
     monkeypatch.setattr(module, "more_telling", lambda near, deadline: near)
     monkeypatch.setattr(module, "descend", lambda problem, x, free, slopes, deadline: x + 50.0 * (slopes < 3))
-    monkeypatch.setattr(module, "iterated_local_search", lambda problem, x, *_: x)
     begin, told = np.array([[9.0], [8.0], [7.0], [6.0], [1.25], [5.0]]), []
     found = search(problem.hypothesis, [take], begin, np.random.default_rng(0), Deadline(), progress=told.append)
     assert found.values.tolist() == [1.25]

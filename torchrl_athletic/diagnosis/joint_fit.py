@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.descent import DAMPING, RIDGE, Linearised, descend, linearise
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis
-from torchrl_athletic.diagnosis.iterated import iterated_local_search
 from torchrl_athletic.diagnosis.problem import (
     TUNING,
     Mask,
@@ -213,8 +212,6 @@ def search(
     ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
     progress(0.7)
     x = best_of(full, [*ends, *points], 1)[0]
-    x = iterated_local_search(full, x, rng, deadline.part(0.6))
-    progress(0.8)
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
     near = trusted(linearise(weighed(full, x), x, free))
     progress(0.9)
