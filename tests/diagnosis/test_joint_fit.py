@@ -417,7 +417,7 @@ def test_weights_that_take_windows_for_wild_are_not_led_astray_by_pushes():
     free[own] = True
     stuck[at["viscous_friction", "damping"]] = 0.05
     stuck[own] = 0.5, 0.3
-    problem = problem_of(h, prepared.takes, 0.5, 48, np.random.default_rng(0), stuck, tuning=np.inf)
+    problem = problem_of(h, prepared.takes, 0.5, 24, np.random.default_rng(0), stuck, tuning=np.inf)
     plain = descend(weighed(problem, stuck), stuck, free, 3, Deadline())
     assert plain[own[1]] > 0.6
     assert plain[own] != pytest.approx([0.1, 0.8], rel=0.1)

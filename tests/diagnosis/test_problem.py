@@ -168,9 +168,9 @@ def test_few_windows_are_made_up_by_some_that_overlap_within_their_own_recording
         found = problem_of(problem.hypothesis, [take], seconds, most, None, np.zeros(1), "torques")
         assert len(found.weight) == 20
         assert found.torques == "torques"
-    assert asked == [5, 5, 2, 2]  # up to 100 of 20, and to about as many as were asked for: 30
-    monkeypatch.setattr(module, "draw_windows", lambda takes, seconds, most, rng: ["drawn"] * 7)
-    assert len(problem_of(problem.hypothesis, [take], 0.5, 400, None, np.zeros(1)).weight) == 70
+    assert asked == [4, 4, 2, 2]  # up to 80 of 20, and to no more than were asked for: 30
+    monkeypatch.setattr(module, "draw_windows", lambda takes, seconds, most, rng: ["drawn"] * 8)
+    assert len(problem_of(problem.hypothesis, [take], 0.5, 400, None, np.zeros(1)).weight) == 80
     assert len(asked) == 4  # which are enough
 
 

@@ -21,9 +21,8 @@ GRAIN = 0.005
 """Between samples of a window that are compared [s]: half a second holds no faster motion worth it."""
 AT_ONCE = 200
 """Windows simulated at a time: bounds the memory."""
-ENOUGH = 100
-"""Windows of half a second, about; much fewer are made up by some that overlap, so that it counts less where they
-begin."""
+ENOUGH = 80
+"""Windows of half a second; fewer are made up by some that overlap, so that it counts less where they begin."""
 TUNING = 3.0
 """Typical errors at which a window weighs half."""
 WILD = 0.25
@@ -123,8 +122,8 @@ def problem_of(
 ) -> Problem:
     """Windows of some length, each started where its state is known best, weighed by how values (P,) follow them."""
     windows = [well_started(w) for w in draw_windows(takes, seconds, most, rng)]
-    if seconds == WINDOW and (times := round(min(ENOUGH, most) / sum(len(w.start) for w in windows))) > 1:
-        windows = [_overlapping(w, times) for w in windows]
+    if seconds == WINDOW and (few := sum(len(w.start) for w in windows)) < min(ENOUGH, most):
+        windows = [_overlapping(w, -(-min(ENOUGH, most) // few)) for w in windows]
     count = sum(len(w.start) for w in windows)
     unit = np.ones(len(takes[0].address.dof))
     return weighed(Problem(h, tuple(windows), unit, np.ones(count), tuning, torques=torques), x)
