@@ -168,10 +168,13 @@ def test_few_windows_are_made_up_by_some_that_overlap_within_their_own_recording
         found = problem_of(problem.hypothesis, [take], seconds, most, None, np.zeros(1), "torques")
         assert len(found.weight) == 20
         assert found.torques == "torques"
-    assert asked == [4, 4, 2, 2]  # up to 80 of 20, and to no more than were asked for: 30
+    assert asked == [3, 3, 2, 2]  # up to 60 of 20, and to no more than were asked for: 30
     monkeypatch.setattr(module, "draw_windows", lambda takes, seconds, most, rng: ["drawn"] * 8)
     assert len(problem_of(problem.hypothesis, [take], 0.5, 400, None, np.zeros(1)).weight) == 80
     assert len(asked) == 4  # which are enough
+    own = (problem.hypothesis, [take], 0.5, 400, None, np.zeros(1))
+    assert problem_of(*own).weight.max() < 1.0
+    assert problem_of(*own, tuning=np.inf).weight.tolist() == 80 * [1.0]
 
 
 def test_folds_are_whole_recordings_as_even_as_can_be_and_of_few_recordings_stretches_of_time():

@@ -197,7 +197,7 @@ def search(
     """
     free = h.bounds[1] > h.bounds[0]
     count = min(affordable(h, takes, deadline), most)
-    plain = partial(problem_of, torques=torques, tuning=np.inf)  # as the error is that is stated
+    plain = partial(problem_of, torques=torques, tuning=np.inf)  # as the stated error is
     full = plain(h, takes, WINDOW, count, rng, begin[0])
     few = plain(h, takes, WINDOW, COMPARED, rng, begin[0]) if count > COMPARED else full
     points = list(begin)

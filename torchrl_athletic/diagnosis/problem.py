@@ -21,8 +21,8 @@ GRAIN = 0.005
 """Between samples of a window that are compared [s]: half a second holds no faster motion worth it."""
 AT_ONCE = 200
 """Windows simulated at a time: bounds the memory."""
-ENOUGH = 80
-"""Windows of half a second; fewer are made up by some that overlap, so that it counts less where they begin."""
+ENOUGH = 60
+"""Windows of half a second; fewer are made up by some that overlap."""
 TUNING = 3.0
 """Typical errors at which a window weighs half."""
 WILD = 0.25
