@@ -324,12 +324,9 @@ def compass_leg(data: Path) -> Robot:
     home = data / "SydneyCompassGait/System Identification/SysID_Experiment 1"
     log = loadmat(home / "realVSmodel_fwAnd5vstepsx3AndChirp_innerSW.mat")
     time, angle, volt = (np.asarray(log[f"data{name}all"], dtype=np.float64).ravel() for name in ("time", "out", "in"))
-
-    def part(chosen: NDArray[np.bool_], name: str) -> Recording:
-        position, torque = np.radians(angle)[chosen, None], 0.0182 * volt[chosen, None]
-        return Recording(time[chosen], ("hip",), position, torque_command=torque, source=name)
-
-    return Robot(xml, [part(time < 28.0, "first 28 s")], [part(time >= 28.0, "last 50 s")], "not before its first fit")
+    torque = 0.0182 * volt  # N m per volt
+    whole = Recording(time, ("hip",), np.radians(angle)[:, None], torque_command=torque[:, None], source="compass leg")
+    return Robot(xml, [whole.where(time < 28.0)], [whole.where(time >= 28.0)], "not before its first fit")
 
 
 def miuzei(data: Path) -> Robot:
@@ -536,13 +533,8 @@ def panda(data: Path) -> Robot:
         np.loadtxt(home / f"exciting_traj_{name}.txt").reshape(len(time), 7) for name in ("positions", "torques")
     )
     names = tuple(joint.name for joint in spec.joints)
-
-    def part(chosen: NDArray[np.bool_], name: str) -> Recording:
-        return Recording(time[chosen], names, position[chosen], torque_command=torque[chosen], source=name)
-
-    return Robot(
-        spec.to_xml(), [part(time < 14.0, "first 14 s")], [part(time >= 14.0, "last 7 s")], "not before its first fit"
-    )
+    whole = Recording(time, names, position, torque_command=torque, source="panda")
+    return Robot(spec.to_xml(), [whole.where(time < 14.0)], [whole.where(time >= 14.0)], "not before its first fit")
 
 
 def ak80_pendulum(data: Path) -> Robot:

@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from scipy.io import savemat
 
-from benchmarks.real_robots.robots import _loaded_pendulum, unitree
+from benchmarks.real_robots.robots import _loaded_pendulum, ak80_pendulum, cart_pendulum, compass_leg, unitree
 
 LEG = """
 <mujoco>
@@ -102,3 +103,62 @@ def test_a_motors_payload_is_a_body_of_its_own_that_weighs_and_turns_as_a_point_
     assert data.qfrc_bias[0] == pytest.approx((0.2 / 2 + 0.5) * 0.3 * 9.81 * np.sin(0.4), rel=1e-6)
     assert model.body_mass.tolist() == [0.0, 0.2, 0.5]
     assert mujoco.MjModel.from_xml_string(robot.xml).body_mass.tolist() == [0.0, 0.2]
+
+
+def test_a_compass_leg_is_read_in_degrees_and_volts_and_parted_where_none_is_lost(tmp_path):
+    home = tmp_path / "SydneyCompassGait/System Identification/SysID_Experiment 1"
+    home.mkdir(parents=True)
+    time = 0.5 * np.arange(120)
+    savemat(
+        home / "realVSmodel_fwAnd5vstepsx3AndChirp_innerSW.mat",
+        {"datatimeall": time, "dataoutall": 3 * time, "datainall": -time / 10},
+    )
+    robot = compass_leg(tmp_path)
+    fitted, aside = robot.recordings[0], robot.heldout[0]
+    assert fitted.time[-1] == 27.5
+    assert aside.time[0] == 28.0
+    assert len(fitted.time) + len(aside.time) == 120
+    assert aside.position[0, 0] == pytest.approx(np.radians(84.0))
+    assert aside.torque_command[0, 0] == pytest.approx(-0.0182 * 2.8)
+    model = mujoco.MjModel.from_xml_string(robot.xml)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    about = mujoco.mju_norm3(data.xipos[1]) ** 2 * model.body_mass[1] + model.body_inertia[1, 1]
+    assert about == pytest.approx(0.004324, rel=1e-3)  # as its authors measured it about the hip
+
+
+def test_a_cart_pendulum_is_the_authors_and_driven_by_the_motors_current(tmp_path):
+    """Their equation, of the pendulum, which is upright at zero: m l² q̈ = m l cos q ẍ + m g l sin q."""
+    home = tmp_path / "masterThesisMatlab/testResults/data"
+    for kind in ("swingUp", "swingUpAndCatch"):
+        (home / kind).mkdir(parents=True)
+        for name in ("swing1", "swing1_p005", "swing1_p006", "swing1_p007", "swNsl1", "swNsl3", "swNsl4"):
+            rows = np.arange(13) + 100.0 * np.arange(60)[:, None]
+            np.savetxt(home / kind / f"{name}.csv", rows, delimiter=",")
+    robot = cart_pendulum(tmp_path)
+    take = robot.recordings[0]
+    assert take.position[0].tolist() == [204.0, 201.0]  # the cart, and the angle that is not wrapped
+    assert take.torque_command[0].tolist() == pytest.approx([0.0934 / 0.028 * 211.0, 0.0])
+    model = mujoco.MjModel.from_xml_string(robot.xml)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.ctrl[:] = (0.1, 0.4), (20.0, 0.0)
+    mujoco.mj_forward(model, data)
+    cart, pendulum = data.qacc
+    assert pendulum * 0.31692 == pytest.approx(np.cos(0.4) * cart + 9.82 * np.sin(0.4), rel=1e-3)
+    assert cart > 0
+
+
+def test_an_ak80s_pendulum_hangs_at_zero_and_two_controllers_are_kept_aside(tmp_path):
+    for method in ("energy_shaping", "sac", "direct_collocation", "ddp", "ilqr"):
+        home = tmp_path / f"torque_limited_simple_pendulum/results/control_method_{method}"
+        home.mkdir(parents=True)
+        rows = "".join(f"{0.005 * k},{0.01 * k},2.0,{-0.1 * k}\n" for k in range(90))
+        (home / "data_measured.csv").write_text("time,position,velocity,torque\n" + rows)
+    robot = ak80_pendulum(tmp_path)
+    assert [len(robot.recordings), len(robot.heldout)] == [3, 2]
+    assert robot.recordings[0].torque_command[10, 0] == pytest.approx(-1.0)
+    model = mujoco.MjModel.from_xml_string(robot.xml)
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.1
+    mujoco.mj_forward(model, data)
+    assert data.qacc[0] < 0.0
