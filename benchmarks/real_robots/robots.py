@@ -513,11 +513,10 @@ def double_pendulum(data: Path, design: str) -> Robot:
 
 
 def panda(data: Path) -> Robot:
-    """Franka Panda, seven joints at 1 kHz in closed loop: the first 14 s of one motion, and the last 7 s kept aside.
+    """Franka Panda, seven joints at 1 kHz in closed loop: two thirds of a motion of 13.3 s, and the last kept aside.
 
-    The motion repeats after 13.3 s, so that what is kept aside tells of repeatability rather than of another motion.
-    Torques are those of the sensors in the joints, behind the rotors and the damping that the Menagerie's model gives
-    every joint. It has motors for its servos here.
+    Torques are those of the sensors in the joints, behind the rotors: the Menagerie's model has none here, nor its
+    round numbers of damping, and motors for its servos.
     """
     spec = mujoco.MjSpec.from_file(str(data / "mujoco_menagerie/franka_emika_panda/panda_nohand.xml"))
     for thing in (*spec.keys, *spec.actuators):
@@ -525,6 +524,7 @@ def panda(data: Path) -> Robot:
     _delete_shapes(spec)
     for joint, limit in zip(spec.joints, 4 * [87.0] + 3 * [12.0], strict=True):
         joint.actfrcrange = [-limit, limit]
+        joint.damping[0] = joint.armature = 0.0
     _add_motors(spec)
     spec.compile()
     home = data / "FrankaEmikaPandaDynModel/matlab/data/Exciting_Traj/Trajectory_1/rbt_log"
@@ -534,7 +534,8 @@ def panda(data: Path) -> Robot:
     )
     names = tuple(joint.name for joint in spec.joints)
     whole = Recording(time, names, position, torque_command=torque, source="panda")
-    return Robot(spec.to_xml(), [whole.where(time < 14.0)], [whole.where(time >= 14.0)], "not before its first fit")
+    aside = whole.where((time >= 8.9) & (time < 13.3))
+    return Robot(spec.to_xml(), [whole.where(time < 8.9)], [aside], "not before its first fit")
 
 
 def ak80_pendulum(data: Path) -> Robot:

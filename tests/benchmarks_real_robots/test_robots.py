@@ -12,7 +12,14 @@ import pytest
 import torch
 from scipy.io import savemat
 
-from benchmarks.real_robots.robots import _loaded_pendulum, ak80_pendulum, cart_pendulum, compass_leg, unitree
+from benchmarks.real_robots.robots import (
+    _loaded_pendulum,
+    ak80_pendulum,
+    cart_pendulum,
+    compass_leg,
+    panda,
+    unitree,
+)
 
 LEG = """
 <mujoco>
@@ -146,6 +153,35 @@ def test_a_cart_pendulum_is_the_authors_and_driven_by_the_motors_current(tmp_pat
     cart, pendulum = data.qacc
     assert pendulum * 0.31692 == pytest.approx(np.cos(0.4) * cart + 9.82 * np.sin(0.4), rel=1e-3)
     assert cart > 0
+
+
+def test_a_panda_has_neither_rotors_nor_servos_since_its_torques_are_of_the_links(tmp_path):
+    joints = "".join(
+        f"<body><joint name='joint{k}'/><inertial pos='0 0 .1' mass='1' diaginertia='1 1 1'/>" for k in range(7)
+    )
+    home = tmp_path / "mujoco_menagerie/franka_emika_panda"
+    home.mkdir(parents=True)
+    servos = "<actuator><position joint='joint0' kp='9'/></actuator><keyframe><key qpos='0 0 0 0 0 0 0'/></keyframe>"
+    default = "<default><joint damping='1' armature='0.1'/></default>"
+    (home / "panda_nohand.xml").write_text(
+        f"<mujoco>{default}<worldbody>{joints}{7 * '</body>'}</worldbody>{servos}</mujoco>"
+    )
+    home = tmp_path / "FrankaEmikaPandaDynModel/matlab/data/Exciting_Traj/Trajectory_1/rbt_log"
+    home.mkdir(parents=True)
+    time = 0.05 * np.arange(420)
+    np.savetxt(home / "exciting_traj_time.txt", time)
+    np.savetxt(home / "exciting_traj_positions.txt", np.arange(7 * 420))
+    np.savetxt(home / "exciting_traj_torques.txt", -np.arange(7 * 420).reshape(420, 7))
+    robot = panda(tmp_path)
+    fitted, aside = robot.recordings[0], robot.heldout[0]
+    assert fitted.time[-1] < 8.9 <= aside.time[0] < aside.time[-1] < 13.3
+    assert fitted.position[2].tolist() == list(range(14, 21))
+    assert fitted.torque_command[2].tolist() == list(range(-14, -21, -1))
+    model = mujoco.MjModel.from_xml_string(robot.xml)
+    assert not model.dof_damping.any()
+    assert not model.dof_armature.any()
+    assert model.jnt_actfrcrange[:, 1].tolist() == [87.0] * 4 + [12.0] * 3
+    assert model.actuator_gainprm[:, 0].tolist() == 7 * [1.0]
 
 
 def test_an_ak80s_pendulum_hangs_at_zero_and_two_controllers_are_kept_aside(tmp_path):

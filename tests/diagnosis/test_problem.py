@@ -16,8 +16,10 @@ module = sys.modules["torchrl_athletic.diagnosis.problem"]
 def take_like(samples, begins=(0,), period=0.005, truth=1.0):
     """A take of one joint or more, each of which follows its own number times a wave."""
     wave = np.ones(samples)
+    time = period * np.arange(samples)
     return SimpleNamespace(
-        time=period * np.arange(samples), begins=np.array(begins), period=period, wave=wave, address=None,
+        time=time, begins=np.array(begins), period=period, wave=wave, address=None,
+        parts=[SimpleNamespace(time=part) for part in np.split(time, begins[1:])],
         measured=wave[:, None] * np.atleast_2d(truth),
     )  # fmt: skip
 
@@ -33,7 +35,9 @@ def following(monkeypatch, *windows, nominal=(0.0,), low=-99.0, high=99.0, scale
     monkeypatch.setattr(module, "simulate", simulate)
     ones = np.ones(len(nominal))
     h = SimpleNamespace(
-        terms=tuple(SimpleNamespace(joint=j, parameters=(None,)) for j in range(len(ones))), build=None,
+        terms=tuple(
+            SimpleNamespace(effect=SimpleNamespace(name=""), joint=j, parameters=(None,)) for j in range(len(ones))
+        ), build=None,
         nominal=np.array(nominal, dtype=float), scale=scale * ones, bounds=(low * ones, high * ones),
     )  # fmt: skip
     count = sum(len(w.start) for w in windows)
@@ -152,29 +156,39 @@ def test_a_sample_is_told_by_as_many_windows_as_see_it():
         assert module.tellings(Problem(None, windows, np.ones(1), np.ones(1))) == pytest.approx(count)
 
 
-def test_few_windows_are_made_up_by_some_that_overlap_within_their_own_recordings(monkeypatch):
-    windows = Windows(take_like(40, (0, 20)), np.array([0, 11, 20, 31]), 8)
-    denser = module._overlapping(windows, 8)
-    assert denser.start.tolist() == [*range(8), 11, *range(20, 28), 31]  # 12 + 8 is the next recording's first
-    assert module._overlapping(windows, 16).start.tolist() == denser.start.tolist()  # none is there twice
-    asked = []
-    monkeypatch.setattr(module, "_overlapping", lambda w, times: asked.append(times) or w)
-    many = Windows(take_like(90), np.arange(10), 2)
-    monkeypatch.setattr(module, "well_started", lambda w: many if w == "drawn" else w)
-    monkeypatch.setattr(module, "draw_windows", lambda takes, seconds, most, rng: ["drawn", "drawn"])
-    problem, _ = following(monkeypatch, many, many)
-    take = SimpleNamespace(address=SimpleNamespace(dof=[0]))
-    for seconds, most in ((0.5, 400), (0.5, 30), (0.5, 20), (0.2, 400)):
-        found = problem_of(problem.hypothesis, [take], seconds, most, None, np.zeros(1), "torques")
-        assert len(found.weight) == 20
+def test_windows_of_short_logs_overlap_evenly_within_their_own_recordings():
+    long, short = take_like(60, (0, 40)), take_like(20)
+    one, two = module.overlapping([long, short], 0.05, 20)
+    assert (one.length, two.length) == (10, 10)
+    assert set(one.start) <= {*range(30), *range(40, 50)}  # 30 + 10 is the next recording's first
+    assert len(one.start) == 16
+    assert two.start.tolist() == [0, 3, 6, 9]
+    assert np.diff(one.start[one.start < 40]).max() == 3
+    every = module.overlapping([short], 0.05, 400)
+    assert every[0].start.tolist() == list(range(10))  # none is there twice
+
+
+def test_windows_overlap_where_the_log_is_too_short_and_not_where_few_were_drawn(monkeypatch):
+    monkeypatch.setattr(module, "WINDOW", 0.05)
+    monkeypatch.setattr(module, "well_started", lambda w: w)
+    problem, _ = following(monkeypatch)
+    take = take_like(811)
+    take.address = SimpleNamespace(dof=[0])
+    for seconds, most, count in (
+        (0.05, 400, 100),  # 81 back to back
+        (0.05, 90, 90),
+        (0.05, 40, 40),
+        (0.05, 81, 81),
+        (0.1, 400, 40),
+    ):
+        args = problem.hypothesis, [take], seconds, most, np.random.default_rng(0), np.zeros(1)
+        found = problem_of(*args, "torques")
+        assert len(found.weight) == count
         assert found.torques == "torques"
-    assert asked == [3, 3, 2, 2]  # up to 60 of 20, and to no more than were asked for: 30
-    monkeypatch.setattr(module, "draw_windows", lambda takes, seconds, most, rng: ["drawn"] * 8)
-    assert len(problem_of(problem.hypothesis, [take], 0.5, 400, None, np.zeros(1)).weight) == 80
-    assert len(asked) == 4  # which are enough
-    own = (problem.hypothesis, [take], 0.5, 400, None, np.zeros(1))
-    assert problem_of(*own).weight.max() < 1.0
-    assert problem_of(*own, tuning=np.inf).weight.tolist() == 80 * [1.0]
+        apart = np.diff(np.sort(found.windows[0].start)).min()
+        assert (apart < found.windows[0].length) == (count in (100, 90))
+    assert problem_of(*args).weight.max() < 1.0
+    assert problem_of(*args, tuning=np.inf).weight.tolist() == 40 * [1.0]
 
 
 def test_folds_are_whole_recordings_as_even_as_can_be_and_of_few_recordings_stretches_of_time():

@@ -43,7 +43,9 @@ SEARCHED = 24
 COMPARED = 40
 """Windows of half a second by which the best of their ends are compared and improved."""
 KEPT = (4, 2)
-"""Starts that go on to each further horizon."""
+"""Starts that go on to each further horizon; up to :data:`CHEAP` times as many, the more windows are affordable."""
+CHEAP = 3
+"""Times as many where :data:`MOST` are."""
 SLOPES = (2, 2, 3)
 """Jacobians for each start at those horizons, at half a second, and for the best of them at the end."""
 WORK = 5e6
@@ -201,7 +203,8 @@ def search(
     full = plain(h, takes, WINDOW, count, rng, begin[0])
     few = plain(h, takes, WINDOW, COMPARED, rng, begin[0]) if count > COMPARED else full
     points = list(begin)
-    for horizon, (seconds, kept) in enumerate(zip(HORIZONS, KEPT, strict=True)):
+    times = max(1, CHEAP * count // MOST)
+    for horizon, (seconds, kept) in enumerate(zip(HORIZONS, (times * k for k in KEPT), strict=True)):
         problem = plain(h, takes, seconds, SEARCHED, rng, points[0])
         if not horizon:
             half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
@@ -214,8 +217,39 @@ def search(
     x = best_of(full, [*ends, *points], 1)[0]
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
     near = trusted(linearise(weighed(full, x), x, free))
+    near = _with_limits(near, few, begin, deadline)
     progress(0.9)
     return without_torques(more_telling(near, deadline), deadline)
+
+
+def _with_limits(near: Linearised, few: Problem, begin: Array, deadline: Deadline) -> Linearised:
+    """The solution with torque limits that hold back, where those that it has could as well go, if that saves much.
+
+    No slope leads from a limit that is hardly met to the true one just below. One that saves less than :data:`GAIN`
+    would hold back faster motion than was fitted, for next to nothing.
+
+    Args:
+        near: Solution.
+        few: Windows to try it by.
+        begin: Starts, of whose limits the median is tried. Shape (K, P).
+        deadline: When to come to an end.
+    """
+    h, x, y = near.problem.hypothesis, near.values, near.values.copy()
+    given = h.nominal
+    limit = near.free & [c.effect.name == "torque_saturation" for c in h.terms for _ in c.parameters]
+    without = np.where(np.eye(len(x), dtype=bool)[limit], given, x)
+    cost = _costs(few, np.stack([x, *without]))
+    for k in np.flatnonzero(limit)[cost[1:] < (1 + WORTH) * cost[0]]:
+        others = begin[begin[:, k] < min(given[k], 0.99 * x[k]), k]
+        y[k] = np.median(others) if len(others) else x[k]
+    if (y == x).all() or not deadline.allows(4 * near.seconds):
+        return near
+    y = descend(weighed(few, y), y, near.free, SLOPES[1], deadline)
+    both = np.stack([x, y])
+    points = [y, *_mixed(few, few.mean_square(both), both, 1)]
+    y = descend(weighed(near.problem, x), best_of(near.problem, points, 1)[0], near.free, SLOPES[1], deadline)
+    cost = _costs(near.problem, np.stack([x, y]))
+    return trusted(linearise(weighed(near.problem, y), y, near.free)) if cost[1] < (1 - GAIN) * cost[0] else near
 
 
 def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Array]:
@@ -228,11 +262,15 @@ def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Ar
 def best_of(problem: Problem, points: Sequence[Array], count: int) -> list[Array]:
     """Those of the least cost, none twice; it counts errors in units of the least typical one of each joint."""
     distinct = list({tuple(x): x for x in points}.values())
-    square = problem.mean_square(np.stack(distinct))
+    return [distinct[k] for k in np.argsort(_costs(problem, np.stack(distinct)))[:count]]
+
+
+def _costs(problem: Problem, values: Array) -> Array:
+    """Cost of values (K, P), in units of the least typical error of each joint. Shape (K,)."""
+    square = problem.mean_square(values)
     unit = np.sqrt(np.maximum(typical(problem, square).min(0), 1e-18))
     cost = window_cost(replace(problem, unit=unit), square).mean(1)
-    cost = cost + problem.charge(np.stack(distinct))
-    return [distinct[k] for k in np.argsort(cost)[:count]]
+    return np.asarray(cost + problem.charge(values), dtype=np.float64)
 
 
 def trusted(near: Linearised) -> Linearised:

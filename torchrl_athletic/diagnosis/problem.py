@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.compare import well_started
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis, draw_windows
-from torchrl_athletic.diagnosis.replay import Take, Windows, motion_of, simulate
+from torchrl_athletic.diagnosis.replay import Take, Windows, motion_of, simulate, windows_of
 from torchrl_athletic.diagnosis.standard import Agreement
 
 Array = NDArray[np.float64]
@@ -21,8 +21,8 @@ GRAIN = 0.005
 """Between samples of a window that are compared [s]: half a second holds no faster motion worth it."""
 AT_ONCE = 200
 """Windows simulated at a time: bounds the memory."""
-ENOUGH = 60
-"""Windows of half a second; fewer are made up by some that overlap."""
+ENOUGH = 100
+"""Windows of half a second; logs too short for so many have some that overlap."""
 TUNING = 3.0
 """Typical errors at which a window weighs half."""
 WILD = 0.25
@@ -120,10 +120,16 @@ def problem_of(
     torques: Agreement | None = None,
     tuning: float = TUNING,
 ) -> Problem:
-    """Windows of some length, each started where its state is known best, weighed by how values (P,) follow them."""
-    windows = [well_started(w) for w in draw_windows(takes, seconds, most, rng)]
-    if seconds == WINDOW and (few := sum(len(w.start) for w in windows)) < min(ENOUGH, most):
-        windows = [_overlapping(w, -(-min(ENOUGH, most) // few)) for w in windows]
+    """Windows of some length, weighed by how values (P,) follow them.
+
+    Each starts where its state is known best. Those of half a second overlap, evenly, in logs that are too
+    short for :data:`ENOUGH`.
+    """
+    wanted = min(ENOUGH, most)
+    if seconds == WINDOW and sum(len(windows_of(take, seconds).start) for take in takes) < wanted:
+        windows = overlapping(takes, seconds, wanted)
+    else:
+        windows = [well_started(w) for w in draw_windows(takes, seconds, most, rng)]
     count = sum(len(w.start) for w in windows)
     unit = np.ones(len(takes[0].address.dof))
     return weighed(Problem(h, tuple(windows), unit, np.ones(count), tuning, torques=torques), x)
@@ -183,13 +189,15 @@ def tellings(problem: Problem) -> float:
     return float(np.sum(shared) / sum(len(w.start) for w in problem.windows))
 
 
-def _overlapping(w: Windows, times: int) -> Windows:
-    """Add windows that start between the given ones, so that no window's start weighs much."""
-    shifts = w.length * np.arange(times) // times
-    starts = np.unique(w.start[:, None] + shifts)
-    ends = np.append(w.take.begins[1:], len(w.take.time))
-    last = ends[np.searchsorted(w.take.begins, starts, side="right") - 1] - 1
-    return Windows(w.take, starts[starts + w.length <= last], w.length)
+def overlapping(takes: Sequence[Take], seconds: float, count: int) -> list[Windows]:
+    """About so many windows, evenly over all that takes hold, so that no window's start weighs much."""
+    drawn, places = [windows_of(take, seconds) for take in takes], []
+    for w in drawn:
+        ends = np.append(w.take.begins[1:], len(w.take.time))
+        places.append(np.concatenate([np.arange(*p) for p in zip(w.take.begins, ends - w.length, strict=True)]))
+    share = count / sum(len(p) for p in places)
+    chosen = [p[np.linspace(0, len(p) - 1, min(len(p), round(share * len(p)))).astype(int)] for p in places]
+    return [replace(w, start=start) for w, start in zip(drawn, chosen, strict=True) if len(start)]
 
 
 def folds_of(problem: Problem, count: int = FOLDS) -> NDArray[np.intp]:
