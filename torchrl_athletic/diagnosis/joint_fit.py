@@ -43,9 +43,9 @@ SEARCHED = 24
 COMPARED = 40
 """Windows of half a second by which the best of their ends are compared and improved."""
 KEPT = (4, 2)
-"""Starts that go on to each further horizon; up to :data:`CHEAP` times as many, the more windows are affordable."""
+"""Starts that go on to each further horizon; up to :data:`CHEAP` times as many where windows are cheap."""
 CHEAP = 3
-"""Times as many where :data:`MOST` are."""
+"""Times as many where :data:`MOST` windows are affordable."""
 SLOPES = (2, 2, 3)
 """Jacobians for each start at those horizons, at half a second, and for the best of them at the end."""
 WORK = 5e6
@@ -217,7 +217,7 @@ def search(
     x = best_of(full, [*ends, *points], 1)[0]
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
     near = trusted(linearise(weighed(full, x), x, free))
-    near = _with_limits(near, few, begin, deadline)
+    near = _with_limits(near, few, begin, deadline) if times > 1 else near
     progress(0.9)
     return without_torques(more_telling(near, deadline), deadline)
 
