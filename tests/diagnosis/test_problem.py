@@ -156,39 +156,52 @@ def test_a_sample_is_told_by_as_many_windows_as_see_it():
         assert module.tellings(Problem(None, windows, np.ones(1), np.ones(1))) == pytest.approx(count)
 
 
-def test_windows_of_short_logs_overlap_evenly_within_their_own_recordings():
-    long, short = take_like(60, (0, 40)), take_like(20)
-    one, two = module.overlapping([long, short], 0.05, 20)
-    assert (one.length, two.length) == (10, 10)
-    assert set(one.start) <= {*range(30), *range(40, 50)}  # 30 + 10 is the next recording's first
-    assert len(one.start) == 16
-    assert two.start.tolist() == [0, 3, 6, 9]
-    assert np.diff(one.start[one.start < 40]).max() == 3
-    every = module.overlapping([short], 0.05, 400)
-    assert every[0].start.tolist() == list(range(10))  # none is there twice
+def test_windows_that_overlap_lie_evenly_within_their_own_recordings_where_starts_are_known():
+    take = take_like(60, (0, 40))
+    take.start_noise = np.ones((2, 60, 1))
+    w = Windows(take, np.array([0, 10, 20, 40]), 10)
+    even = module._overlapping(w, 16)
+    assert set(even.start) <= {*range(30), *range(40, 50)}  # 30 + 10 is the next recording's first
+    assert len(even.start) == 16
+    assert np.diff(even.start[even.start < 40]).max() == 3
+    assert module._overlapping(w, 400).start.tolist() == [*range(30), *range(40, 50)]  # none is there twice
+    take.start_noise[1, :5] = 3.0
+    assert module._overlapping(w, 400).start.tolist() == [*range(5, 30), *range(40, 50)]
+    take.start_noise[0, :20] = 9.0
+    assert module._overlapping(w, 3).start.tolist() == [20, 29, 49]
+    alone = take_like(60)
+    alone.start_noise = np.where(np.arange(60)[:, None] < 20, 9.0, np.ones((2, 60, 1)))  # at all places
+    assert module._overlapping(Windows(alone, np.array([0]), 40), 3).start.tolist() == [0, 9, 19]
 
 
-def test_windows_overlap_where_the_log_is_too_short_and_not_where_few_were_drawn(monkeypatch):
+def test_windows_overlap_where_logs_hold_less_than_half_of_what_is_enough(monkeypatch):
     monkeypatch.setattr(module, "WINDOW", 0.05)
-    monkeypatch.setattr(module, "well_started", lambda w: w)
+    started = []
+    monkeypatch.setattr(module, "well_started", lambda w: started.append(w) or replace(w, start=w.start + 1))
     problem, _ = following(monkeypatch)
-    take = take_like(811)
-    take.address = SimpleNamespace(dof=[0])
-    for seconds, most, count in (
-        (0.05, 400, 100),  # 81 back to back
-        (0.05, 90, 90),
-        (0.05, 40, 40),
-        (0.05, 81, 81),
-        (0.1, 400, 40),
+    long, short = take_like(412), take_like(52)
+    for take in (long, short):
+        take.address = SimpleNamespace(dof=[0])
+        take.start_noise = np.ones((2, len(take.time), 1))
+    for seconds, most, count, overlap in (
+        (0.05, 400, 100, True),  # 41 back to back, and 5
+        (0.05, 92, 46, False),
+        (0.05, 46, 46, False),
+        (0.05, 20, 20, False),  # drawn of them
+        (0.1, 400, 22, False),
     ):
-        args = problem.hypothesis, [take], seconds, most, np.random.default_rng(0), np.zeros(1)
+        args = problem.hypothesis, [long, short], seconds, most, np.random.default_rng(0), np.zeros(1)
         found = problem_of(*args, "torques")
         assert len(found.weight) == count
         assert found.torques == "torques"
-        apart = np.diff(np.sort(found.windows[0].start)).min()
-        assert (apart < found.windows[0].length) == (count in (100, 90))
+        assert len(started) == (0 if overlap else 2)
+        started.clear()
+        length = found.windows[0].length
+        assert all((w.start % length == 1).all() for w in found.windows) is not overlap
+        if overlap:
+            assert [len(w.start) for w in found.windows] == [89, 11]  # in proportion to those back to back
     assert problem_of(*args).weight.max() < 1.0
-    assert problem_of(*args, tuning=np.inf).weight.tolist() == 40 * [1.0]
+    assert problem_of(*args, tuning=np.inf).weight.tolist() == 22 * [1.0]
 
 
 def test_folds_are_whole_recordings_as_even_as_can_be_and_of_few_recordings_stretches_of_time():

@@ -80,8 +80,7 @@ def well_started(windows: Windows) -> Windows:
     command = take.commands(0.0).reshape(len(take.time), take.substeps, -1).mean(1)
     change = np.abs(np.diff(command, axis=0, prepend=command[:1])) / np.maximum(command.std(0), 1e-12)
     loud = gaussian_filter1d(change.max(1), max(kernel_for([take.recording]) / take.period, 1.0))
-    typical = np.maximum(np.median(take.start_noise, axis=1, keepdims=True), 1e-12)
-    noise = (take.start_noise / typical).max((0, 2))
+    noise = doubt_of_starts(take)
     start, ends = [], np.append(take.begins[1:], len(take.time))
     for first in windows.start:
         part = int(np.searchsorted(take.begins, first, side="right")) - 1
@@ -90,6 +89,12 @@ def well_started(windows: Windows) -> Windows:
         near = noise[low:high]
         start.append(low + int(np.argmin(np.where(near <= np.median(near), loud[low:high], np.inf))))
     return Windows(take, np.unique(np.array(start, dtype=np.intp)), windows.length)
+
+
+def doubt_of_starts(take: Take) -> Array:
+    """Noise of the state that a window would start from at each sample, per the typical one [1]. Shape (T,)."""
+    typical = np.maximum(np.median(take.start_noise, axis=1, keepdims=True), 1e-12)
+    return np.asarray((take.start_noise / typical).max((0, 2)), dtype=np.float64)
 
 
 def noise_floor(

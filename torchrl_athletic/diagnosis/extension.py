@@ -85,9 +85,7 @@ WIDTHS = (0.03, 0.15)
 NO_LOAD = 4.0
 """No-load speed to start from, per the root mean square speed [1]."""
 SCREENED = 32
-"""Windows by which laws are screened, at least."""
-SCREENED_OF_ALL = 200
-"""Windows times joints: by fewer, what a law saves is in doubt by 2 to 6 per cent; of many joints, laws are many."""
+"""Windows by which laws are screened."""
 ROUNDS = 2
 """Rounds of screening: what is found makes room for more."""
 
@@ -136,7 +134,7 @@ def with_gear(near: Linearised, prepared: Prepared, rng: np.random.Generator, de
     """
     h = near.problem.hypothesis
     hints = _hints(h, prepared)
-    if not hints or not deadline.allows(20 * near.seconds):
+    if not hints or not deadline.allows(30 * near.seconds):
         return near
     wider = Hypothesis((*h.terms, hints[0].candidate))
     stiff = np.append(h.nominal, [p.nominal for p in hints[0].candidate.parameters])
@@ -270,8 +268,7 @@ def _with(near: Linearised, chosen: Sequence[Offer], prepared: Prepared, deadlin
 
 def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> list[Offer]:
     """Choose for each joint the law that helps folds most, the best first; no joint has two at a time."""
-    problem = near.problem
-    mask = evenly(problem, max(SCREENED, SCREENED_OF_ALL // len(problem.unit)))
+    problem, mask = near.problem, evenly(near.problem, SCREENED)
     rows = mask[problem.window]
     part, nothing = replace(part_of(problem, mask), torques=None), np.zeros((0, int(near.free.sum())))
     few = replace(

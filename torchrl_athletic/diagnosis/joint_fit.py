@@ -43,9 +43,9 @@ SEARCHED = 24
 COMPARED = 40
 """Windows of half a second by which the best of their ends are compared and improved."""
 KEPT = (4, 2)
-"""Starts that go on to each further horizon; up to :data:`CHEAP` times as many where windows are cheap."""
+"""Starts that go on to each further horizon."""
 CHEAP = 3
-"""Times as many where :data:`MOST` windows are affordable."""
+"""Times as many that go on where :data:`MOST` windows are affordable; in proportion where fewer are."""
 SLOPES = (2, 2, 3)
 """Jacobians for each start at those horizons, at half a second, and for the best of them at the end."""
 WORK = 5e6
@@ -54,12 +54,16 @@ SHARE = 0.02
 """Share of a time budget that one Jacobian may take [1]."""
 FEWEST, MOST = 20, 400
 """Windows of a fit at least, if there are so many, and at most."""
+LOWER = 0.99
+"""Share of its own at which a torque limit is another one [1]."""
+TRIED = (0.25, 0.5, 0.75)
+"""Which quantiles of the lower ones are tried [1]."""
 WORTH = 0.005
 """Share of the squared error below which no parameter is worth having [1]."""
 DOUBT = 0.5
 """Standard errors by which a parameter has to help where it was not fitted [1]."""
 GAIN = 0.02
-"""Share of the error of folds that a law must save, to first order and in simulation [1]."""
+"""Share of the error of folds that a law must save, to first order and in simulation, or a limit of the error [1]."""
 SURE = 1.0
 """Standard errors by which it must help [1]."""
 SURE_WITHOUT = 2.0
@@ -217,39 +221,53 @@ def search(
     x = best_of(full, [*ends, *points], 1)[0]
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
     near = trusted(linearise(weighed(full, x), x, free))
-    near = _with_limits(near, few, begin, deadline) if times > 1 else near
+    near = _with_limits(near, few, begin, deadline.part(0.85)) if times > 1 else near
     progress(0.9)
     return without_torques(more_telling(near, deadline), deadline)
 
 
 def _with_limits(near: Linearised, few: Problem, begin: Array, deadline: Deadline) -> Linearised:
-    """The solution with torque limits that hold back, where those that it has could as well go, if that saves much.
+    """The solution with torque limits tried lower, of joints that do without theirs, if that saves :data:`GAIN`.
 
-    No slope leads from a limit that is hardly met to the true one just below. One that saves less than :data:`GAIN`
-    would hold back faster motion than was fitted, for next to nothing.
+    No slope leads from a limit that is hardly met to the true one just below. One that saves less would hold back
+    faster motion than was fitted, for next to nothing.
 
     Args:
         near: Solution.
         few: Windows to try it by.
-        begin: Starts, of whose limits the median is tried. Shape (K, P).
+        begin: Starts; quartiles of their limits below a joint's own are tried. Shape (K, P).
         deadline: When to come to an end.
     """
-    h, x, y = near.problem.hypothesis, near.values, near.values.copy()
-    given = h.nominal
+    problem, h, x = near.problem, near.problem.hypothesis, near.values
     limit = near.free & [c.effect.name == "torque_saturation" for c in h.terms for _ in c.parameters]
-    without = np.where(np.eye(len(x), dtype=bool)[limit], given, x)
-    cost = _costs(few, np.stack([x, *without]))
-    for k in np.flatnonzero(limit)[cost[1:] < (1 + WORTH) * cost[0]]:
-        others = begin[begin[:, k] < min(given[k], 0.99 * x[k]), k]
-        y[k] = np.median(others) if len(others) else x[k]
-    if (y == x).all() or not deadline.allows(4 * near.seconds):
+    if not limit.any() or not deadline.allows(10 * near.seconds):
         return near
-    y = descend(weighed(few, y), y, near.free, SLOPES[1], deadline)
-    both = np.stack([x, y])
-    points = [y, *_mixed(few, few.mean_square(both), both, 1)]
-    y = descend(weighed(near.problem, x), best_of(near.problem, points, 1)[0], near.free, SLOPES[1], deadline)
-    cost = _costs(near.problem, np.stack([x, y]))
-    return trusted(linearise(weighed(near.problem, y), y, near.free)) if cost[1] < (1 - GAIN) * cost[0] else near
+    limit[limit] = _idle(few, x, limit)
+    tried = []
+    for share in TRIED:
+        y = x.copy()
+        for k in np.flatnonzero(limit):
+            lower = begin[begin[:, k] < min(h.nominal[k], LOWER * x[k]), k]
+            y[k] = np.quantile(lower, share) if len(lower) else x[k]
+        if (y != x).any():
+            y = descend(weighed(few, y), y, near.free & (y == x), 1, deadline)  # beside it, before it leaves
+            tried.append(descend(weighed(few, y), y, near.free, SLOPES[1], deadline))
+    if not tried:
+        return near
+    both = np.stack([x, *tried])
+    y = best_of(problem, [*tried, *_mixed(few, few.mean_square(both), both, 1)], 1)[0]
+    x, y = (descend(problem, z, near.free, SLOPES[1], deadline) for z in (x, y))
+    limit[limit] = _idle(problem, y, limit)
+    y[limit] = x[limit]
+    cost = _costs(problem, np.stack([x, y]))
+    return trusted(linearise(weighed(problem, y), y, near.free)) if cost[1] < (1 - GAIN) * cost[0] else near
+
+
+def _idle(problem: Problem, x: Array, which: Mask) -> Mask:
+    """Which of some numbers values (P,) do without: without it the given one follows as well. Shape (sum of which,)."""
+    without = np.where(np.eye(len(x), dtype=bool)[which], problem.hypothesis.nominal, x)
+    cost = _costs(problem, np.stack([x, *without]))
+    return np.asarray(cost[1:] < (1 + WORTH) * cost[0], dtype=np.bool_)
 
 
 def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Array]:

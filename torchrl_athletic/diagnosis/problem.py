@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_athletic.diagnosis.compare import well_started
+from torchrl_athletic.diagnosis.compare import doubt_of_starts, well_started
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis, draw_windows
-from torchrl_athletic.diagnosis.replay import Take, Windows, motion_of, simulate, windows_of
+from torchrl_athletic.diagnosis.replay import Take, Windows, motion_of, simulate
 from torchrl_athletic.diagnosis.standard import Agreement
 
 Array = NDArray[np.float64]
@@ -22,7 +22,9 @@ GRAIN = 0.005
 AT_ONCE = 200
 """Windows simulated at a time: bounds the memory."""
 ENOUGH = 100
-"""Windows of half a second; logs too short for so many have some that overlap."""
+"""Windows of half a second, which overlap where logs hold less than half as many."""
+VAGUE = 2.0
+"""Noise of a start, per the typical one, from which on no overlapping window begins there, as at a log's ends [1]."""
 TUNING = 3.0
 """Typical errors at which a window weighs half."""
 WILD = 0.25
@@ -122,14 +124,13 @@ def problem_of(
 ) -> Problem:
     """Windows of some length, weighed by how values (P,) follow them.
 
-    Each starts where its state is known best. Those of half a second overlap, evenly, in logs that are too
-    short for :data:`ENOUGH`.
+    Each starts where its state is known best; where they overlap, evenly.
     """
-    wanted = min(ENOUGH, most)
-    if seconds == WINDOW and sum(len(windows_of(take, seconds).start) for take in takes) < wanted:
-        windows = overlapping(takes, seconds, wanted)
+    windows, wanted = draw_windows(takes, seconds, most, rng), min(ENOUGH, most)
+    if seconds == WINDOW and 2 * (few := sum(len(w.start) for w in windows)) < wanted:
+        windows = [_overlapping(w, round(len(w.start) * wanted / few)) for w in windows]
     else:
-        windows = [well_started(w) for w in draw_windows(takes, seconds, most, rng)]
+        windows = [well_started(w) for w in windows]
     count = sum(len(w.start) for w in windows)
     unit = np.ones(len(takes[0].address.dof))
     return weighed(Problem(h, tuple(windows), unit, np.ones(count), tuning, torques=torques), x)
@@ -189,15 +190,13 @@ def tellings(problem: Problem) -> float:
     return float(np.sum(shared) / sum(len(w.start) for w in problem.windows))
 
 
-def overlapping(takes: Sequence[Take], seconds: float, count: int) -> list[Windows]:
-    """About so many windows, evenly over all that takes hold, so that no window's start weighs much."""
-    drawn, places = [windows_of(take, seconds) for take in takes], []
-    for w in drawn:
-        ends = np.append(w.take.begins[1:], len(w.take.time))
-        places.append(np.concatenate([np.arange(*p) for p in zip(w.take.begins, ends - w.length, strict=True)]))
-    share = count / sum(len(p) for p in places)
-    chosen = [p[np.linspace(0, len(p) - 1, min(len(p), round(share * len(p)))).astype(int)] for p in places]
-    return [replace(w, start=start) for w, start in zip(drawn, chosen, strict=True) if len(start)]
+def _overlapping(w: Windows, count: int) -> Windows:
+    """About so many windows in place of those back to back, evenly, so that no window's start weighs much."""
+    ends = np.append(w.take.begins[1:], len(w.take.time))
+    places = np.concatenate([np.arange(*p) for p in zip(w.take.begins, ends - w.length, strict=True)])
+    known = places[doubt_of_starts(w.take)[places] < VAGUE]
+    places = known if len(known) else places
+    return replace(w, start=places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(int)])
 
 
 def folds_of(problem: Problem, count: int = FOLDS) -> NDArray[np.intp]:
