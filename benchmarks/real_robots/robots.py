@@ -24,6 +24,7 @@ at ``ed17ea2``
 ``FrankaEmikaPandaDynModel``                marcocognetti/FrankaEmikaPandaDynModel   GPL-3.0
 at ``24d85ce``
 ``mujoco_menagerie`` at ``b4d7d13``         google-deepmind/mujoco_menagerie         Apache-2.0
+``figaroh-examples`` at ``c0b5c7f``         thanhndv212/figaroh-examples             Apache-2.0
 ``SydneyCompassGait`` at ``92546f6``        imanchester/SydneyCompassGait            MIT
 ``masterThesisMatlab`` at ``0e2c725``       nielsSkov/masterThesisMatlab             none stated
 ==========================================  =======================================  =======================
@@ -538,6 +539,31 @@ def panda(data: Path) -> Robot:
     return Robot(spec.to_xml(), [whole.where(time < 8.9)], [aside], "not before its first fit")
 
 
+def tx40(data: Path) -> Robot:
+    """Stäubli TX40, six joints at 5 kHz in closed loop: two thirds of a motion of 9 s, and the last third kept aside.
+
+    Torques are those of the motors, through their gears. The sixth motor turns the fifth joint as well. The model is
+    the URDF beside the logs, without friction and rotors; its last link has no moments of inertia, and gets small ones.
+    """
+    home = data / "figaroh-examples/examples/staubli_TX40"
+    spec = mujoco.MjSpec.from_file(str(home / "urdf/tx40_mdh_modified.urdf"))
+    _delete_shapes(spec)
+    spec.compiler.boundinertia = 1e-4
+    names = tuple(joint.name for joint in spec.joints)
+    _add_motors(spec)
+    spec.compile()
+    gear = np.diag([32.0, 32.0, 45.0, -48.0, 45.0, 32.0])  # utils/staubli_tx40_tools.py
+    gear[5, 4] = gear[5, 5]
+    motor, torque = (
+        np.loadtxt(home / f"data/{name}.csv", delimiter=",", skiprows=1) for name in ("pos_read_data", "curr_data")
+    )
+    position = motor @ np.linalg.inv(gear).T + np.pi / 2 * np.array([0.0, -1.0, 1.0, 0.0, 0.0, 0.0])
+    time = np.arange(len(motor)) / 5000
+    whole = Recording(time, names, position, torque_command=torque @ gear, source="tx40")
+    parts = whole.where(time < 6.0), whole.where(time >= 6.0)
+    return Robot(spec.to_xml(), parts[:1], parts[1:], "not before its first fit")
+
+
 def ak80_pendulum(data: Path) -> Robot:
     """A pendulum on an AK80-6 drive, swung up by five controllers: three of them fitted for 64 s, two kept aside.
 
@@ -605,6 +631,7 @@ ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     "miuzei": miuzei,
     **{f"damper, {tension} lb": partial(damper, tension=tension) for tension in (0, 30, 36)},
     "panda": panda,
+    "tx40": tx40,
     "compass leg": compass_leg,
     "ak80": ak80_pendulum,
     "cart pendulum": cart_pendulum,

@@ -18,6 +18,7 @@ from benchmarks.real_robots.robots import (
     cart_pendulum,
     compass_leg,
     panda,
+    tx40,
     unitree,
 )
 
@@ -182,6 +183,36 @@ def test_a_panda_has_neither_rotors_nor_servos_since_its_torques_are_of_the_link
     assert not model.dof_armature.any()
     assert model.jnt_actfrcrange[:, 1].tolist() == [87.0] * 4 + [12.0] * 3
     assert model.actuator_gainprm[:, 0].tolist() == 7 * [1.0]
+
+
+def test_a_tx40s_sixth_motor_turns_its_fifth_joint_too(tmp_path):
+    joints = "".join(
+        f"""<link name="link{k}"><inertial><mass value="1"/><inertia ixx="{k % 2}" iyy="{k % 2}" izz="{k % 2}"
+        ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="joint_{k + 1}" type="revolute"><parent link="link{k}"/>
+        <child link="link{k + 1}"/><limit effort="{10 + k}" lower="-3" upper="3"/></joint>"""
+        for k in range(6)
+    )
+    last = """<link name="link6"><inertial><mass value="1"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0"
+    iyz="0"/></inertial></link>"""
+    home = tmp_path / "figaroh-examples/examples/staubli_TX40"
+    for folder in ("urdf", "data"):
+        (home / folder).mkdir(parents=True)
+    (home / "urdf/tx40_mdh_modified.urdf").write_text(f'<robot name="tx40">{joints}{last}</robot>')
+    samples = 45000
+    motor = np.tile([32.0, 32.0, 45.0, -48.0, 45.0, 96.0], (samples, 1))
+    torque = np.tile([0.0, 0.0, 0.0, 1.0, 1.0, 2.0], (samples, 1))
+    for name, rows in (("pos_read_data", motor), ("curr_data", torque)):
+        np.savetxt(home / f"data/{name}.csv", rows, fmt="%g", delimiter=",", header="six names")
+    robot = tx40(tmp_path)
+    fitted, aside = robot.recordings[0], robot.heldout[0]
+    assert [fitted.num_samples, aside.num_samples] == [30000, 15000]
+    assert fitted.position[0] == pytest.approx([1.0, 1.0 - np.pi / 2, 1.0 + np.pi / 2, 1.0, 1.0, 2.0])
+    power = motor[0] @ torque[0]
+    assert fitted.torque_command[0] == pytest.approx([0.0, 0.0, 0.0, -48.0, 45.0 + 64.0, 64.0])
+    assert (fitted.position[0] - [0.0, -np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0]) @ fitted.torque_command[0] == power
+    model = mujoco.MjModel.from_xml_string(robot.xml)
+    assert model.actuator_forcerange[:, 1].tolist() == [10.0, 11.0, 12.0, 13.0, 14.0, 15.0]
+    assert model.body_inertia[-1].min() == pytest.approx(1e-4)
 
 
 def test_an_ak80s_pendulum_hangs_at_zero_and_two_controllers_are_kept_aside(tmp_path):
