@@ -540,10 +540,11 @@ def panda(data: Path) -> Robot:
 
 
 def tx40(data: Path) -> Robot:
-    """Stäubli TX40, six joints at 5 kHz in closed loop: two thirds of a motion of 9 s, and the last third kept aside.
+    """Stäubli TX40, six joints in closed loop: two thirds of a motion of 9 s, and the last third kept aside.
 
-    Torques are those of the motors, through their gears. The sixth motor turns the fifth joint as well. The model is
-    the URDF beside the logs, without friction and rotors; its last link has no moments of inertia, and gets small ones.
+    Of its 5 kHz every fifth reading is taken, with the mean torque until the next. Torques are those of the motors,
+    through their gears. The sixth motor turns the fifth joint as well. The model is the URDF beside the logs, without
+    friction and rotors; its last link has no moments of inertia, and gets small ones.
     """
     home = data / "figaroh-examples/examples/staubli_TX40"
     spec = mujoco.MjSpec.from_file(str(home / "urdf/tx40_mdh_modified.urdf"))
@@ -558,8 +559,8 @@ def tx40(data: Path) -> Robot:
         np.loadtxt(home / f"data/{name}.csv", delimiter=",", skiprows=1) for name in ("pos_read_data", "curr_data")
     )
     position = motor @ np.linalg.inv(gear).T + np.pi / 2 * np.array([0.0, -1.0, 1.0, 0.0, 0.0, 0.0])
-    time = np.arange(len(motor)) / 5000
-    whole = Recording(time, names, position, torque_command=torque @ gear, source="tx40")
+    torque = torque.reshape(-1, 5, 6).mean(1) @ gear
+    whole = Recording(np.arange(len(torque)) / 1000, names, position[::5], torque_command=torque, source="tx40")
     parts = whole.where(time < 6.0), whole.where(time >= 6.0)
     return Robot(spec.to_xml(), parts[:1], parts[1:], "not before its first fit")
 
