@@ -560,7 +560,8 @@ def tx40(data: Path) -> Robot:
     )
     position = motor @ np.linalg.inv(gear).T + np.pi / 2 * np.array([0.0, -1.0, 1.0, 0.0, 0.0, 0.0])
     torque = torque.reshape(-1, 5, 6).mean(1) @ gear
-    whole = Recording(np.arange(len(torque)) / 1000, names, position[::5], torque_command=torque, source="tx40")
+    time = np.arange(len(torque)) / 1000
+    whole = Recording(time, names, position[::5], torque_command=torque, source="tx40")
     parts = whole.where(time < 6.0), whole.where(time >= 6.0)
     return Robot(spec.to_xml(), parts[:1], parts[1:], "not before its first fit")
 
