@@ -32,7 +32,17 @@ TRIMS_ALONE = (LinkInertia(), LinkComShift(), ClockShift())  # adjusted beside t
 EVERY = (*CATALOGUE, *TRIMS_ALONE)
 OF_THE_DESIGN = {
     *("coulomb_friction", "viscous_friction", "stribeck_friction", "load_dependent_friction", "asymmetric_friction"),
-    *("hysteresis", "backlash", "compliance", "reflected_inertia", "link_mass", "link_com", "payload", "gravity_tilt"),
+    *(
+        "hysteresis",
+        "backlash",
+        "compliance",
+        "coupled_drive",
+        "reflected_inertia",
+        "link_mass",
+        "link_com",
+        "payload",
+        "gravity_tilt",
+    ),
     "offset_payload",
     *("actuation_delay", "actuation_lag", "torque_scale", "torque_offset", "torque_saturation", "speed_torque_limit"),
     *("torque_ripple", "joint_spring", "joint_stop", "encoder_offset", "encoder_scale", "clock_offset"),
@@ -42,6 +52,7 @@ RIGID = [Compliance().parameters(arm(), address(), joint)[0].nominal for joint i
 CHANGE = {  # true value less the given one: shoulder, elbow
     "backlash": ([0.05, 2000.0 - RIGID[0]], [0.06, 400.0 - RIGID[1]]),
     "compliance": ([90.0 - RIGID[0], 0.9], [25.0 - RIGID[1], 0.25]),
+    "coupled_drive": ([], [0.1, 0.05, 0.005, 1.0]),  # the first joint has none before it
     "payload": ([], [0.3]),  # only the last link carries one
     "offset_payload": ([], [0.3, 0.012, -0.006, 0.018]),
     "gravity_tilt": ([0.03, -0.1], []),  # of the whole robot
@@ -168,8 +179,8 @@ def test_units_are_forces_for_a_slide_and_torques_for_a_hinge(effect):
     if effect.name == "gravity_tilt":  # the base turns, whatever its joints do
         in_newton = {}
     assert slide == {name: in_newton.get(hinge[name], hinge[name]) for name in slide}
-    of_levers = {"link_com", "link_com_shift", "link_inertia", "offset_payload"}  # which a slide has not
-    assert bool(slide) == (effect.name not in of_levers)
+    of_hinges = {"link_com", "link_com_shift", "link_inertia", "offset_payload", "coupled_drive"}
+    assert bool(slide) == (effect.name not in of_hinges)
 
 
 @of_each_joint()
@@ -201,7 +212,8 @@ def test_every_row_gets_its_own_value_and_other_joints_none(effect):
     added = law_outputs(plant)
     chain = [plant.delay, plant.lag, plant.torque_scale, plant.torque_offset, plant.kp_scale, plant.kd_scale]
     chain += [plant.torque_limit, plant.encoder_offset, plant.encoder_scale, *added]
-    assert all((value[:, 0] == value[0, 0]).all() for value in chain)  # the shoulder's
+    if effect.name != "coupled_drive":  # which the shoulder turns, too
+        assert all((value[:, 0] == value[0, 0]).all() for value in chain)  # the shoulder's
     assert all(gear.joint == joint for gear in plant.gears)
     springs = [part for gear in plant.gears for part in (gear.spring.stiffness, gear.spring.damping)]
     shared = [plant.clock_offset, *plant.fields.values(), *springs]
@@ -289,7 +301,7 @@ def test_the_sentence_says_the_joint_the_numbers_and_the_units(effect, joint):
 
 @of_each()
 def test_the_given_models_number_stands_beside_the_true_one(effect):
-    joint = 1 if effect.name in ("payload", "offset_payload") else 0
+    joint = 1 if effect.name in ("payload", "offset_payload", "coupled_drive") else 0
     parameters = effect.parameters(arm(), address(), joint)
     values = nominal_values(effect, joint) + np.array(CHANGE[effect.name][joint])
     text = effect.sentence(JOINTS[joint], named(effect, joint, values), parameters)

@@ -20,7 +20,7 @@ from torchrl_athletic.diagnosis.joint_fit import GAIN, folded, follows_better, g
 from torchrl_athletic.diagnosis.prepare import Prepared
 from torchrl_athletic.diagnosis.problem import Mask, evenly, folds_of, independent, part_of, weighed, window_cost
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.diagnosis.standard import NONLINEAR, ROOM, Seen, agreement, columns_of
+from torchrl_athletic.diagnosis.standard import FEWEST, NONLINEAR, ROOM, Seen, agreement, columns_of
 from torchrl_athletic.effects import (
     ActuationLag,
     AsymmetricFriction,
@@ -156,7 +156,7 @@ def _hints(h: Hypothesis, prepared: Prepared) -> list[Offer]:
         blocks = [columns_of(c, prepared) for c in terms]
         a = np.hstack([np.concatenate([part[:, j] for part in block]) for block in blocks])
         good = np.concatenate([s.valid[:, j] for s in prepared.signals])
-        if good.sum() < 50:
+        if good.sum() < FEWEST:
             continue
         missing = np.concatenate([s.missing[:, j] for s in prepared.signals])[good]
         solve = np.linalg.pinv(a[good], rcond=1e-8)

@@ -16,6 +16,7 @@ from torchrl_athletic.diagnosis.coarse import coarse, in_steps_of, steps_alike
 from torchrl_athletic.diagnosis.compare import harms, score
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.corrected_xml import Commands, corrected_xml, logged_gains
+from torchrl_athletic.diagnosis.coupled import with_coupled_drives
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.descent import Linearised, descend, linearise
 from torchrl_athletic.diagnosis.extension import extend, with_gear
@@ -201,7 +202,7 @@ def fit(
     kernel = train.signals[0].kernel
     held = prepare([r.ordered(order) for r in heldout], compiled, drive, kernel, xml=xml) if heldout else None
     seen = seen_in(train)
-    h = standard_joints(train, seen)
+    h = with_coupled_drives(standard_joints(train, seen), train, seen)
     free = h.bounds[1] > h.bounds[0]
 
     progress.stage("search")

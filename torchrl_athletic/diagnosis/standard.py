@@ -18,6 +18,7 @@ from torchrl_athletic.diagnosis.screen import Candidate, bounded_least_squares
 from torchrl_athletic.effects import (
     ActuationDelay,
     CoulombFriction,
+    CoupledDrive,
     Effect,
     EncoderOffset,
     GainMismatch,
@@ -58,6 +59,8 @@ LIMITS = (0.4, 0.7, 0.9)
 """Torque limits to start from, per the largest torque that was asked for."""
 NONLINEAR = ("actuation_delay", "actuation_lag", "torque_saturation", "speed_torque_limit", "encoder_offset")
 """Effects that no column of a regression stands for."""
+FEWEST = 50
+"""Instants of a joint from which on its torques have a say [1]."""
 RIDGE = 1e-3
 """Pull of the regression towards the given model, per what the recordings say [1]."""
 
@@ -258,12 +261,12 @@ def agreement(h: Hypothesis, prepared: Prepared) -> Agreement:
     for c in h.terms:
         if c.effect.name == "torque_scale":
             scales[c.joint] = index_of[id(c), 0]
-        elif c.effect.name not in NONLINEAR:
+        elif has_columns(c):
             prints.append((c, columns_of(c, prepared)))
     parts = []
     for j in range(len(prepared.takes[0].address.dof)):
         good = np.concatenate([s.valid[:, j] for s in prepared.signals])
-        if good.sum() < 50:
+        if good.sum() < FEWEST:
             continue
         columns = [np.concatenate([s.required[:, j] for s in prepared.signals])]
         index, given = [], []
@@ -296,6 +299,13 @@ def _linear(c: Candidate, prepared: Prepared) -> list[int]:
     return [k for k, p in enumerate(c.parameters) if p.name not in held]
 
 
+def has_columns(c: Candidate) -> bool:
+    """Whether columns of a regression stand for a term: a drive of two joints has others for each ratio."""
+    if isinstance(c.effect, CoupledDrive) and len(c.effect.ratios) > 1:
+        return False
+    return c.effect.name not in NONLINEAR
+
+
 def columns_of(c: Candidate, prepared: Prepared) -> list[Array]:
     """A term's fingerprint in each piece. Shapes (N, J, K)."""
     out = []
@@ -315,36 +325,44 @@ def torque_domain(h: Hypothesis, prepared: Prepared) -> Array:
     Shape (P,).
     """
     x = h.nominal
-    for j in range(len(prepared.takes[0].address.dof)):
-        columns: list[Array] = []
-        place: list[tuple[Candidate, int]] = []
-        for c in h.terms:
-            if c.joint != j or c.effect.name in NONLINEAR:
-                continue
-            parts = []
-            for s in prepared.signals:
-                if not c.effect.applies(s):
-                    parts.append(np.zeros((len(s.keep), len(c.parameters))))
-                    continue
-                grid = c.effect.grid(s, j)
-                parts.append(c.effect.fingerprint(s, j, grid[0]).columns[:, j] if grid else np.zeros((len(s.keep), 1)))
-            width = min(part.shape[1] for part in parts)
-            for k in range(width):
-                if c.parameters[k].upper > c.parameters[k].lower:
-                    columns.append(np.concatenate([part[:, k] for part in parts]))
-                    place.append((c, k))
-        good = np.concatenate([s.valid[:, j] for s in prepared.signals])
-        if not columns or good.sum() < 2 * len(columns):
+    for joints in _together(h, prepared):
+        terms = [c for c in h.terms if c.joint in joints and has_columns(c)]
+        blocks = [columns_of(c, prepared) for c in terms]
+        place = [
+            (c, k, [part[:, :, n] for part in block])
+            for c, block in zip(terms, blocks, strict=True)
+            for n, k in zip(range(block[0].shape[2]), _linear(c, prepared), strict=False)
+            if c.parameters[k].upper > c.parameters[k].lower
+        ]
+        rows, torques = [], []
+        for j in joints:
+            good = np.concatenate([s.valid[:, j] for s in prepared.signals])
+            y = np.concatenate([s.missing[:, j] for s in prepared.signals])[good]
+            unit = float(np.sqrt(np.mean(y**2))) if len(joints) > 1 and len(y) else 1.0
+            columns = [np.concatenate([part[:, j] for part in block])[good] for _, _, block in place]
+            rows.append(np.stack(columns, -1) / unit if columns else np.zeros((len(y), 0)))
+            torques.append(y / unit)
+        a, y = np.concatenate(rows), np.concatenate(torques)
+        if not place or len(y) < 2 * len(place):
             continue
-        a = np.stack(columns, -1)[good]
-        y = np.concatenate([s.missing[:, j] for s in prepared.signals])[good]
         low, high = (
-            np.array([c.effect.change(c.parameters[k], getattr(c.parameters[k], side)) for c, k in place])
+            np.array([c.effect.change(c.parameters[k], getattr(c.parameters[k], side)) for c, k, _ in place])
             for side in ("lower", "upper")
         )
         normal = a.T @ a
         normal += RIDGE * np.diag(np.diag(normal))  # a scale and all that it scales are one without gravity
         found = bounded_least_squares(normal, a.T @ y, low, high)
-        for (c, k), change in zip(place, found, strict=True):
+        for (c, k, _), change in zip(place, found, strict=True):
             h.values_of(c, x)[k] = c.effect.value(c.parameters[k], float(change))
     return x
+
+
+def _together(h: Hypothesis, prepared: Prepared) -> list[tuple[int, ...]]:
+    """Joints by themselves, or with those that a term of theirs turns as well."""
+    take = prepared.takes[0]
+    groups = [{j} for j in range(len(take.address.dof))]
+    for c in h.terms:
+        own = set(c.effect.turns(take.model, take.address, c.joint))
+        touched = [g for g in groups if g & own]
+        groups = [*(g for g in groups if not g & own), set().union(*touched)]
+    return sorted(tuple(sorted(g)) for g in groups)

@@ -6,6 +6,7 @@ to enter a simulation, its sentence, and the experiment that separates it from i
 
 from torchrl_athletic.effects.change import Disturbance, ThermalDrift
 from torchrl_athletic.effects.control import GainMismatch
+from torchrl_athletic.effects.coupling import CoupledDrive
 from torchrl_athletic.effects.effect import Effect, Fingerprint, Parameter
 from torchrl_athletic.effects.elastic import JointSpring, JointStop
 from torchrl_athletic.effects.friction import (
@@ -42,6 +43,7 @@ CATALOGUE: tuple[Effect, ...] = (
     Hysteresis(),
     Backlash(),
     Compliance(),
+    CoupledDrive(),
     ReflectedInertia(),
     LinkMass(),
     LinkCom(),
@@ -91,6 +93,7 @@ __all__ = [
     "ClockShift",
     "Compliance",
     "CoulombFriction",
+    "CoupledDrive",
     "Disturbance",
     "Effect",
     "EncoderOffset",

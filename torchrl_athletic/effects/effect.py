@@ -150,6 +150,10 @@ class Effect(ABC):
         """:meth:`fingerprint` at each point of a grid; override it where the points share work."""
         return [self.fingerprint(s, joint, fixed) for fixed in grid]
 
+    def turns(self, model: mujoco.MjModel, address: JointAddress, joint: int) -> tuple[int, ...]:
+        """Joints whose torques a regression asks for it together."""
+        return (joint,)
+
     def near(self, parameters: Sequence[Parameter], values: Array) -> Mapping[str, float]:
         """What to add to ``fixed`` of a fingerprint that is not quite linear, so that it holds near values (P,)."""
         return {}

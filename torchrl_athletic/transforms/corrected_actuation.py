@@ -69,6 +69,7 @@ OF_THE_RECORDING = frozenset({"base_clock_shift", "clock_shift", "disturbance"})
 NOT_ACTED_OUT: Mapping[str, str] = {
     "backlash": "the motor needs an inertia and a position of its own; corrected.xml has them, for its own actuators",
     "compliance": "the motor needs an inertia and a position of its own; corrected.xml has them, for its own actuators",
+    "coupled_drive": "its rotor and its friction act between two joints; corrected.xml has them, as a tendon",
     "load_dependent_friction": "its bristles are damped by the inertia of the joint, which the chain does not know",
     "thermal_drift": "an episode would have to say how warm the joint is; train with both ends of the drift instead",
 }

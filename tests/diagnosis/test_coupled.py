@@ -1,0 +1,72 @@
+"""A drive of two joints is offered to a fit where the torques ask for it, and nowhere else."""
+
+import mujoco
+import numpy as np
+import pytest
+from effects.arm import ARM, arm, record
+
+from torchrl_athletic.diagnosis.coupled import with_coupled_drives
+from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.standard import seen_in, standard_joints, starts, torque_domain
+from torchrl_athletic.effects import CoulombFriction, CoupledDrive, LinkMass, ViscousFriction
+from torchrl_athletic.recordings import Recording
+
+DRIVE = CoupledDrive()
+
+
+def of_tendon(*values: float) -> Recording:
+    spec = mujoco.MjSpec.from_string(ARM)
+    assert DRIVE.write(spec, "elbow", np.array(values))
+    return record(model=spec.compile())
+
+
+def hypothesis(recording: Recording):
+    prepared = prepare([recording], arm())
+    return with_coupled_drives(standard_joints(prepared, seen_in(prepared)), prepared, seen_in(prepared)), prepared
+
+
+def drives(recording: Recording):
+    return [c for c in hypothesis(recording)[0].terms if c.effect.name == "coupled_drive"]
+
+
+@pytest.mark.parametrize("ratio", [1.0, -1.0])
+def test_a_coupled_drive_is_offered_with_its_ratio(ratio):
+    [found] = drives(of_tendon(0.15, 0.05, 0.005, ratio))
+    assert found.where == "elbow"
+    assert {p.name: p.nominal for p in found.parameters}["ratio"] == ratio
+
+
+@pytest.mark.parametrize(
+    ("effect", "joint", "values"),
+    [
+        (None, 0, []),
+        (CoulombFriction(), 1, [0.2, 0.0]),
+        (CoulombFriction(), 0, [0.5, 0.0]),
+        (ViscousFriction(), 1, [0.4]),
+        (LinkMass(), 1, [1.2]),
+    ],
+)
+def test_what_one_joint_has_offers_none(effect, joint, values):
+    assert not drives(record(effect, joint, values))
+
+
+def test_torques_of_a_controller_offer_none():
+    spec = mujoco.MjSpec.from_string(ARM)
+    assert DRIVE.write(spec, "elbow", np.array([0.15, 0.05, 0.005, 1.0]))
+    followed = record(model=spec.compile(), position_control=True)
+    assert not drives(followed)
+
+
+def test_the_scales_of_both_joints_and_the_ratio_are_held():
+    h, _ = hypothesis(of_tendon(0.15, 0.05, 0.005, 1.0))
+    held = {(c.where, p.name) for c in h.terms for p in c.parameters if p.upper == p.lower}
+    assert {("shoulder", "scale"), ("elbow", "scale"), ("elbow", "ratio")} <= held
+
+
+def test_the_torques_of_both_joints_tell_the_drives_numbers():
+    values = (0.15, 0.05, 0.005)
+    h, prepared = hypothesis(of_tendon(*values, 1.0))
+    [drive] = [c for c in h.terms if c.effect.name == "coupled_drive"]
+    assert h.values_of(drive, torque_domain(h, prepared))[:3] == pytest.approx(values, rel=0.15)
+    begin = starts(h, prepared, seen_in(prepared), np.random.default_rng(0), 2)
+    assert (h.values_of(drive, begin.T)[3] == 1.0).all()
