@@ -17,6 +17,12 @@ HINGE, SLIDE = (
       <inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>""")
     for kind in ('axis="0 1 0"', 'type="slide" axis="1 0 0"')
 )
+CHAIN = mujoco.MjModel.from_xml_string("""
+    <mujoco><worldbody><body><joint name="before" axis="0 1 0"/>
+      <inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/>
+      <body><joint name="joint" axis="0 1 0"/>
+        <inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/></body></body></worldbody></mujoco>""")
+"""For what a joint has of the one before it."""
 
 
 def page() -> str:
@@ -100,21 +106,26 @@ def parameters(effect: Effect) -> str:
 
 def changes(effect: Effect) -> list[str]:
     """What the effect touches in a simulation: fields of ``mjModel``, the torque's way, laws, gears."""
-    plant = Plant(HINGE, _address(HINGE), 1)
+    model, address, joint = _place(effect, HINGE)
+    plant = Plant(model, address, 1)
     given = {name: value.copy() for name, value in vars(plant).items() if isinstance(value, np.ndarray)}
     steps = [p.scale if p.nominal + p.scale <= p.upper else -p.scale for p in _parameters(effect, HINGE)]
-    effect.apply(plant, 0, np.array([[p.nominal for p in _parameters(effect, HINGE)]]) + steps)
+    effect.apply(plant, joint, np.array([[p.nominal for p in _parameters(effect, HINGE)]]) + steps)
     chain = [f"Plant.{name}" for name, value in given.items() if (getattr(plant, name) != value).any()]
     lists = [f"Plant.{name}" for name in ("motor", "laws", "gears") if getattr(plant, name)]
     return [*(f"mjModel.{name}" for name in plant.fields), *chain, *lists]
 
 
 def _parameters(effect: Effect, model: mujoco.MjModel) -> tuple[Parameter, ...]:
-    return effect.parameters(model, _address(model), 0)
+    return effect.parameters(*_place(effect, model))
 
 
-def _address(model: mujoco.MjModel) -> JointAddress:
-    return JointAddress.of(model, ("joint",))
+def _place(effect: Effect, model: mujoco.MjModel) -> tuple[mujoco.MjModel, JointAddress, int]:
+    """A model of one joint, or a chain where a hinge alone cannot have the effect."""
+    alone = model, JointAddress.of(model, ("joint",)), 0
+    if model is not HINGE or effect.parameters(*alone):
+        return alone
+    return CHAIN, JointAddress.of(CHAIN, ("before", "joint")), 1
 
 
 def _cell(text: str) -> str:
