@@ -662,7 +662,8 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         return lambda *given: told.update({name: given}) or value
 
     stand_ins = {
-        "prepare": prepare, "score": score, "seen_in": lambda train: "seen", "standard_joints": lambda train, seen: h,
+        "prepare": prepare, "score": score, "seen_in": lambda train: "seen",
+        "standard_joints": lambda train, seen: "joints", "with_coupled_drives": lambda joints, train, seen: {"joints": h}[joints],
         "starts": note("starts", "starts"), "search": note("search", near), "agreement": lambda *given: given,
         "affordable": lambda h, takes, deadline: fitting.SCARCE - extended,
         "coarse": lambda takes, h, x, rng: {"in longer steps": "take"},
@@ -801,3 +802,14 @@ def test_a_limit_that_was_never_reached_is_at_least_what_its_own_joint_was_asked
     assert [(t.joint, t.state) for t in told] == [
         ("hip", "not needed"), ("knee", "not identified"), ("foot", "not identified"),
     ]  # fmt: skip
+
+
+def test_a_limit_below_what_was_asked_for_is_not_said_to_be_above_it(monkeypatch):
+    monkeypatch.setattr(fitting, "spread_of", lambda fit: fit.sigma)
+    monkeypatch.setattr(fitting, "_reasons", lambda *_: ["never reached: it is at least 6 1"])
+    h = SimpleNamespace(terms=[joint_term(0, "torque_saturation", "limit")])
+    near, seen = solved(free=[True], values=[4.0], sigma=[0.5]), SimpleNamespace(asked=np.array([6.0]))
+    [told] = fitting._parameters(h, near, near, near.values, np.ones(1, dtype=bool), seen)
+    assert told.value == 4.0
+    assert told.ci95 == pytest.approx((3.02, 4.98))
+    assert (told.state, told.remark) == ("not identified", "no recording shows it")

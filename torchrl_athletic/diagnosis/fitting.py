@@ -54,6 +54,9 @@ LONGEST = 300.0
 GIGABYTE = 2.0**30
 FIXED, VALUE = 0.9e9, 600.0
 """Memory of the libraries and of a batch of simulations, and of one reading of one joint [byte]."""
+UNREACHED = "never reached"
+"""How it is said that a torque limit was not met."""
+UNSHOWN = "no recording shows it"
 ALSO = "the same motion follows from"
 """Why a parameter has no number where another one does as well."""
 SAME = 1.01
@@ -349,7 +352,9 @@ def _parameters(
         centre, sigma = (y[i], own.get(i, doubt[k])) if needed[i] else (near.values[i], doubt[k])
         low, high = np.clip([centre - 1.96 * sigma, centre + 1.96 * sigma], p.lower, p.upper)
         why = reasons[k]
-        if why and c.effect.name == "torque_saturation":
+        if why.startswith(UNREACHED) and y[i] < seen.asked[c.joint]:  # it is, by what is stated
+            why = UNSHOWN
+        elif why.startswith(UNREACHED):
             low, high = float(seen.asked[c.joint]), p.upper
         state: State = "not identified" if why else "identified" if needed[i] else "not needed"
         out.append(
@@ -477,8 +482,8 @@ def _unseen(c: Candidate, p: Parameter, seen: Seen) -> str:
     if seen.travel[c.joint] < 1e-3:
         return f"{c.where} never moves"
     if c.effect.name == "torque_saturation":
-        return f"never reached: it is at least {seen.asked[c.joint]:.3g} {p.unit}"
-    return "no recording shows it"
+        return f"{UNREACHED}: it is at least {seen.asked[c.joint]:.3g} {p.unit}"
+    return UNSHOWN
 
 
 def _words(c: Candidate, p: Parameter) -> str:
