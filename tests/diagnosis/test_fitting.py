@@ -663,7 +663,8 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
 
     stand_ins = {
         "prepare": prepare, "score": score, "seen_in": lambda train: "seen",
-        "standard_joints": lambda train, seen: "joints", "with_coupled_drives": lambda joints, train, seen: {"joints": h}[joints],
+        "standard_joints": lambda train, seen: "joints",
+        "with_coupled_drives": lambda joints, train, seen: {"joints": h}[joints],
         "starts": note("starts", "starts"), "search": note("search", near), "agreement": lambda *given: given,
         "affordable": lambda h, takes, deadline: fitting.SCARCE - extended,
         "coarse": lambda takes, h, x, rng: {"in longer steps": "take"},
