@@ -563,7 +563,7 @@ def tx40(data: Path) -> Robot:
     time = np.arange(len(torque)) / 1000
     whole = Recording(time, names, position[::5], torque_command=torque, source="tx40")
     parts = whole.where(time < 6.0), whole.where(time >= 6.0)
-    return Robot(spec.to_xml(), parts[:1], parts[1:], "not before its first fit")
+    return Robot(spec.to_xml(), parts[:1], parts[1:], LOOKED)
 
 
 def ak80_pendulum(data: Path) -> Robot:
