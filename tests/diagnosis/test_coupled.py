@@ -63,6 +63,14 @@ def test_the_scales_of_both_joints_and_the_ratio_are_held():
     assert {("shoulder", "scale"), ("elbow", "scale"), ("elbow", "ratio")} <= held
 
 
+def test_a_rotor_may_be_what_the_torques_allow_however_light_its_link():
+    recording = of_tendon(0.15, 0.05, 0.005, 1.0)
+    h, prepared = hypothesis(recording)
+    [drive] = [c for c in h.terms if c.effect.name == "coupled_drive"]
+    seen = seen_in(prepared)
+    assert drive.parameters[2].upper >= 10.0 * seen.torque[1] / seen.acceleration[1]
+
+
 def test_the_torques_of_both_joints_tell_the_drives_numbers():
     values = (0.15, 0.05, 0.005)
     h, prepared = hypothesis(of_tendon(*values, 1.0))

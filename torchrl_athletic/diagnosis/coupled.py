@@ -36,11 +36,11 @@ def _held(c: Candidate) -> Candidate:
 
 
 def _bounded(p: Parameter, j: int, ratio: float, seen: Seen) -> Parameter:
-    """The ratio as it is, torque and damping in units of what the recordings show."""
-    torque, damping = float(seen.torque[j]), float(seen.torque[j] / seen.speed[j])
+    """The ratio as it is; the others up to what the recordings allow, as those of a joint of its own."""
     if p.name == "ratio":
         return replace(p, nominal=ratio, lower=ratio, upper=ratio)
+    torque = float(seen.torque[j])
     if p.name == "armature":
-        return p
-    size = torque if p.name == "torque" else damping
+        return replace(p, upper=max(p.upper, ROOM * torque / float(seen.acceleration[j])))
+    size = torque if p.name == "torque" else torque / float(seen.speed[j])
     return replace(p, upper=ROOM * size, scale=0.02 * size)
