@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.coarse import coarse, fit_in_steps_of
+from torchrl_athletic.diagnosis.coupled import with_coupled_drives
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.fit import Fitted, Hypothesis, as_trims
 from torchrl_athletic.diagnosis.fitting import Fit, fit
@@ -113,12 +114,13 @@ def asked_of_motion(ready: Ready, run: Run, proposed: Sequence[Fitted]) -> Asked
 def _offered(ready: Ready, proposed: Sequence[Fitted]) -> tuple[Hypothesis, dict[Candidate, list[Array]]]:
     """What the motion may ask for, as far as it has names, and the values that are known of some of it.
 
-    The standard joints, what links and clock may lack, and what the torques speak for; but no gears, which stand still
-    in steps of a search.
+    The standard joints, drives of two of them, what links and clock may lack, and what the torques speak for; but no
+    gears, which stand still in steps of a search.
     """
     train, named = ready.train, {e.name for e in ready.given.catalogue}
     seen = seen_in(train)
-    standard = [c for c in standard_joints(train, seen).terms if c.effect.name in named]
+    every = with_coupled_drives(standard_joints(train, seen), train, seen)
+    standard = [c for c in every.terms if c.effect.name in named]
     known = {c.key for c in standard}
     links = [e for e in ready.given.catalogue if e.name in BESIDE and all(e.applies(s) for s in train.signals)]
     shown = [c for c in candidates_for(train.signals, links) if c.effect.grid_of(train.signals, c.joint)]

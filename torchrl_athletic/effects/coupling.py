@@ -63,7 +63,6 @@ class CoupledDrive(Effect):
     misfit = 0.02
     of_accelerations = True
     adds_to_link = True
-    sets_apart = ("ratio",)
     shows_in = "speed"
     equation = "τ = -(F sign(ẋ) + d ẋ + I ẍ) ∂x/∂q,  x = q + r p"
     source = (
