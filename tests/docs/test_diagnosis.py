@@ -84,10 +84,10 @@ def test_what_a_probability_rests_on_is_listed():
 
 
 def test_what_a_true_term_may_leave_is_said_by_class():
-    special = {"friction": 0.02, "presliding": 0.02, "change": 0.02, "transmission": 0.03}
+    special = {"friction": 0.02, "presliding": 0.02, "coupling": 0.02, "change": 0.02, "transmission": 0.03}
     assert {e.name for e in CATALOGUE if e.misfit != special.get(e.family, 0.005)} == set()
     text = " ".join(PAGE[PAGE.index("## Propose") : PAGE.index("### Trims")].split())
-    assert "a term of friction, presliding or change on the joint it must explain 2 %" in text
+    assert "a term of friction, presliding, coupling or change on the joint it must explain 2 %" in text
     assert "beside a transmission 3 %, beside others half a percent" in text
     assert "odds of twenty for each term" in text
     assert np.exp(SEARCH.term / 2) == pytest.approx(20)

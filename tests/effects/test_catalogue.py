@@ -25,8 +25,8 @@ from torchrl_athletic.effects.plant import Law, Now, Start
 from torchrl_athletic.recordings import Recording
 
 FAMILIES = {
-    *("friction", "presliding", "transmission", "inertia", "timing", "torque", "elastic", "sensing", "control"),
-    "change",
+    *("friction", "presliding", "transmission", "coupling", "inertia", "timing", "torque", "elastic", "sensing"),
+    *("control", "change"),
 }
 TRIMS_ALONE = (LinkInertia(), LinkComShift(), ClockShift())  # adjusted beside the findings, never found
 EVERY = (*CATALOGUE, *TRIMS_ALONE)

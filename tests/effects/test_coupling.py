@@ -27,7 +27,7 @@ def moved(found, without) -> np.ndarray:
 @pytest.mark.parametrize(
     ("values", "off"),
     [
-        ([0.0, 0.1, 0.0, -1.0], 1e-9),
+        ([0.0, 0.1, 0.0, -1.0], 0.01),
         ([0.0, 0.0, 0.01, 1.0], 0.01),
         ([0.1, 0.0, 0.0, -1.0], 0.03),
         ([0.1, 0.1, 0.01, -0.5], 0.02),
@@ -117,3 +117,19 @@ def test_the_sentence_says_all_four_numbers():
     own = DRIVE.parameters(arm(), address(), ELBOW)
     said = DRIVE.sentence(JOINTS[ELBOW], {"torque": 1.95, "damping": 0.616, "armature": 0.0096, "ratio": 1.0}, own)
     assert all(text in said for text in ("elbow", "1.95 N·m", "0.616 N·m·s/rad", "0.0096 kg·m²", "1 times as far"))
+
+
+@pytest.mark.parametrize(("damping", "rotor"), [(0.5, 0.01), (2.0, 0.01), (0.0, 1.0), (2.0, 1.0)])
+@pytest.mark.parametrize("ratio", [1.0, -1.0])
+def test_it_stays_stable_however_light_the_links_are_beside_its_rotor(damping, rotor, ratio):
+    light = ARM.replace('armature="0.02"', "").replace('armature="0.005"', "").replace('mass="0.8"', 'mass="0.01"')
+    light = light.replace('diaginertia="0.008 0.007 0.002"', 'diaginertia="1e-4 1e-4 1e-5"')
+    given = mujoco.MjModel.from_xml_string(light)
+    assert np.abs(record(DRIVE, ELBOW, [0.0, damping, rotor, ratio], model=given).position).max() < 100.0
+
+
+def test_a_tendon_of_the_same_name_stays_the_users():
+    spec = mujoco.MjSpec.from_string(ARM)
+    spec.add_tendon(name="elbow_drive").wrap_joint("elbow", 1.0)
+    assert not DRIVE.write(spec, "elbow", np.array([0.1, 0.1, 0.01, 1.0]))
+    assert len(list(spec.tendons)) == 1

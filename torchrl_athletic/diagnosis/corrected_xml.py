@@ -11,8 +11,9 @@ import numpy as np
 
 from torchrl_athletic.diagnosis.corrected import Array, Simulation
 from torchrl_athletic.diagnosis.corrected_gears import write_gears
+from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.screen import Candidate, Key
-from torchrl_athletic.effects import JointAddress, Plant
+from torchrl_athletic.effects import Effect, JointAddress, Plant
 from torchrl_athletic.effects.presliding import Bristle
 from torchrl_athletic.effects.signals import torque_range
 from torchrl_athletic.effects.torque import wave_number
@@ -142,13 +143,21 @@ def written(
 
 
 def _plant(simulation: Simulation, only: Candidate | None = None) -> Plant:
-    """One simulation with the correction in it, or with one effect of it."""
+    """One simulation with the correction in it, but for what effects write themselves; or with one effect of it."""
     plant = Plant(simulation.model, JointAddress.of(simulation.model, simulation.joint_names), 1)
+    h = simulation.hypothesis
     if only is None:
-        simulation.hypothesis.build(plant, simulation.values[None])
-    else:
+        terms, trims = (tuple(c for c in group if not _writes(c)) for group in (h.terms, h.trims))
+        own = [simulation.values_of(c) for c in (*terms, *trims)]
+        Hypothesis(terms, trims).build(plant, np.concatenate([np.zeros(0), *own])[None])
+    elif not _writes(only):
         only.effect.apply(plant, only.joint, simulation.hypothesis.values_of(only, simulation.values)[None])
     return plant
+
+
+def _writes(c: Candidate) -> bool:
+    """Whether an effect says in MJCF itself what it is."""
+    return type(c.effect).write is not Effect.write
 
 
 def _write_joint(joint: Any, plant: Plant, j: int, degrees: bool) -> None:

@@ -20,7 +20,7 @@ from torchrl_athletic.diagnosis.joint_fit import GAIN, folded, follows_better, g
 from torchrl_athletic.diagnosis.prepare import Prepared
 from torchrl_athletic.diagnosis.problem import Mask, evenly, folds_of, independent, part_of, weighed, window_cost
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.diagnosis.standard import FEWEST, NONLINEAR, ROOM, Seen, agreement, columns_of
+from torchrl_athletic.diagnosis.standard import FEWEST, ROOM, Seen, agreement, columns_of, has_columns
 from torchrl_athletic.effects import (
     ActuationLag,
     AsymmetricFriction,
@@ -152,7 +152,7 @@ def _hints(h: Hypothesis, prepared: Prepared) -> list[Offer]:
     """The gear that leaves least of what the torques of a joint leave open, if it is much less: at several values."""
     take, found = prepared.takes[0], []
     for j, name in enumerate(take.recording.joint_names):
-        terms = [c for c in h.terms if c.joint == j and c.effect.name not in NONLINEAR]
+        terms = [c for c in h.terms if j in c.effect.turns(take.model, take.address, c.joint) and has_columns(c)]
         blocks = [columns_of(c, prepared) for c in terms]
         a = np.hstack([np.concatenate([part[:, j] for part in block]) for block in blocks])
         good = np.concatenate([s.valid[:, j] for s in prepared.signals])

@@ -30,39 +30,39 @@ RATIOS = (1.0, -1.0)
 WIDEST_RATIO = 3.0
 LEFT = 0.3
 """Share of what the torques of two joints leave open, below which a drive of both must leave it [1; tuned]. The coupled
-wrist of a TX40 leaves 0.06, its other joints 0.64 to 1 and those of nine other robots 0.7 to 1."""
+wrist of a TX40 leaves 0.06, its other joints 0.63 to 1 and those of nine other robots 0.7 to 1."""
 FEWEST = 50
 """Instants of a joint from which on its torques have a say [1]."""
 _PRESLIDING = 1.5e-3
 """Presliding width on a joint that travels a radian or more [rad, m]."""
-_STABLE = 0.3
-"""Share of the momentum that an explicit damping takes in a step at most."""
 
 
 class CoupledDrive(Effect):
-    """The drive of a joint turns when the joint before it turns, too, and rubs and resists acceleration as it does.
+    """The drive of a joint turns when the joint before it turns, too.
 
-    The sixth motor of many an industrial wrist, a belt that runs over the joint before, a tendon. What is logged is
-    taken as the joints' own positions and torques: a controller knows how its gears are laid out, but the drive's
-    friction and rotor act on the sum of two joints.
+    It rubs and resists acceleration as it does. The sixth motor of many an industrial wrist is laid out so, and so are
+    belts and tendons that run over a joint. What is logged is taken as the joints' own positions and torques: a
+    controller knows how its gears are laid out. Friction and rotor of the drive act on the sum of two joints all the
+    same.
 
     Parameters, in total, in the corrected model: ``torque`` [N·m], dry friction of the drive, ``damping``
     [N·m·s/rad], ``armature`` [kg·m²], all as the joint feels them, and ``ratio`` [1], turns of the drive for a turn of
     the joint before, per those for a turn of its own.
 
-    Fingerprint: -z, -ẋ and -ẍ of x = q + r p on the joint, and r times these on the joint before, where p is that
-    one's position, z the direction in which x slides, and the ratio r is 1 or -1.
+    Fingerprint: -z, -ẋ and -ẍ of x = q + r p on the joint, and r times these on the joint before. There p is that
+    one's position, z the direction in which x slides, and r is each of the ratios to try.
 
-    Simulation: bristles and damping along x beside the motors. The rotor is each joint's armature; what one joint's
-    acceleration takes from the other comes a step late. MJCF says all of it, as a fixed tendon.
+    Simulation: bristles along x beside the motors. Damping and rotor are each joint's own; what the other's motion
+    takes comes a step late. MJCF says all of it, as a fixed tendon.
     """
 
     name = "coupled_drive"
-    family = "transmission"
+    family = "coupling"
     odds = 1 / 3
     misfit = 0.02
     of_accelerations = True
     adds_to_link = True
+    excludes = frozenset({"backlash", "compliance"})  # it would act on one of two joints there
     shows_in = "speed"
     equation = "τ = -(F sign(ẋ) + d ẋ + I ẍ) ∂x/∂q,  x = q + r p"
     source = (
@@ -130,18 +130,21 @@ class CoupledDrive(Effect):
         before = joint_before(plant.model, plant.address, joint)
         if before is None:  # then it has no parameters, and nobody asks
             raise ValueError(f"joint {joint} has none before it, so that no other turns its drive.")
-        armature, ratio = values[:, 2], values[:, 3]
-        plant.of("dof_armature")[:, plant.address.dof[joint]] += armature
-        plant.of("dof_armature")[:, plant.address.dof[before]] += ratio**2 * armature
         plant.laws.append(_Drive(joint, before, values, plant))
+        _, damping, armature, ratio = values.T
+        for j, share in ((joint, np.ones_like(ratio)), (before, ratio**2)):
+            plant.of("dof_armature")[:, plant.address.dof[j]] += share * armature
+            plant.of("dof_damping").reshape(plant.rows, plant.model.nv, -1)[:, plant.address.dof[j], 0] += (
+                share * damping
+            )
 
     def write(self, spec: mujoco.MjSpec, joint: str, values: Array) -> bool:
         """As a fixed tendon along x, whose friction, damping and armature are the drive's."""
-        before = _spec_joint_before(spec, joint)
-        if before is None:
+        before, name = _spec_joint_before(spec, joint), f"{joint}_drive"
+        if before is None or spec.tendon(name) is not None:
             return False
         torque, damping, armature, ratio = map(float, values)
-        tendon = spec.add_tendon(name=f"{joint}_drive", frictionloss=torque, armature=armature)
+        tendon = spec.add_tendon(name=name, frictionloss=torque, armature=armature)
         tendon.damping[0] = damping
         tendon.solref_friction, tendon.solimp_friction = (
             [2 * spec.option.timestep, 1.0],
@@ -188,24 +191,22 @@ def _inertia(plant: Plant, joint: int) -> Array:
 
 
 def _left_open(effect: CoupledDrive, takes: Sequence[Signals], joint: int, ratio: float) -> float:
-    """Share of what friction, rotor, scale and offset leave of two joints' torques, that a drive of both leaves."""
-    of_drive = [effect.fingerprint(s, joint, {"ratio": ratio}).columns for s in takes]
+    """Share of what both joints leave open of their torques, that the friction of a shared drive leaves.
+
+    Friction, rotors, scales and offsets of each are taken out first, and what the other's acceleration asks for: an
+    inertia that the model has wrong looks like a shared rotor, whose say is not heard for that.
+    """
+    joints = effect.turns(takes[0].nominal, takes[0].address, joint)
+    of_drive = [effect.fingerprint(s, joint, {"ratio": ratio}).columns[..., :2] for s in takes]
     opens, besides = [], []
-    for j in effect.turns(takes[0].nominal, takes[0].address, joint):
+    for j in joints:
         good = np.concatenate([s.valid[:, j] for s in takes])
         if good.sum() < FEWEST:
             return 1.0
-        own = np.concatenate(
-            [
-                np.stack([sliding_direction(s, j), s.velocity[:, j], s.acceleration[:, j], s.required[:, j]], -1)
-                for s in takes
-            ]
-        )[good]
-        own = np.column_stack([own, np.ones(len(own))])
-        both = np.concatenate(
-            [np.column_stack([s.missing[:, j], c[:, j]]) for s, c in zip(takes, of_drive, strict=True)]
-        )
-        both = both[good] - own @ np.linalg.lstsq(own, both[good], rcond=1e-8)[0]
+        own = np.concatenate([_own_torques(s, j, joints) for s in takes])[good]
+        parts = zip(takes, of_drive, strict=True)
+        both = np.concatenate([np.column_stack([s.missing[:, j], columns[:, j]]) for s, columns in parts])[good]
+        both = both - own @ np.linalg.lstsq(own, both, rcond=1e-8)[0]
         both /= max(float(np.linalg.norm(both[:, 0])), 1e-300)
         opens.append(both[:, 0])
         besides.append(both[:, 1:])
@@ -213,15 +214,24 @@ def _left_open(effect: CoupledDrive, takes: Sequence[Signals], joint: int, ratio
     return float(nnls(a, y)[1] ** 2 / max(y @ y, 1e-300))
 
 
+def _own_torques(s: Signals, j: int, joints: Sequence[int]) -> Array:
+    """What a joint's torque may ask for without a shared drive. Shape (N, K)."""
+    alone = [sliding_direction(s, j), s.velocity[:, j], s.required[:, j], np.ones(len(s.keep))]
+    return np.column_stack([*alone, s.acceleration[:, list(joints)]])
+
+
 class _Drive(Bristle):
-    """Friction along x = q + r p, and what the rotor takes from one joint for the other's acceleration."""
+    """Friction along x = q + r p, and what one joint's motion takes from the other by damping and rotor.
+
+    Either joint has its own share of both in MuJoCo's implicit step; what the other's takes comes from the step before.
+    That is stable whatever they are, as long as friction is on the inertia that the joints have without the rotor.
+    """
 
     def __init__(self, joint: int, before: int, values: Array, plant: Plant) -> None:
         torque, self.damping, self.armature, self.ratio = values.T
         self.before, self.rate = before, np.zeros((0, 0))
         super().__init__(joint, np.full(plant.rows, _PRESLIDING), torque, plant)
         self.inertia = 1.0 / (1.0 / _inertia(plant, joint) + self.ratio**2 / _inertia(plant, before))
-        self.damping = np.minimum(self.damping, _STABLE * self.inertia / self.step)
 
     def begin(self, start: Start) -> None:
         travel = start.each(lambda piece: float(np.ptp(start.position[piece, self.joint])))
@@ -240,12 +250,10 @@ class _Drive(Bristle):
         for motion in (position, velocity):
             motion[:, own] += self.ratio * motion[:, before]
         along = super().__call__(replace(now, position=position, velocity=velocity))[:, own]
-        along -= self.damping * velocity[:, own]
         torque = np.zeros_like(now.velocity)
         torque[:, own], torque[:, before] = along, self.ratio * along
-        if len(self.rate):
-            speeding = (now.velocity - self.rate) / now.step
-            torque[:, own] -= self.armature * self.ratio * speeding[:, before]
-            torque[:, before] -= self.armature * self.ratio * speeding[:, own]
+        speeding = (now.velocity - self.rate) / now.step if len(self.rate) else np.zeros_like(now.velocity)
+        for one, other in ((own, before), (before, own)):
+            torque[:, one] -= self.ratio * (self.damping * now.velocity[:, other] + self.armature * speeding[:, other])
         self.rate = now.velocity.copy()
         return torque

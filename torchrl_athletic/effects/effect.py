@@ -23,6 +23,7 @@ CLASSES: Mapping[str, str] = MappingProxyType(
         "friction": "friction",
         "presliding": "friction that winds up before it slides",
         "transmission": "a gear that gives way",
+        "coupling": "a drive that the joint before turns as well",
         "inertia": "another inertia, mass or direction of gravity",
         "timing": "a late drive",
         "torque": "a torque that differs from the commanded one",
@@ -82,8 +83,8 @@ class Effect(ABC):
     shows_in: ClassVar[str] = "speed"
     """Feature along which it shows: 'speed', 'acceleration', 'position', 'load' or 'time'."""
     family: ClassVar[str] = ""
-    """Its class: 'friction', 'presliding', 'transmission', 'inertia', 'timing', 'torque', 'elastic', 'sensing',
-    'control' or 'change'."""
+    """Its class: 'friction', 'presliding', 'transmission', 'coupling', 'inertia', 'timing', 'torque', 'elastic',
+    'sensing', 'control' or 'change'."""
     own_joint: ClassVar[bool] = False
     """Whether only its own joint shows it, so that a joint which follows the model cannot have it."""
     tolerance: ClassVar[float] = 0.0
