@@ -20,7 +20,7 @@ from torchrl_athletic.diagnosis.joint_fit import GAIN, folded, follows_better, g
 from torchrl_athletic.diagnosis.prepare import Prepared
 from torchrl_athletic.diagnosis.problem import Mask, evenly, folds_of, independent, part_of, weighed, window_cost
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.diagnosis.standard import FEWEST, ROOM, Seen, agreement, columns_of, has_columns
+from torchrl_athletic.diagnosis.standard import ROOM, Seen, agreement, columns_of, has_columns
 from torchrl_athletic.effects import (
     ActuationLag,
     AsymmetricFriction,
@@ -39,6 +39,7 @@ from torchrl_athletic.effects import (
     SpeedTorqueLimit,
     StribeckFriction,
 )
+from torchrl_athletic.effects.signals import FEWEST
 
 Array = NDArray[np.float64]
 

@@ -29,7 +29,7 @@ from torchrl_athletic.effects import (
     TorqueScale,
     ViscousFriction,
 )
-from torchrl_athletic.effects.signals import inertia_matrix, torque_range
+from torchrl_athletic.effects.signals import FEWEST, inertia_matrix, torque_range
 from torchrl_athletic.recordings import Recording
 
 Array = NDArray[np.float64]
@@ -59,8 +59,6 @@ LIMITS = (0.4, 0.7, 0.9)
 """Torque limits to start from, per the largest torque that was asked for."""
 NONLINEAR = ("actuation_delay", "actuation_lag", "torque_saturation", "speed_torque_limit", "encoder_offset")
 """Effects that no column of a regression stands for."""
-FEWEST = 50
-"""Instants of a joint from which on its torques have a say [1]."""
 RIDGE = 1e-3
 """Pull of the regression towards the given model, per what the recordings say [1]."""
 

@@ -23,7 +23,14 @@ from torchrl_athletic.effects.effect import (
 from torchrl_athletic.effects.inertia import LEAST_ROTOR
 from torchrl_athletic.effects.plant import Now, Plant, Start
 from torchrl_athletic.effects.presliding import Bristle, sliding
-from torchrl_athletic.effects.signals import JointAddress, Signals, inertia_matrix, presliding_width, sliding_direction
+from torchrl_athletic.effects.signals import (
+    FEWEST,
+    JointAddress,
+    Signals,
+    inertia_matrix,
+    presliding_width,
+    sliding_direction,
+)
 
 RATIOS = (1.0, -1.0)
 """Turns of the drive per turn of the joint before, in turns of its own joint, to start from."""
@@ -31,8 +38,6 @@ WIDEST_RATIO = 3.0
 LEFT = 0.3
 """Share of what the torques of two joints leave open, below which a drive of both must leave it [1; tuned]. The coupled
 wrist of a TX40 leaves 0.06, its other joints 0.63 to 1 and those of nine other robots 0.7 to 1."""
-FEWEST = 50
-"""Instants of a joint from which on its torques have a say [1]."""
 _PRESLIDING = 1.5e-3
 """Presliding width on a joint that travels a radian or more [rad, m]."""
 

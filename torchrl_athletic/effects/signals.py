@@ -37,6 +37,8 @@ QUICKEST = 0.006
 """Least width of the test function for the take of a planned experiment [s]: the plan has counted its noise."""
 HALF_POWER = float(np.sqrt(np.log(2) / 2) / np.pi)
 """Frequency that a Gaussian test function passes with half the power, times its width."""
+FEWEST = 50
+"""Instants of a joint from which on its torques have a say [1]."""
 TRUNCATE = 7.0
 """Half width of the test function's support, in widths: at 4, the second derivative of a constant shows."""
 PROMPT = 2e-4
