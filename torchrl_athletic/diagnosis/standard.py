@@ -336,7 +336,7 @@ def torque_domain(h: Hypothesis, prepared: Prepared) -> Array:
         for j in joints:
             good = np.concatenate([s.valid[:, j] for s in prepared.signals])
             y = np.concatenate([s.missing[:, j] for s in prepared.signals])[good]
-            unit = float(np.sqrt(np.mean(y**2))) if len(joints) > 1 and len(y) else 1.0
+            unit = max(float(np.sqrt(np.mean(y**2))), 1e-300) if len(joints) > 1 and len(y) else 1.0
             columns = [np.concatenate([part[:, j] for part in block])[good] for _, _, block in place]
             rows.append(np.stack(columns, -1) / unit if columns else np.zeros((len(y), 0)))
             torques.append(y / unit)
