@@ -21,7 +21,7 @@ from torchrl_athletic.effects.effect import (
     torque_scale,
 )
 from torchrl_athletic.effects.inertia import LEAST_ROTOR
-from torchrl_athletic.effects.plant import Now, Plant, Start
+from torchrl_athletic.effects.plant import STIFFEST, Now, Plant, Start
 from torchrl_athletic.effects.presliding import Bristle, sliding
 from torchrl_athletic.effects.signals import (
     FEWEST,
@@ -35,6 +35,7 @@ from torchrl_athletic.effects.signals import (
 RATIOS = (1.0, -1.0)
 """Turns of the drive per turn of the joint before, in turns of its own joint, to start from."""
 WIDEST_RATIO = 3.0
+"""Bound of the ratio, either way [1]."""
 LEFT = 0.3
 """Share of what the torques of two joints leave open, below which a drive of both must leave it [1; tuned]. The coupled
 wrist of a TX40 leaves 0.06, its other joints 0.63 to 1 and those of nine other robots 0.7 to 1."""
@@ -151,10 +152,7 @@ class CoupledDrive(Effect):
         torque, damping, armature, ratio = map(float, values)
         tendon = spec.add_tendon(name=name, frictionloss=torque, armature=armature)
         tendon.damping[0] = damping
-        tendon.solref_friction, tendon.solimp_friction = (
-            [2 * spec.option.timestep, 1.0],
-            [0.99, 0.99, 1e-3, 0.5, 2.0],
-        )
+        tendon.solref_friction, tendon.solimp_friction = (2 * spec.option.timestep, 1.0), STIFFEST
         tendon.wrap_joint(joint, 1.0)
         tendon.wrap_joint(before, ratio)
         return True

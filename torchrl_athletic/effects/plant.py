@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+STIFFEST = (0.99, 0.99, 1e-3, 0.5, 2.0)
+"""MuJoCo's ``solimp`` of ideal dry friction."""
+
 
 @dataclass(frozen=True, eq=False)
 class Start:
@@ -190,7 +193,7 @@ class Plant:
         dof = self.address.dof[joint]
         self.of("dof_frictionloss")[:, dof] = torque
         self.of("dof_solref")[:, dof] = (2 * self.model.opt.timestep, 1.0)
-        self.of("dof_solimp")[:, dof] = (0.99, 0.99, 1e-3, 0.5, 2.0)
+        self.of("dof_solimp")[:, dof] = STIFFEST
 
     @property
     def open_loop(self) -> bool:
