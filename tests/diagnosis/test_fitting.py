@@ -162,6 +162,15 @@ def test_a_bound_that_binds_is_said():
     assert any("torque scale" in r and "bound of 20" in r for r in fitted.remarks)
 
 
+def test_a_torque_of_the_other_sign_is_said_first_and_while_it_runs():
+    command, said = smooth_torque(3.0, 2.5, 3), []
+    progress = SimpleNamespace(stage=lambda name: None, update=lambda fraction: None, say=said.append)
+    turned = recording(-command, integrated(command))
+    fitted = fit(pendulum(STEP), [turned], extended=False, time_budget=0.5, progress=progress)
+    assert fitted.remarks[0].startswith("Warning: the torque of pendulum has the other sign")
+    assert said == [fitted.remarks[0]]
+
+
 def test_a_long_log_is_fitted_in_part_which_is_said_and_only_what_was_kept_aside_takes_back(monkeypatch):
     monkeypatch.setattr(fitting, "LONGEST", 12.0)
     asked = []
@@ -662,7 +671,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         return lambda *given: told.update({name: given}) or value
 
     stand_ins = {
-        "prepare": prepare, "score": score, "seen_in": lambda train: "seen",
+        "prepare": prepare, "torque_doubts": lambda train, held: (), "score": score, "seen_in": lambda train: "seen",
         "standard_joints": lambda train, seen: "joints",
         "with_coupled_drives": lambda joints, train, seen: {"joints": h}[joints],
         "starts": note("starts", "starts"), "search": note("search", near), "agreement": lambda *given: given,

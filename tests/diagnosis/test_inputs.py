@@ -139,7 +139,7 @@ def test_all_files_of_a_folder_are_checked_with_the_models_gains_and_each_warnin
     monkeypatch.setattr(
         inputs_module, "check_quality", lambda r: SimpleNamespace(warnings=(f"{r.source}: late.", "it is short."))
     )
-    monkeypatch.setattr(inputs_module, "prepare", lambda *_, **__: SimpleNamespace(left_out=()))
+    monkeypatch.setattr(inputs_module, "prepare", lambda *_, **__: SimpleNamespace(left_out=(), signals=()))
     said, usable = checked(Flags(tmp_path / "robot.xml", (tmp_path / "takes",)))
     assert read == [(name, {"hip": (30.0, 2.0)}) for name in ("a.npz", "b.npz")]
     assert usable
@@ -289,6 +289,18 @@ def test_all_problems_are_said_at_once(tmp_path, capsys):
     text, usable = checked(Flags(tmp_path / "robot.xml", (tmp_path / "good.npz",)))
     assert usable
     assert text.endswith("The inputs can be used.")
+
+
+@pytest.mark.parametrize("aside", [False, True])
+def test_a_torque_of_the_other_sign_is_a_warning(tmp_path, aside):
+    (tmp_path / "robot.xml").write_text(pendulum())
+    take = record(pendulum(), smooth_torque(4.0))
+    write_recording(take, tmp_path / "good.npz")
+    write_recording(replace(take, torque_command=-take.torque_command), tmp_path / "turned.npz")
+    names = ("good.npz", "turned.npz") if aside else ("turned.npz", "good.npz")
+    text, usable = checked(Flags(tmp_path / "robot.xml", *((tmp_path / name,) for name in names)))
+    assert usable
+    assert f"- warning: {'Kept aside, ' * aside}the torque of pendulum has the other sign than its motion" in text
 
 
 def arm(path, seconds=3.0, knee=0.0, joints=("hip", "knee")):

@@ -25,6 +25,15 @@ def test_it_is_silent_where_nobody_looks():
     assert progress.fraction == pytest.approx(91 / 100)
 
 
+@pytest.mark.parametrize("seen", [True, False])
+def test_what_is_said_stands_above_the_bar_and_nowhere_without_one(seen):
+    out = io.StringIO()
+    with Progress(force=seen, file=out) as progress:
+        progress.stage("prepare")
+        progress.say("Warning: no torque.")
+    assert ("Warning: no torque.\n" in out.getvalue()) == seen
+
+
 def test_the_share_follows_the_weights_and_never_goes_back():
     with Progress({"a": 1, "b": 3}) as progress:
         seen = [progress.fraction]

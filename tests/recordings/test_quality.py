@@ -429,3 +429,36 @@ def test_the_servo_sticks_but_is_not_stalled_and_its_velocity_is_20_ms_late():
         assert not quality.masks["stalled"].any(), take.source
         shifts += quality.velocity_shift
     assert np.median(shifts) == pytest.approx(0.020, abs=5e-4)
+
+
+def followed(position, target):
+    """A joint follows each target a tenth of a second late."""
+    time = np.arange(500) / 100
+    names = tuple(f"joint{k}" for k in range(position(time).shape[1]))
+    gains = np.full(len(names), 10.0)
+    return Recording(time, names, position(time - 0.1), position_target=target(time), kp=gains, kd=gains / 10)
+
+
+def three(time):
+    return np.stack([0.4 + 0.3 * np.sin(2 * time), np.cos(3 * time), 0.2 * np.sin(5 * time) - 1.0], 1)
+
+
+def test_targets_that_are_followed_are_in_order():
+    assert not check_quality(followed(three, three)).warnings
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_a_target_of_the_other_sign_is_found(joint):
+    signs = np.where(np.arange(3) == joint, -1.0, 1.0)
+    (text,) = check_quality(followed(three, lambda t: signs * three(t))).warnings
+    assert f"the position of joint{joint} follows its position_target with the other sign" in text
+
+
+def test_targets_at_other_joints_are_found():
+    (text,) = check_quality(followed(three, lambda t: three(t)[:, [1, 2, 0]])).warnings
+    assert "position_target columns look exchanged" in text
+    assert "joint0's follows the motion of joint1" in text
+
+
+def test_a_joint_that_hangs_behind_a_weak_drive_is_no_mistake_of_the_log():
+    assert not check_quality(followed(lambda t: 0.2 * three(t), three)).warnings

@@ -33,6 +33,7 @@ from torchrl_athletic.diagnosis.replay import Take
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.standard import Agreement, Seen, agreement, seen_in, standard_joints, starts
+from torchrl_athletic.diagnosis.torque_columns import torque_doubts
 from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
 from torchrl_athletic.effects import Parameter
 from torchrl_athletic.recordings import Recording, cut_stretches, recorded_time
@@ -204,6 +205,9 @@ def fit(
     train = prepare([r.ordered(order) for r in recordings], compiled, drive, xml=xml)
     kernel = train.signals[0].kernel
     held = prepare([r.ordered(order) for r in heldout], compiled, drive, kernel, xml=xml) if heldout else None
+    doubts = [f"Warning: {text}" for text in torque_doubts(train, held)]
+    for doubt in doubts:
+        progress.say(doubt)
     seen = seen_in(train)
     h = with_coupled_drives(standard_joints(train, seen), train, seen)
     free = h.bounds[1] > h.bounds[0]
@@ -240,7 +244,7 @@ def fit(
     y, needed = _no_worse(h, (y, x), (needed, free), train, seed)
     parameters = _parameters(h, near, again, y, needed, seen)
     parameters = _still_unknown(parameters, before, (asked & ~needed)[free])
-    remarks = [_binds(p, bounds) for p, bounds in zip(parameters, _free_parameters(h), strict=True)]
+    remarks = doubts + [_binds(p, bounds) for p, bounds in zip(parameters, _free_parameters(h), strict=True)]
     if kept < 0.99 * whole:
         remarks.append(f"Of {whole:.0f} s of recordings, {kept:.0f} s were fitted, in stretches over all of them.")
     gone: tuple[Candidate, ...] = ()

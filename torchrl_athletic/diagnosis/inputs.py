@@ -15,6 +15,7 @@ from torchrl_athletic.diagnosis.locking import locked_joints
 from torchrl_athletic.diagnosis.model import ModelError, load_model
 from torchrl_athletic.diagnosis.prepare import PAYLOAD, Drive, prepare, stood
 from torchrl_athletic.diagnosis.resources import room_for_data, within_memory
+from torchrl_athletic.diagnosis.torque_columns import torque_doubts
 from torchrl_athletic.effects import JointAddress
 from torchrl_athletic.effects.base import Base
 from torchrl_athletic.recordings import (
@@ -337,11 +338,13 @@ def _unprepared(asked: Asked, model: Path | str, groups: Sequence[Sequence[Recor
         order = every.recordings[0].joint_names if every.recordings else ()
         takes = [stood(r.ordered(order), compiled, base) for r in every.recordings]
         train = prepare(takes[: fitted + joined], compiled, asked.drive, joined=joined, xml=xml)
+        held = None
         yield from (f"{WARNING}{text}" for text in train.left_out)
         if aside:
             kernel = train.signals[0].kernel
             held = prepare(takes[fitted + joined :], compiled, asked.drive, kernel, xml=xml)
             yield from (f"{WARNING}{text}" for text in held.left_out)
+        yield from (f"{WARNING}{text}" for text in torque_doubts(train, held))
     except REFUSALS as error:
         yield str(error)
 

@@ -73,6 +73,11 @@ class Progress:
         start, end = self._span[self._stage]
         self._draw(start + (end - start) * min(max(fraction, 0.0), 1.0))
 
+    def say(self, text: str) -> None:
+        """Print a line above the bar, where there is one."""
+        if not self._bar.disable:
+            self._bar.write(text, file=self._bar.fp)
+
     def _draw(self, done: float) -> None:
         self._done = self._bar.n = max(self._done, done)
         self._bar.refresh()

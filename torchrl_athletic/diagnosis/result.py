@@ -157,7 +157,8 @@ class Answer:
     """'train' and, when recordings were kept aside, 'heldout'."""
     unexplained_share: float = 0.0
     quality: Mapping[str, Any] = field(default_factory=dict)
-    """{recordings: [{source, rate, duration, masked: {reason: samples}, warnings: [...]}], warnings: [...]}"""
+    """{recordings: [{source, rate, duration, masked: {reason: samples}, warnings: [...]}], warnings: [...],
+    torque_doubts: [...]}"""
     model: str = "model"
     """Name of the diagnosed model."""
     complete: bool = True

@@ -209,8 +209,12 @@ def stopped_early(answer: Answer) -> list[str]:
 
 
 def banners(answer: Answer) -> list[str]:
-    """What has to be known before anything else: a model that the recordings changed, and a run that was stopped."""
-    return [*map(str, answer.quality.get("model_changes", ())), *stopped_early(answer)]
+    """What has to be known before anything else.
+
+    Torques that are not their joints', a model that the recordings changed, and a run that was stopped.
+    """
+    doubts = [f"Warning: {text}" for text in answer.quality.get("torque_doubts", ())]
+    return [*doubts, *map(str, answer.quality.get("model_changes", ())), *stopped_early(answer)]
 
 
 def unexplained(answer: Answer) -> list[str]:
