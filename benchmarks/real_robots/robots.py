@@ -25,6 +25,7 @@ at ``ed17ea2``
 at ``24d85ce``
 ``mujoco_menagerie`` at ``b4d7d13``         google-deepmind/mujoco_menagerie         Apache-2.0
 ``figaroh-examples`` at ``c0b5c7f``         thanhndv212/figaroh-examples             Apache-2.0
+``MultiArm-Pendulum`` at ``e99a7e1``        dynamicslab/MultiArm-Pendulum            MIT
 ``SydneyCompassGait`` at ``92546f6``        imanchester/SydneyCompassGait            MIT
 ``masterThesisMatlab`` at ``0e2c725``       nielsSkov/masterThesisMatlab             none stated
 ==========================================  =======================================  =======================
@@ -39,7 +40,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -619,6 +620,35 @@ def cart_pendulum(data: Path) -> Robot:
     return Robot(xml, fitted, [*aside, take("swingUpAndCatch/swNsl4")], "not before its first fit")
 
 
+def free_pendulum(data: Path, links: Literal["double", "triple"]) -> Robot:
+    """Two or three links that swing without a motor, at 1 kHz: their authors' own pieces to fit, and to validate.
+
+    The links are those that the authors began from, without friction: masses are off by up to a third. What is kept
+    aside follows what is fitted, and swings less.
+    """
+    mass, com, length, inertia = {
+        "double": ((0.135, 0.135), (0.0939, 0.1270), (0.1727, 0.0), (0.0017, 0.0026)),
+        "triple": ((0.135, 0.135, 0.1), (0.0939, 0.1270, 0.12), (0.1727, 0.2286, 0.0), (0.0017, 0.0026, 0.002)),
+    }[links]
+    names = ("first", "second", "third")[: len(mass)]
+    body = ""
+    for name, m, a, i, reach in reversed([*zip(names, mass, com, inertia, (0.0, *length), strict=False)]):
+        body = f"""<body pos="0 0 -{reach}"><joint name="{name}" axis="0 1 0"/>
+          <inertial pos="0 0 -{a}" mass="{m}" diaginertia="{i} {i} {i}"/>{body}</body>"""
+    xml = f"""<mujoco><option timestep="0.001" gravity="0 0 -9.808" integrator="implicitfast"/>
+      <worldbody>{body}</worldbody></mujoco>"""
+    home = data / f"MultiArm-Pendulum/ParameterEstimation/{links.title()}Pendulum"
+    log = loadmat(home / f"{links.title()}PendulumDataForParameterEstimation.mat")
+
+    def take(part: str) -> Recording:
+        time = np.concatenate([piece.ravel() for piece in log[f"Time_{part}"].ravel()])
+        absolute = np.hstack([piece[: len(names)] for piece in log[f"Y_{part}"].ravel()]).T - np.pi
+        relative = np.diff(absolute, axis=1, prepend=0.0)
+        return Recording(time, names, relative, torque_command=np.zeros_like(relative), source=f"{links}_{part}")
+
+    return Robot(xml, [take("id")], [take("vad")], "not before its first fit")
+
+
 ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     **{n: bench(n) for n in ("pendulum", "xl330", "unbalanced_disk", "emps", "two_link_arm", "two_link_arm:measured")},
     "so101": so101,
@@ -637,6 +667,7 @@ ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     "compass leg": compass_leg,
     "ak80": ak80_pendulum,
     "cart pendulum": cart_pendulum,
+    **{f"free {links} pendulum": partial(free_pendulum, links=links) for links in ("double", "triple")},
     **{f"double pendulum {design}": partial(double_pendulum, design=design) for design in ("C.0", "C.1")},
 }
 
