@@ -635,8 +635,9 @@ def free_pendulum(data: Path, links: Literal["double", "triple"]) -> Robot:
     for name, m, a, i, reach in reversed([*zip(names, mass, com, inertia, (0.0, *length), strict=False)]):
         body = f"""<body pos="0 0 -{reach}"><joint name="{name}" axis="0 1 0"/>
           <inertial pos="0 0 -{a}" mass="{m}" diaginertia="{i} {i} {i}"/>{body}</body>"""
+    motors = "".join(f'<motor joint="{name}" ctrlrange="-1 1"/>' for name in names)
     xml = f"""<mujoco><option timestep="0.001" gravity="0 0 -9.808" integrator="implicitfast"/>
-      <worldbody>{body}</worldbody></mujoco>"""
+      <worldbody>{body}</worldbody><actuator>{motors}</actuator></mujoco>"""
     home = data / f"MultiArm-Pendulum/ParameterEstimation/{links.title()}Pendulum"
     log = loadmat(home / f"{links.title()}PendulumDataForParameterEstimation.mat")
 
