@@ -32,7 +32,7 @@ from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.replay import Take
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.diagnosis.standard import Agreement, Seen, agreement, seen_in, standard_joints, starts
+from torchrl_athletic.diagnosis.standard import NO_TORQUE, Agreement, Seen, agreement, seen_in, standard_joints, starts
 from torchrl_athletic.diagnosis.torque_columns import torque_doubts
 from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
 from torchrl_athletic.effects import Parameter
@@ -235,6 +235,7 @@ def fit(
     y = best_of(near.problem, (y, np.where(needed, x, h.nominal)), 1)[0]
     fine, y = _polished(near.problem, takes, y, needed, _rng(seed, "steps"), deadline.part(0.76))
     again = linearise(weighed(fine, y), y, needed)
+    needed = needed & (y != h.nominal)  # what ends where the given model has it
     asked, before = needed, _parameters(h, near, again, y, needed, seen)
     if deadline.part(0.78).allows(3 * again.seconds):
         again, needed = _without_unknown(near, again, needed, seen, torques, deadline.part(0.8))
@@ -244,6 +245,7 @@ def fit(
     y, needed = _no_worse(h, (y, x), (needed, free), train, seed)
     parameters = _parameters(h, near, again, y, needed, seen)
     parameters = _still_unknown(parameters, before, (asked & ~needed)[free])
+    parameters = tuple(replace(p, ci95=_around(p.value, p.ci95)) for p in parameters)
     remarks = doubts + [_binds(p, bounds) for p, bounds in zip(parameters, _free_parameters(h), strict=True)]
     if kept < 0.99 * whole:
         remarks.append(f"Of {whole:.0f} s of recordings, {kept:.0f} s were fitted, in stretches over all of them.")
@@ -378,6 +380,11 @@ def _still_unknown(
     )
 
 
+def _around(value: float, interval: tuple[float, float]) -> tuple[float, float]:
+    """The interval with the value that is stated: of what is held at the given one, a fit of all may say another."""
+    return min(interval[0], value), max(interval[1], value)
+
+
 def _reasons(near: Linearised, again: Linearised, needed: NDArray[np.bool_], seen: Seen) -> list[str]:
     """Why each parameter of the fit of all has no number of its own, or empty."""
     doubt, out = spread_of(near), _doubts(near, seen)
@@ -485,7 +492,7 @@ def _doubts(near: Linearised, seen: Seen) -> list[str]:
 def _unseen(c: Candidate, p: Parameter, seen: Seen) -> str:
     if seen.travel[c.joint] < 1e-3:
         return f"{c.where} never moves"
-    if c.effect.name == "torque_saturation":
+    if c.effect.name == "torque_saturation" and seen.asked[c.joint] > NO_TORQUE:
         return f"{UNREACHED}: it is at least {seen.asked[c.joint]:.3g} {p.unit}"
     return UNSHOWN
 

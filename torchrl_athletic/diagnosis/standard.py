@@ -59,6 +59,8 @@ LIMITS = (0.4, 0.7, 0.9)
 """Torque limits to start from, per the largest torque that was asked for."""
 NONLINEAR = ("actuation_delay", "actuation_lag", "torque_saturation", "speed_torque_limit", "encoder_offset")
 """Effects that no column of a regression stands for."""
+NO_TORQUE = 1e-9
+"""What counts as none [N·m, N]."""
 RIDGE = 1e-3
 """Pull of the regression towards the given model, per what the recordings say [1]."""
 
@@ -97,8 +99,8 @@ def seen_in(prepared: Prepared) -> Seen:
         return np.maximum(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)), 1e-6)
 
     return Seen(
-        asked=np.maximum(asked, 1e-9),
-        torque=np.maximum(np.maximum(asked, needed), 1e-9),
+        asked=np.maximum(asked, NO_TORQUE),
+        torque=np.maximum(np.maximum(asked, needed), NO_TORQUE),
         speed=rms([t.velocity for t in takes]),
         acceleration=rms([s.acceleration for s in signals]),
         inertia=np.diag(rest).copy(),
