@@ -318,8 +318,8 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
     """Which parameters folds that are kept aside ask for; the others are held at the given model's. Shape (P,), of all.
 
     Backwards: of each joint the parameter goes whose absence costs least to first order, as long as folds that were
-    kept aside allow it: their stated error must not rise, nor, in a fit of weighed windows, the weighed one by more
-    than its own uncertainty. The fits without a fold and without a parameter are one bounded Gauss-Newton step from the
+    kept aside allow it: their stated error must not rise by more than half its uncertainty, nor, in a fit of weighed
+    windows, the weighed one. The fits without a fold and without a parameter are one bounded Gauss-Newton step from the
     solution; their errors are simulated.
     """
     problem, fold = near.problem, folds_of(near.problem)
@@ -345,7 +345,7 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
             least[k] = min((least[k], *error), key=lambda e: float(e.mean()))
             rise = error - least[k]
             cost, doubt = rise.mean(1), rise.std(1) / np.sqrt(count)
-            allowed &= cost <= np.maximum(DOUBT * k * doubt, WORTH * least[k].mean())
+            allowed &= cost <= np.maximum(DOUBT * doubt, WORTH * least[k].mean())
         alone = np.flatnonzero(allowed[: len(chosen)])
         if allowed[-1]:
             held = trials[-1]
