@@ -20,7 +20,7 @@ from torchrl_athletic.diagnosis.joint_fit import GAIN, folded, follows_better, g
 from torchrl_athletic.diagnosis.prepare import Prepared
 from torchrl_athletic.diagnosis.problem import Mask, evenly, folds_of, independent, part_of, weighed, window_cost
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.diagnosis.standard import ROOM, Seen, agreement, columns_of, has_columns
+from torchrl_athletic.diagnosis.standard import ROOM, STILL, Seen, agreement, columns_of, has_columns
 from torchrl_athletic.effects import (
     ActuationLag,
     AsymmetricFriction,
@@ -191,7 +191,7 @@ def offers(near: Linearised, prepared: Prepared, seen: Seen) -> list[Offer]:
     h, take, out = near.problem.hypothesis, prepared.takes[0], []
     have = {c.key for c in h.terms}
     for j, name in enumerate(take.recording.joint_names):
-        if seen.travel[j] < 1e-3:
+        if seen.travel[j] < STILL:
             continue
         for law in LAWS:
             own = law.parameters(take.model, take.address, j)

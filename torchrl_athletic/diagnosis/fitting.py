@@ -24,6 +24,7 @@ from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.given_scale import held_back, with_given_scales
 from torchrl_athletic.diagnosis.joint_fit import MOST, affordable, best_of, prune, search
+from torchrl_athletic.diagnosis.links import explains_little, with_links
 from torchrl_athletic.diagnosis.memory import free_memory
 from torchrl_athletic.diagnosis.model import Model, load_model
 from torchrl_athletic.diagnosis.prepare import Drive, Prepared, prepare
@@ -32,7 +33,7 @@ from torchrl_athletic.diagnosis.progress import Progress
 from torchrl_athletic.diagnosis.replay import Take
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.diagnosis.standard import NO_TORQUE, Agreement, Seen, agreement, seen_in, standard_joints, starts
+from torchrl_athletic.diagnosis.standard import STILL, Agreement, Seen, agreement, seen_in, standard_joints, starts
 from torchrl_athletic.diagnosis.torque_columns import torque_doubts
 from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
 from torchrl_athletic.effects import Parameter
@@ -222,9 +223,12 @@ def fit(
     near = with_given_scales(near, torques, deadline.part(0.55))
     if extended:
         progress.stage("extend")
-        known = near.problem.hypothesis
+        known, joints = near.problem.hypothesis, near
         near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.6))
         near = extend(near, train, seen, deadline.part(0.62), progress.update)
+        if explains_little(near):
+            linked = with_links(near, joints, train, _rng(seed, "links"), deadline.part(0.63))
+            near = near if linked is near else extend(linked, train, seen, deadline.part(0.635), progress.update)
         h = near.problem.hypothesis
         free, torques = h.bounds[1] > h.bounds[0], near.problem.torques or agreement(h, train)
         if h is not known:  # a new law may be what is scaled alike
@@ -490,9 +494,9 @@ def _doubts(near: Linearised, seen: Seen) -> list[str]:
 
 
 def _unseen(c: Candidate, p: Parameter, seen: Seen) -> str:
-    if seen.travel[c.joint] < 1e-3:
+    if seen.travel[c.joint] < STILL:
         return f"{c.where} never moves"
-    if c.effect.name == "torque_saturation" and seen.asked[c.joint] > NO_TORQUE:
+    if c.effect.name == "torque_saturation":
         return f"{UNREACHED}: it is at least {seen.asked[c.joint]:.3g} {p.unit}"
     return UNSHOWN
 

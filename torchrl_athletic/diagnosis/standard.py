@@ -61,6 +61,10 @@ NONLINEAR = ("actuation_delay", "actuation_lag", "torque_saturation", "speed_tor
 """Effects that no column of a regression stands for."""
 NO_TORQUE = 1e-9
 """What counts as none [N·m, N]."""
+OF_THE_MOTOR = frozenset({("torque_scale", "scale"), ("torque_saturation", "limit"), ("actuation_delay", "delay")})
+"""Effects and their numbers of which a joint says nothing that swings without being driven."""
+STILL = 1e-3
+"""Travel below which a joint never moved [rad, m]."""
 RIDGE = 1e-3
 """Pull of the regression towards the given model, per what the recordings say [1]."""
 
@@ -117,7 +121,8 @@ def standard_joints(prepared: Prepared, seen: Seen) -> Hypothesis:
     effects = (*MECHANICS, GainMismatch() if targets else TorqueScale())
     terms = []
     for j, name in enumerate(take.recording.joint_names):
-        fixed = _fixed(recordings, j)
+        swings = seen.asked[j] <= NO_TORQUE and seen.travel[j] >= STILL
+        fixed = _fixed(recordings, j) | (OF_THE_MOTOR if swings else set())
         for effect in effects:
             own = effect.parameters(take.model, take.address, j)
             bounded = tuple(_bounded(effect, p, j, seen, (effect.name, p.name) in fixed) for p in own)

@@ -1,0 +1,103 @@
+"""Links that the model has far off: searched all at once, and only where the joints explain little."""
+
+import sys
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis.plants import double_pendulum, record, slider, smooth_torque
+
+from torchrl_athletic.diagnosis import fit
+from torchrl_athletic.diagnosis.deadline import Deadline
+from torchrl_athletic.diagnosis.fit import Hypothesis
+from torchrl_athletic.diagnosis.links import DRAWS, INERTIA, LEFT, explains_little, with_links
+from torchrl_athletic.diagnosis.prepare import prepare
+from torchrl_athletic.diagnosis.standard import seen_in, standard_joints
+
+module = sys.modules["torchrl_athletic.diagnosis.links"]
+
+
+def leaving(own, folds, given=1.0, hypothesis=None):
+    """A fit that leaves so much, of a model that leaves ``given``."""
+    problem = SimpleNamespace(
+        hypothesis=hypothesis or Hypothesis(()),
+        mean_square=lambda values: np.full((len(values), 2, 1), given),
+        squares=lambda errors: errors,
+        windows=[SimpleNamespace(take="take")],
+    )
+    values = problem.hypothesis.nominal + 0.125
+    return SimpleNamespace(problem=problem, errors=np.full((2, 1), own), folds=folds, values=values, seconds=1.0)
+
+
+@pytest.mark.parametrize(
+    ("own", "folds", "little"),
+    [
+        (0.9 * LEFT**2, 0.9 * LEFT**2, False),
+        (1.1 * LEFT**2, 0.1 * LEFT**2, True),  # it has not arrived
+        (0.1 * LEFT**2, 1.1 * LEFT**2, True),
+    ],
+)
+def test_a_fit_explains_little_where_itself_or_its_folds_leave_much(monkeypatch, own, folds, little):
+    monkeypatch.setattr(module, "stated", lambda near: near.folds)
+    assert explains_little(leaving(own, folds)) == little
+    assert explains_little(leaving(4 * own, 4 * folds, given=4.0)) == little
+
+
+def searched(monkeypatch, xml, left, deadline=np.inf):
+    """What :func:`with_links` makes of a fit that leaves 1, and what it searched."""
+    torque = np.repeat(smooth_torque(2.0), xml.count("<joint"), axis=1)
+    prepared = prepare([record(xml, torque, 0.4)], mujoco.MjModel.from_xml_string(xml))
+    joints, told = leaving(1.0, 1.0, hypothesis=standard_joints(prepared, seen_in(prepared))), {}
+
+    def search(h, takes, begin, rng, deadline, torques):
+        told.update(hypothesis=h, takes=takes, begin=begin)
+        return SimpleNamespace(folds=left)
+
+    monkeypatch.setattr(module, "stated", lambda near: near.folds)
+    monkeypatch.setattr(module, "search", search)
+    near = leaving(1.0, 1.0)
+    found = with_links(near, joints, prepared, np.random.default_rng(0), Deadline(deadline))
+    return found is not near, told, joints
+
+
+def test_all_numbers_of_all_links_are_searched_beside_the_joints_from_given_known_and_drawn_ones(monkeypatch):
+    better, told, joints = searched(monkeypatch, double_pendulum(), 0.9)
+    assert better
+    assert told["takes"] == ("take",)
+    h, first = told["hypothesis"], len(joints.values)
+    names = [(c.effect.name, c.where) for c in h.terms[len(joints.problem.hypothesis.terms) :]]
+    assert names == [(e, j) for j in ("upper", "lower") for e in ("link_mass", "link_com_shift", "link_inertia")]
+    (scale,) = h.terms[-1].parameters
+    assert (scale.lower, scale.upper) == INERTIA
+    begin, low, high = told["begin"], *h.bounds
+    assert len(begin) == 2 + DRAWS
+    assert (begin[0] == h.nominal).all()
+    assert (begin[1] == np.append(joints.values, h.nominal[first:])).all()
+    assert (begin[2::2, :first] == h.nominal[:first]).all()
+    assert (begin[3::2, :first] == joints.values).all()
+    drawn = begin[2:, first:]
+    assert ((drawn >= low[first:]) & (drawn <= high[first:])).all()
+    assert (drawn.std(0) > 0).all()
+
+
+def test_links_stay_as_they_are_where_folds_are_not_followed_clearly_better_or_there_is_no_time(monkeypatch):
+    assert not searched(monkeypatch, double_pendulum(), 0.97)[0]
+    assert not searched(monkeypatch, double_pendulum(), 0.1, deadline=0.0)[0]
+
+
+def test_a_slide_has_no_inertia_and_no_centre_to_search(monkeypatch):
+    _, told, _ = searched(monkeypatch, slider(), 0.1)
+    assert [c.effect.name for c in told["hypothesis"].terms[-2:]][-1] == "link_mass"
+
+
+@pytest.mark.slow
+def test_a_double_pendulum_whose_links_are_far_off_is_followed_without_a_motor():
+    true = double_pendulum().replace('pos="0 0 -0.3" mass="0.5" diaginertia="0.001 0.001 0.001"', "LINK")
+    far = 'pos="0 0 -0.3" mass="0.5" diaginertia="0.02 0.02 0.02"'
+    true = true.replace("LINK", 'pos="0 0 -0.2" mass="0.8" diaginertia="0.002 0.002 0.002"', 1).replace("LINK", far)
+    takes = [record(true, np.zeros((800, 2)), start) for start in (0.8, 1.2)]
+    aside = record(true, np.zeros((400, 2)), 0.5)
+    fitted = fit(double_pendulum(), takes, [aside])
+    for part in ("train", "heldout"):
+        assert fitted.scores[part].after < 0.05 * fitted.scores[part].before
