@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from diagnosis.plants import double_pendulum, record, slider, smooth_torque
+from diagnosis.plants import STEP, double_pendulum, record, slider, smooth_torque
 
 from torchrl_athletic.diagnosis import fit
 from torchrl_athletic.diagnosis.deadline import Deadline
@@ -91,13 +91,20 @@ def test_a_slide_has_no_inertia_and_no_centre_to_search(monkeypatch):
     assert [c.effect.name for c in told["hypothesis"].terms[-2:]][-1] == "link_mass"
 
 
+def triple_pendulum(*links: tuple[float, float, float]) -> str:
+    """Mass, distance of its centre and inertia of each of three links that hang on each other."""
+    body = ""
+    for k, (mass, centre, inertia) in reversed([*enumerate(links)]):
+        body = f"""<body pos="0 0 {-0.2 * (k > 0)}"><joint name="joint{k}" axis="0 1 0" damping="1e-4"/>
+          <inertial pos="0 0 {-centre}" mass="{mass}" diaginertia="{inertia} {inertia} {inertia}"/>{body}</body>"""
+    return f"""<mujoco><option timestep="{STEP}" integrator="implicitfast"/><worldbody>{body}</worldbody></mujoco>"""
+
+
 @pytest.mark.slow
-def test_a_double_pendulum_whose_links_are_far_off_is_followed_without_a_motor():
-    true = double_pendulum().replace('pos="0 0 -0.3" mass="0.5" diaginertia="0.001 0.001 0.001"', "LINK")
-    far = 'pos="0 0 -0.3" mass="0.5" diaginertia="0.02 0.02 0.02"'
-    true = true.replace("LINK", 'pos="0 0 -0.2" mass="0.8" diaginertia="0.002 0.002 0.002"', 1).replace("LINK", far)
-    takes = [record(true, np.zeros((800, 2)), start) for start in (0.8, 1.2)]
-    aside = record(true, np.zeros((400, 2)), 0.5)
-    fitted = fit(double_pendulum(), takes, [aside])
+def test_a_triple_pendulum_whose_links_are_far_off_is_followed_without_a_motor():
+    given = triple_pendulum((0.135, 0.094, 0.0017), (0.135, 0.127, 0.0026), (0.1, 0.12, 0.002))
+    true = triple_pendulum((0.26, 0.16, 0.0001), (0.28, 0.2, 0.0003), (0.12, 0.18, 0.0002))
+    takes = [record(true, np.zeros((800, 3)), start) for start in (0.3, 0.5)]
+    fitted = fit(given, takes, [record(true, np.zeros((400, 3)), 0.4)])
     for part in ("train", "heldout"):
         assert fitted.scores[part].after < 0.05 * fitted.scores[part].before
