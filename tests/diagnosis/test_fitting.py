@@ -691,7 +691,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         ),
         "in_steps_of": lambda problem, steps: problem,
         "with_given_scales": note("given scales", near),
-        "explains_little": lambda near: True, "with_links": note("links", near),
+        "asks_for_links": lambda near: True, "with_links": note("links", near),
         "with_gear": note("gear", near), "extend": note("extend", near), "prune": note("prune", needed),
         "best_of": note("best_of", [np.array([1.0, 2.0, 0.125, 0.25, 0.375])]), "Deadline": Clock,
         "weighed": lambda problem, x: (problem, x.tolist()), "descend": note("descend", again.values),

@@ -11,44 +11,37 @@ from diagnosis.plants import STEP, double_pendulum, record, slider, smooth_torqu
 from torchrl_athletic.diagnosis import fit
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.links import DRAWS, INERTIA, LEFT, explains_little, with_links
+from torchrl_athletic.diagnosis.links import DRAWS, INERTIA, asks_for_links, with_links
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.standard import seen_in, standard_joints
 
 module = sys.modules["torchrl_athletic.diagnosis.links"]
 
 
-def leaving(own, folds, given=1.0, hypothesis=None):
-    """A fit that leaves so much, of a model that leaves ``given``."""
-    problem = SimpleNamespace(
-        hypothesis=hypothesis or Hypothesis(()),
-        mean_square=lambda values: np.full((len(values), 2, 1), given),
-        squares=lambda errors: errors,
-        windows=[SimpleNamespace(take="take")],
-    )
-    values = problem.hypothesis.nominal + 0.125
-    return SimpleNamespace(problem=problem, errors=np.full((2, 1), own), folds=folds, values=values, seconds=1.0)
+def leaving(folds, hypothesis=None):
+    """A fit whose folds leave so much."""
+    problem = SimpleNamespace(hypothesis=hypothesis or Hypothesis(()), windows=[SimpleNamespace(take="take")])
+    return SimpleNamespace(problem=problem, folds=folds, values=problem.hypothesis.nominal + 0.125, seconds=1.0)
 
 
 @pytest.mark.parametrize(
-    ("own", "folds", "little"),
+    ("asked", "several"),
     [
-        (0.9 * LEFT**2, 0.9 * LEFT**2, False),
-        (1.1 * LEFT**2, 0.1 * LEFT**2, True),  # it has not arrived
-        (0.1 * LEFT**2, 1.1 * LEFT**2, True),
+        ([], False),
+        ([("link_mass", 0), ("link_inertia", 0), ("coulomb_friction", 1)], False),
+        ([("link_mass", 0), ("link_com_shift", 1)], True),
     ],
 )
-def test_a_fit_explains_little_where_itself_or_its_folds_leave_much(monkeypatch, own, folds, little):
-    monkeypatch.setattr(module, "stated", lambda near: near.folds)
-    assert explains_little(leaving(own, folds)) == little
-    assert explains_little(leaving(4 * own, 4 * folds, given=4.0)) == little
+def test_several_links_are_asked_for_where_laws_are_of_two_of_them(asked, several):
+    terms = [SimpleNamespace(effect=SimpleNamespace(name=name), joint=joint) for name, joint in asked]
+    assert asks_for_links(SimpleNamespace(problem=SimpleNamespace(hypothesis=SimpleNamespace(terms=terms)))) == several
 
 
 def searched(monkeypatch, xml, left, deadline=np.inf):
     """What :func:`with_links` makes of a fit that leaves 1, and what it searched."""
     torque = np.repeat(smooth_torque(2.0), xml.count("<joint"), axis=1)
     prepared = prepare([record(xml, torque, 0.4)], mujoco.MjModel.from_xml_string(xml))
-    joints, told = leaving(1.0, 1.0, hypothesis=standard_joints(prepared, seen_in(prepared))), {}
+    joints, told = leaving(1.0, standard_joints(prepared, seen_in(prepared))), {}
 
     def search(h, takes, begin, rng, deadline, torques):
         told.update(hypothesis=h, takes=takes, begin=begin)
@@ -56,7 +49,7 @@ def searched(monkeypatch, xml, left, deadline=np.inf):
 
     monkeypatch.setattr(module, "stated", lambda near: near.folds)
     monkeypatch.setattr(module, "search", search)
-    near = leaving(1.0, 1.0)
+    near = leaving(1.0)
     found = with_links(near, joints, prepared, np.random.default_rng(0), Deadline(deadline))
     return found is not near, told, joints
 

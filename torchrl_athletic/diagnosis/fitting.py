@@ -24,7 +24,7 @@ from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.given_scale import held_back, with_given_scales
 from torchrl_athletic.diagnosis.joint_fit import MOST, affordable, best_of, prune, search
-from torchrl_athletic.diagnosis.links import explains_little, with_links
+from torchrl_athletic.diagnosis.links import asks_for_links, with_links
 from torchrl_athletic.diagnosis.memory import free_memory
 from torchrl_athletic.diagnosis.model import Model, load_model
 from torchrl_athletic.diagnosis.prepare import Drive, Prepared, prepare
@@ -226,7 +226,7 @@ def fit(
         known, joints = near.problem.hypothesis, near
         near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.6))
         near = extend(near, train, seen, deadline.part(0.62), progress.update)
-        if explains_little(near):
+        if asks_for_links(near):
             linked = with_links(near, joints, train, _rng(seed, "links"), deadline.part(0.63))
             near = near if linked is near else extend(linked, train, seen, deadline.part(0.635), progress.update)
         h = near.problem.hypothesis

@@ -1,4 +1,4 @@
-"""Links whose mass, centre and inertia are far from the model's: all searched at once, where the joints explain little.
+"""Links whose mass, centre and inertia are far from the model's: all searched at once, where several are asked for.
 
 One number of one link at a time leads nowhere there: each makes up for the others, until no slope is left.
 """
@@ -22,8 +22,6 @@ from torchrl_athletic.effects import LinkComShift, LinkInertia, LinkMass, Parame
 Array = NDArray[np.float64]
 
 LINK = (LinkMass(), LinkComShift(), LinkInertia())
-LEFT = 0.3
-"""Share of the given model's error that has to be left for the links to be searched [1]."""
 INERTIA = (0.05, 20.0)
 """Bounds of a link's inertia, per the given one: a mass that lies elsewhere may leave next to none [1]."""
 DRAWS = 24
@@ -34,11 +32,10 @@ SHIFT = 4.0
 """That of a centre of mass, in changes worth mentioning [1]."""
 
 
-def explains_little(near: Linearised) -> bool:
-    """Whether the solution, or folds, leave more than :data:`LEFT` of the given model's error, of the same windows."""
-    given = float(near.problem.mean_square(near.problem.hypothesis.nominal[None]).mean())
-    left = max(float(near.problem.squares(near.errors).mean()), stated(near))
-    return left > LEFT**2 * given
+def asks_for_links(near: Linearised) -> bool:
+    """Whether folds asked for numbers of two links or more, one at a time."""
+    names = {effect.name for effect in LINK}
+    return len({c.joint for c in near.problem.hypothesis.terms if c.effect.name in names}) > 1
 
 
 def with_links(
@@ -47,7 +44,7 @@ def with_links(
     """The fit, or one of the standard joints and all links if it follows folds clearly better.
 
     Args:
-        near: Fit that explains little.
+        near: Fit with laws, which is kept if it is no worse.
         joints: Fit of the standard joints, from whose solution half of the starts come.
         prepared: Recordings.
         rng: Draws starts and windows.
