@@ -141,7 +141,7 @@ def test_a_torque_of_the_other_sign_is_said_before_all_else_and_while_it_runs():
     progress = SimpleNamespace(stage=lambda name: None, update=lambda fraction: None, say=said.append, now="state")
     turned = [replace(r, torque_command=-r.torque_command) for r in recordings([0])]
     found = diagnose(MODEL, turned, catalogue=FEW[:1], progress=progress)
-    (doubt,) = found.answer.quality["torque_doubts"]
+    (doubt,) = found.answer.quality["column_doubts"]
     assert doubt.startswith("the torque of pendulum has the other sign")
     assert said == [f"Warning: {doubt}"]
 
@@ -360,7 +360,7 @@ def test_what_is_kept_aside_is_seen_in_the_band_of_what_is_fitted(monkeypatch):
         return SimpleNamespace(signals=[SimpleNamespace(kernel=0.25), SimpleNamespace(kernel=0.5)])
 
     monkeypatch.setattr(diagnosing, "prepare", prepared)
-    monkeypatch.setattr(diagnosing, "torque_doubts", lambda train, held: ())
+    monkeypatch.setattr(diagnosing, "column_doubts", lambda train, held: ())
     given = Given("model", "xml", "m", ("a", "b"), ("c",), (), "measured", joined=1)
     run = SimpleNamespace(progress=SimpleNamespace(update=lambda share: None))
     assert diagnosing._prepare(given, run).held is not None

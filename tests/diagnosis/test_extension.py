@@ -387,7 +387,7 @@ def test_a_gear_is_searched_for_from_the_given_and_the_fitted_joint_at_many_stif
     def search(h, takes, begin, rng, deadline, torques):
         searched.append((h, begin))
         assert (takes, rng, torques) == (("one", "two"), "dice", ("torques", h, prepared))  # in the fit's own steps
-        assert deadline.seconds == 62.0
+        assert deadline.seconds == pytest.approx(62.0, abs=1.0)  # all that is left
         return found
 
     own = SimpleNamespace(parameters=(Parameter("drag", "1", 1.0, 0.0, 9.0, 1.0),))

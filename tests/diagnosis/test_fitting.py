@@ -680,7 +680,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         return lambda *given: told.update({name: given}) or value
 
     stand_ins = {
-        "prepare": prepare, "torque_doubts": lambda train, held: (), "score": score, "seen_in": lambda train: "seen",
+        "prepare": prepare, "column_doubts": lambda train, held: (), "score": score, "seen_in": lambda train: "seen",
         "standard_joints": lambda train, seen: "joints",
         "with_coupled_drives": lambda joints, train, seen: {"joints": h}[joints],
         "starts": note("starts", "starts"), "search": note("search", near), "agreement": lambda *given: given,
@@ -731,7 +731,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
     assert ("extend" in told, "gear" in told) == (extended, extended)
     if extended:
         assert told["gear"][:2] == (near, train)
-        assert told["links"][:3] == (near, near, train)
+        assert told["links"][:2] == (near, train)
         assert told["extend"][:3] == (near, train, "seen")
         assert told["extend"][4] is progress.update
     assert told["prune"][0] is near

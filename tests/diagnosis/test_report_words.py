@@ -136,7 +136,7 @@ def test_a_changed_model_is_told_before_a_run_that_was_stopped():
     assert first == "It carries 1 kg."
     assert second.startswith("Stopped early, in the stage 'decide'")
     assert banners(replace(answer, complete=True, quality={})) == []
-    doubtful = replace(answer, quality={**answer.quality, "torque_doubts": ["the torque of hip is none."]})
+    doubtful = replace(answer, quality={**answer.quality, "column_doubts": ["the torque of hip is none."]})
     assert banners(doubtful) == ["Warning: the torque of hip is none.", first, second]
 
 

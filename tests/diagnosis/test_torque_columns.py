@@ -8,7 +8,7 @@ import pytest
 from diagnosis.plants import double_pendulum, pendulum, record, slider, smooth_torque
 
 from torchrl_athletic.diagnosis.prepare import prepare
-from torchrl_athletic.diagnosis.torque_columns import explained, torque_doubts
+from torchrl_athletic.diagnosis.torque_columns import column_doubts, explained, torque_doubts
 
 
 def two_torques(seconds: float = 8.0) -> np.ndarray:
@@ -83,7 +83,7 @@ def test_says_nothing_without_torques():
     """A motor that is off, and a joint that follows targets."""
     off = record(pendulum(), np.zeros((800, 1)), start=1.0)
     assert not doubts(off, pendulum())
-    assert np.isnan(explained(prepare([off], mujoco.MjModel.from_xml_string(pendulum())).signals)).all()
+    assert np.isnan(explained(prepare([off], mujoco.MjModel.from_xml_string(pendulum())).signals)[0]).all()
     held = record(pendulum(), -smooth_torque(8), kp=np.array([20.0]), kd=np.array([1.0]))
     assert not doubts(held, pendulum())
 
@@ -97,5 +97,40 @@ def test_shares_are_those_of_a_least_squares_fit():
     parts = np.stack([s.required[ok, 0], s.acceleration[ok, 0], np.sign(speed), speed, np.ones(ok.sum())], 1)
     error = s.command[ok, 0] - parts @ np.linalg.lstsq(parts, s.command[ok, 0], rcond=None)[0]
     plain = 1 - error.var() / s.command[ok, 0].var()
-    assert explained([s])[0, 0] <= plain + 1e-9
-    assert explained([s])[0, 0] == pytest.approx(plain, abs=0.01)
+    share = explained([s])[0][0, 0]
+    assert share <= plain + 1e-9
+    assert share == pytest.approx(plain, abs=0.01)
+
+
+@pytest.mark.parametrize("late", [2, 5, 8])
+@pytest.mark.parametrize("robot", [pendulum(), slider(), slider(joint='damping="3"')])
+def test_a_drive_that_answers_late_is_no_mistake_of_the_log(robot, late):
+    """Its command came so many samples of 10 ms before."""
+    waves = np.sum([np.sin(2 * np.pi * f * np.arange(800) / 100) for f in (3.0, 4.0, 5.0)], axis=0)[:, None]
+    take = record(robot, waves)
+    assert not doubts(replace(take, torque_command=np.vstack([waves[late:], np.zeros((late, 1))])), robot)
+
+
+def test_a_torque_sensor_may_have_another_zero_in_each_recording():
+    takes = [record(pendulum(), smooth_torque(8, seed=k), seed=k) for k in range(4)]
+    zeros = [replace(t, torque_command=t.torque_command + z) for t, z in zip(takes, (0.0, 3.0, -2.0, 5.0), strict=True)]
+    assert not torque_doubts(prepare(zeros, mujoco.MjModel.from_xml_string(pendulum())))
+
+
+def test_of_the_sets_each_mistake_is_said_by_itself():
+    """Noise to fit, and a turned torque kept aside, of one joint."""
+    take, other = (record(pendulum(), smooth_torque(8, seed=k)) for k in range(2))
+    noise = replace(take, torque_command=np.repeat(np.random.default_rng(7).normal(size=(80, 1)), 10, axis=0))
+    first, second = doubts(noise, pendulum(), turned(other))
+    assert "little to do" in first
+    assert "Kept aside" in second
+
+
+def test_targets_that_are_turned_round_are_said_beside_torques():
+    gains = {"kp": np.array([80.0]), "kd": np.array([2.0])}
+    take = record(pendulum(), smooth_torque(8), **gains)
+    wrong = replace(take, position_target=-take.position_target)
+    prepared = prepare([wrong, wrong], mujoco.MjModel.from_xml_string(pendulum()))
+    (text,) = column_doubts(prepared)
+    assert "follows its position_target with the other sign" in text
+    assert not column_doubts(prepare([take], mujoco.MjModel.from_xml_string(pendulum())))

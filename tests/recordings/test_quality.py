@@ -8,6 +8,7 @@ import pytest
 
 from torchrl_athletic.recordings import Recording, RecordingError, check_quality
 from torchrl_athletic.recordings.datasets import load_dataset
+from torchrl_athletic.recordings.mixed_up import target_doubts
 
 RATE = 200.0
 
@@ -460,5 +461,32 @@ def test_targets_at_other_joints_are_found():
     assert "joint0's follows the motion of joint1" in text
 
 
-def test_a_joint_that_hangs_behind_a_weak_drive_is_no_mistake_of_the_log():
-    assert not check_quality(followed(lambda t: 0.2 * three(t), three)).warnings
+def wave(size, about, speed=2.0):
+    return lambda t: (about + size * np.sin(speed * t))[:, None]
+
+
+@pytest.mark.parametrize(
+    ("position", "target"),
+    [
+        (lambda t: 0.2 * three(t), three),  # a weak drive
+        (wave(0.01, -0.06), wave(0.01, 0.05)),  # it sags
+        (wave(0.0, -0.2), wave(0.0, 0.3)),  # it only holds
+        (wave(-0.2, 0.0, 6.0), wave(0.6, 0.0, 6.0)),  # a soft servo beyond its resonance
+    ],
+)
+def test_a_joint_that_does_not_follow_its_target_well_is_no_mistake_of_the_log(position, target):
+    take = followed(position, target)
+    assert not target_doubts(take, np.full(take.num_joints, 1e-4))
+
+
+def test_two_joints_that_hold_beside_their_targets_are_not_exchanged():
+    def held(*values):
+        return lambda t: np.array(values) + 1e-5 * np.sin(np.outer(t, (1.0, 2.0)))
+
+    assert not target_doubts(followed(held(0.25, 0.1), held(0.1, 0.3)), np.full(2, 1e-4))
+
+
+def test_stale_targets_of_a_motor_that_is_off_say_nothing():
+    take = followed(three, lambda t: -three(t))
+    assert target_doubts(take, np.full(3, 1e-4))
+    assert not target_doubts(replace(take, kp=np.zeros(3)), np.full(3, 1e-4))

@@ -22,7 +22,7 @@ from torchrl_athletic.diagnosis.simulate import simulate
 from torchrl_athletic.diagnosis.stages import Decided, Given, Located, Ready, Run, Simulated
 from torchrl_athletic.diagnosis.state import state
 from torchrl_athletic.diagnosis.thresholds import SPENDING
-from torchrl_athletic.diagnosis.torque_columns import torque_doubts
+from torchrl_athletic.diagnosis.torque_columns import column_doubts
 from torchrl_athletic.effects import CATALOGUE, Effect
 from torchrl_athletic.effects.base import Base
 from torchrl_athletic.recordings import Recording
@@ -172,7 +172,7 @@ def _prepare(given: Given, run: Run) -> Ready:
     run.progress.update(0.6)
     kernel = train.signals[0].kernel
     held = prepare(given.heldout, given.model, given.drive, kernel, xml=given.xml) if given.heldout else None
-    for doubt in torque_doubts(train, held):
+    for doubt in column_doubts(train, held):
         run.progress.say(f"Warning: {doubt}")
     return Ready(given, train, held)
 

@@ -145,7 +145,7 @@ def with_gear(near: Linearised, prepared: Prepared, rng: np.random.Generator, de
     begin = [stiff, *(np.append(x, y) for x in (h.nominal, near.values) for y in hints[0].start * finer)]
     begin += [np.append(h.nominal, hint.start) for hint in hints[1:]]
     takes = tuple(dict.fromkeys(w.take for w in near.problem.windows))  # both are compared in the same steps
-    found = search(wider, takes, np.stack(begin), rng, deadline, agreement(wider, prepared))
+    found = search(wider, takes, np.stack(begin), rng, Deadline(deadline.left), agreement(wider, prepared))
     return found if stated(found) < (1 - 2 * GAIN) * stated(near) else near
 
 

@@ -34,7 +34,7 @@ from torchrl_athletic.diagnosis.replay import Take
 from torchrl_athletic.diagnosis.result import Score
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.standard import STILL, Agreement, Seen, agreement, seen_in, standard_joints, starts
-from torchrl_athletic.diagnosis.torque_columns import torque_doubts
+from torchrl_athletic.diagnosis.torque_columns import column_doubts
 from torchrl_athletic.diagnosis.veto import veto_sentence, vetoed
 from torchrl_athletic.effects import Parameter
 from torchrl_athletic.recordings import Recording, cut_stretches, recorded_time
@@ -206,7 +206,7 @@ def fit(
     train = prepare([r.ordered(order) for r in recordings], compiled, drive, xml=xml)
     kernel = train.signals[0].kernel
     held = prepare([r.ordered(order) for r in heldout], compiled, drive, kernel, xml=xml) if heldout else None
-    doubts = [f"Warning: {text}" for text in torque_doubts(train, held)]
+    doubts = [f"Warning: {text}" for text in column_doubts(train, held)]
     for doubt in doubts:
         progress.say(doubt)
     seen = seen_in(train)
@@ -223,16 +223,16 @@ def fit(
     near = with_given_scales(near, torques, deadline.part(0.55))
     if extended:
         progress.stage("extend")
-        known, joints = near.problem.hypothesis, near
+        known = near.problem.hypothesis
         near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.6))
         near = extend(near, train, seen, deadline.part(0.62), progress.update)
         if asks_for_links(near):
-            linked = with_links(near, joints, train, _rng(seed, "links"), deadline.part(0.63))
-            near = near if linked is near else extend(linked, train, seen, deadline.part(0.635), progress.update)
+            linked = with_links(near, train, _rng(seed, "links"), deadline.part(0.63))
+            near = near if linked is near else extend(linked, train, seen, deadline.part(0.64), progress.update)
         h = near.problem.hypothesis
         free, torques = h.bounds[1] > h.bounds[0], near.problem.torques or agreement(h, train)
         if h is not known:  # a new law may be what is scaled alike
-            near = with_given_scales(near, torques, deadline.part(0.64))
+            near = with_given_scales(near, torques, deadline.part(0.65))
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
     x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
@@ -246,7 +246,7 @@ def fit(
         y = again.values
 
     progress.stage("score")
-    y, needed = _no_worse(h, (y, x), (needed, free), train, seed)
+    y, needed = _no_worse(h, (y, x), (needed, free & (x != h.nominal)), train, seed)
     parameters = _parameters(h, near, again, y, needed, seen)
     parameters = _still_unknown(parameters, before, (asked & ~needed)[free])
     parameters = tuple(replace(p, ci95=_around(p.value, p.ci95)) for p in parameters)

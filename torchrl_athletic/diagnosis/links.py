@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.deadline import Deadline
-from torchrl_athletic.diagnosis.descent import Linearised
+from torchrl_athletic.diagnosis.descent import Linearised, descend, linearise
 from torchrl_athletic.diagnosis.fit import Hypothesis
-from torchrl_athletic.diagnosis.joint_fit import GAIN, search, stated
+from torchrl_athletic.diagnosis.joint_fit import GAIN, SLOPES, follows_better, search, trusted
 from torchrl_athletic.diagnosis.prepare import Prepared
+from torchrl_athletic.diagnosis.problem import weighed
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.standard import agreement
 from torchrl_athletic.effects import LinkComShift, LinkInertia, LinkMass, Parameter
@@ -25,7 +26,7 @@ LINK = (LinkMass(), LinkComShift(), LinkInertia())
 INERTIA = (0.05, 20.0)
 """Bounds of a link's inertia, per the given one: a mass that lies elsewhere may leave next to none [1]."""
 DRAWS = 24
-"""Starts by chance, half of them from the joints' own solution."""
+"""Starts by chance, half of them with all else as the fit has it."""
 FACTOR = 0.7
 """Standard deviation of the logarithm of a mass and of an inertia, per the given one, in these starts [1]."""
 SHIFT = 4.0
@@ -38,19 +39,17 @@ def asks_for_links(near: Linearised) -> bool:
     return len({c.joint for c in near.problem.hypothesis.terms if c.effect.name in names}) > 1
 
 
-def with_links(
-    near: Linearised, joints: Linearised, prepared: Prepared, rng: np.random.Generator, deadline: Deadline
-) -> Linearised:
-    """The fit, or one of the standard joints and all links if it follows folds clearly better.
+def with_links(near: Linearised, prepared: Prepared, rng: np.random.Generator, deadline: Deadline) -> Linearised:
+    """The fit, or one with all numbers of all links if it follows folds clearly better, of the same windows.
 
     Args:
-        near: Fit with laws, which is kept if it is no worse.
-        joints: Fit of the standard joints, from whose solution half of the starts come.
+        near: Fit with laws, some of them of links.
         prepared: Recordings.
         rng: Draws starts and windows.
         deadline: When to come to an end.
     """
-    h, take = joints.problem.hypothesis, prepared.takes[0]
+    h, take = near.problem.hypothesis, prepared.takes[0]
+    names = {effect.name for effect in LINK}
     links = [
         Candidate(effect, j, name, tuple(_bounded(effect.name, p) for p in own))
         for j, name in enumerate(take.recording.joint_names)
@@ -59,13 +58,18 @@ def with_links(
     ]
     if not links or not deadline.allows(30 * near.seconds):
         return near
-    wider = Hypothesis((*h.terms, *links))
-    from_joints = np.append(joints.values, Hypothesis(tuple(links)).nominal)
-    begin = [wider.nominal, from_joints]
-    begin += [_drawn(wider, len(h.parameters), (wider.nominal, from_joints)[k % 2], rng) for k in range(DRAWS)]
-    takes = tuple(dict.fromkeys(w.take for w in near.problem.windows))  # both are compared in the same steps
-    found = search(wider, takes, np.stack(begin), rng, deadline, agreement(wider, prepared))
-    return found if stated(found) < (1 - 2 * GAIN) * stated(near) else near
+    kept = [c for c in h.terms if c.effect.name not in names]
+    wider, first = Hypothesis((*kept, *links)), sum(len(c.parameters) for c in kept)
+    found = np.concatenate([*(h.values_of(c, near.values) for c in kept), Hypothesis(tuple(links)).nominal])
+    begin = [wider.nominal, found]
+    begin += [_drawn(wider, first, (wider.nominal, found)[k % 2], rng) for k in range(DRAWS)]
+    takes, torques = tuple(dict.fromkeys(w.take for w in near.problem.windows)), agreement(wider, prepared)
+    x = search(wider, takes, np.stack(begin), rng, Deadline(deadline.left), torques).values
+    same = replace(near.problem, hypothesis=wider, torques=near.problem.torques and torques)
+    free = wider.bounds[1] > wider.bounds[0]
+    x = descend(weighed(same, x), x, free, SLOPES[2], deadline)
+    linked = trusted(linearise(weighed(same, x), x, free))
+    return linked if follows_better(near, linked, 2 * GAIN) else near
 
 
 def _drawn(h: Hypothesis, first: int, x: Array, rng: np.random.Generator) -> Array:

@@ -158,7 +158,7 @@ class Answer:
     unexplained_share: float = 0.0
     quality: Mapping[str, Any] = field(default_factory=dict)
     """{recordings: [{source, rate, duration, masked: {reason: samples}, warnings: [...]}], warnings: [...],
-    torque_doubts: [...]}"""
+    column_doubts: [...]}"""
     model: str = "model"
     """Name of the diagnosed model."""
     complete: bool = True

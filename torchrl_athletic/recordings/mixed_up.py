@@ -8,8 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-HALF = 0.5
+from torchrl_athletic.recordings.recording import Recording
+
+LEAVES = 0.5
 """Share of itself by which what is left has to fall [1]."""
+TURNED = 0.25
+"""Square of what a joint leaves of the opposite of its target, per what it leaves of the target and of its variance."""
 LEAST = 1e-9
 """What is left of a column that is followed to the digit, in the largest one."""
 
@@ -32,7 +36,7 @@ def mixed_up(left: NDArray[np.float64]) -> list[tuple[int, int]]:
     """
     left = np.maximum(left, LEAST * max(float(left.max(initial=0.0)), 1e-300))
     _, column = linear_sum_assignment(np.log(left))
-    gains = left[np.arange(len(left)), column] < HALF * np.diag(left)
+    gains = left[np.arange(len(left)), column] < LEAVES * np.diag(left)
     return [(j, int(column[j])) for cycle in _cycles(column) if gains[cycle].all() for j in cycle]
 
 
@@ -58,3 +62,34 @@ def exchange_sentence(joints: Sequence[str], field: str, pairs: Sequence[tuple[i
         f"the {field} columns look exchanged: {told}. Put them in the order of joint_names, or name them in the "
         "column map."
     )
+
+
+def target_doubts(recording: Recording, noise: NDArray[np.float64]) -> list[str]:
+    """Targets that another joint follows, or that are followed with the other sign, in sentences with the mend.
+
+    Nothing is said of joints that hold still, whose motor is off, or that follow badly either way.
+
+    Args:
+        recording: A take.
+        noise: Of the position, standard deviation [rad, m]. Shape (J,).
+    """
+    if recording.position_target is None or recording.kp is None:
+        return []
+    names = recording.joint_names
+    position, target = (x - x.mean(0) for x in (recording.position, recording.position_target))
+    moved, asked = position.var(0), target.var(0)
+    moves = np.flatnonzero((np.minimum(moved, asked) > (10 * noise) ** 2) & (recording.kp > 0)).tolist()
+    both = position.T @ target / len(position)
+    left = (moved[:, None] + asked - 2 * both)[np.ix_(moves, moves)]
+    far = left > LEAVES * asked[moves]
+    never = far & ~np.eye(len(moves), dtype=bool)
+    pairs = mixed_up(np.where(never, 10.0 * left.max(initial=0.0), left))
+    exchanged = {moves[j] for j, _ in pairs}
+    found = [exchange_sentence(names, "position_target", [(moves[j], moves[k]) for j, k in pairs])] if pairs else []
+    turned = moved + asked + 2 * np.diag(both)
+    return found + [
+        f"the position of {names[j]} follows its position_target with the other sign. Flip one of them; only a servo "
+        "much softer than what it carries, shaken fast, looks like this, too."
+        for k, j in enumerate(moves)
+        if j not in exchanged and turned[j] < TURNED * min(left[k, k], asked[j])
+    ]

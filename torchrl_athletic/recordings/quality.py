@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from torchrl_athletic.recordings.base import base_pose
-from torchrl_athletic.recordings.mixed_up import exchange_sentence, mixed_up
+from torchrl_athletic.recordings.mixed_up import target_doubts
 from torchrl_athletic.recordings.noise import base_noise, encoder_step, noise_correlation, repeat_noise, sensor_noise
 from torchrl_athletic.recordings.recording import Recording, RecordingError
 from torchrl_athletic.recordings.resampling import GAP_FACTOR, gap_rows, resample, split_at_gaps
@@ -36,8 +36,6 @@ HELD_POSES = 0.9
 """Share of new poses below which a moving base was logged by something slower than the joints, and held between."""
 FASTEST_BASE = 20.0
 """Speed that no robot in the air is carried at [m/s]."""
-TURNED = 0.5
-"""Share of its distance from a target below which a joint that follows the opposite of it has another sign [1]."""
 _LIKELY_RADIANS = 8 * np.pi
 _KNOWN_FACTORS = {
     180 / np.pi: "degrees/s against rad",
@@ -594,7 +592,7 @@ def _counted_otherwise(recording: Recording) -> str:
 
 def _with_warnings(quality: Quality, recording: Recording, limit: Floats | None) -> Quality:
     found = [*_stamp_warnings(quality), *_mask_warnings(quality, limit), *_unit_warnings(quality, recording)]
-    found += _base_warnings(quality, recording) + _target_warnings(recording)
+    found += _base_warnings(quality, recording) + target_doubts(recording, quality.position_noise)
     return replace(quality, warnings=tuple(f"{quality.source}: {text}" for text in found))
 
 
@@ -716,25 +714,6 @@ def _velocity_warnings(joint: str, scale: float | None, shift: float | None, ste
             "position. If the drive filters it, leave it out: position alone serves better."
         )
     return found
-
-
-def _target_warnings(recording: Recording) -> list[str]:
-    """Targets that another joint follows, or that are followed with the other sign."""
-    target, position = recording.position_target, recording.position
-    if target is None:
-        return []
-    names = recording.joint_names
-    left = ((position[:, :, None] - target[:, None, :]) ** 2).mean(0)
-    turned = ((position + target) ** 2).mean(0)
-    pairs = mixed_up(left)
-    settled = {j for j, _ in pairs}
-    found = [exchange_sentence(names, "position_target", pairs)] if pairs else []
-    return found + [
-        f"the position of {names[j]} follows its position_target with the other sign, by {np.sqrt(turned[j]):.3g} in "
-        f"place of {np.sqrt(left[j, j]):.3g}. Flip one of them."
-        for j in np.flatnonzero(turned < TURNED**2 * np.diag(left))
-        if j not in settled
-    ]
 
 
 def _milliseconds(seconds: tuple[float | None, ...]) -> list[float | None]:

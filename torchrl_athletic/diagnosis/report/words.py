@@ -213,7 +213,7 @@ def banners(answer: Answer) -> list[str]:
 
     Torques that are not their joints', a model that the recordings changed, and a run that was stopped.
     """
-    doubts = [f"Warning: {text}" for text in answer.quality.get("torque_doubts", ())]
+    doubts = [f"Warning: {text}" for text in answer.quality.get("column_doubts", ())]
     return [*doubts, *map(str, answer.quality.get("model_changes", ())), *stopped_early(answer)]
 
 
