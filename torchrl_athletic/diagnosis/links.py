@@ -40,7 +40,7 @@ def asks_for_links(near: Linearised) -> bool:
 
 
 def with_links(near: Linearised, prepared: Prepared, rng: np.random.Generator, deadline: Deadline) -> Linearised:
-    """The fit, or one with all numbers of all links if it follows folds clearly better, of the same windows.
+    """The fit, or one with all numbers of all links if it follows folds of the fit's windows clearly better.
 
     Args:
         near: Fit with laws, some of them of links.
@@ -64,12 +64,12 @@ def with_links(near: Linearised, prepared: Prepared, rng: np.random.Generator, d
     begin = [wider.nominal, found]
     begin += [_drawn(wider, first, (wider.nominal, found)[k % 2], rng) for k in range(DRAWS)]
     takes, torques = tuple(dict.fromkeys(w.take for w in near.problem.windows)), agreement(wider, prepared)
-    x = search(wider, takes, np.stack(begin), rng, Deadline(deadline.left), torques).values
+    linked = search(wider, takes, np.stack(begin), rng, Deadline(deadline.left), torques)
     same = replace(near.problem, hypothesis=wider, torques=near.problem.torques and torques)
     free = wider.bounds[1] > wider.bounds[0]
-    x = descend(weighed(same, x), x, free, SLOPES[2], deadline)
-    linked = trusted(linearise(weighed(same, x), x, free))
-    return linked if follows_better(near, linked, 2 * GAIN) else near
+    x = descend(weighed(same, linked.values), linked.values, free, SLOPES[1], deadline)
+    judged = trusted(linearise(weighed(same, x), x, free))  # a search has windows of its own, and errors of those
+    return linked if follows_better(near, judged, 2 * GAIN) else near
 
 
 def _drawn(h: Hypothesis, first: int, x: Array, rng: np.random.Generator) -> Array:
