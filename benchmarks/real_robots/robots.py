@@ -623,8 +623,8 @@ def cart_pendulum(data: Path) -> Robot:
 def free_pendulum(data: Path, links: Literal["double", "triple"]) -> Robot:
     """Two or three links that swing without a motor, at 1 kHz: their authors' own pieces to fit, and to validate.
 
-    The links are those that the authors began from, without friction: masses are off by up to a third. What is kept
-    aside follows what is fitted, and swings less.
+    The links are those that the authors began from, without friction: masses are off by up to two times, inertias by
+    twelve. What is kept aside follows what is fitted, and swings less.
     """
     mass, com, length, inertia = {
         "double": ((0.135, 0.135), (0.0939, 0.1270), (0.1727, 0.0), (0.0017, 0.0026)),

@@ -148,8 +148,6 @@ def test_trims_that_moved_are_told_with_their_joint_and_by_how_much_of_the_given
 
 def test_the_quality_is_told_of_all_recordings_those_kept_aside_too(monkeypatch):
     monkeypatch.setattr("torchrl_athletic.diagnosis.state.is_slide", lambda model, address, joint: joint == 1)
-    asked = []
-    monkeypatch.setattr("torchrl_athletic.diagnosis.state.column_doubts", lambda *sets: asked.append(sets) or ("x",))
     signals = SimpleNamespace(nominal=None, address=None, recording=logged(None))
     sets = [
         SimpleNamespace(signals=[signals], report=lambda name=name: {"recordings": [name], "used_share": name})
@@ -158,15 +156,14 @@ def test_the_quality_is_told_of_all_recordings_those_kept_aside_too(monkeypatch)
     given = SimpleNamespace(
         recordings=[logged(None)], heldout=[logged(None, payload_kg=2.0)], drive="measured", warnings=("w",)
     )
-    told = _quality(SimpleNamespace(train=sets[0], held=sets[1], given=given))
+    told = _quality(SimpleNamespace(train=sets[0], held=sets[1], given=given, doubts=("x",)))
     assert told["recordings"] == ["fitted", "aside"]
     assert told["used_share"] == "fitted"
     assert told["units"] == {"hip": "rad", "knee": "m", "foot": "rad"}
     assert (told["drive"], told["warnings"]) == ("measured", ["w"])
     assert "2 kg" in told["model_changes"][0]
     assert told["column_doubts"] == ["x"]
-    assert asked == [tuple(sets)]
-    assert _quality(SimpleNamespace(train=sets[0], held=None, given=given))["recordings"] == ["fitted"]
+    assert _quality(SimpleNamespace(train=sets[0], held=None, given=given, doubts=()))["recordings"] == ["fitted"]
 
 
 @pytest.mark.parametrize(

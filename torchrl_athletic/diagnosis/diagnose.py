@@ -172,9 +172,10 @@ def _prepare(given: Given, run: Run) -> Ready:
     run.progress.update(0.6)
     kernel = train.signals[0].kernel
     held = prepare(given.heldout, given.model, given.drive, kernel, xml=given.xml) if given.heldout else None
-    for doubt in column_doubts(train, held):
+    doubts = column_doubts(train, held)
+    for doubt in doubts:
         run.progress.say(f"Warning: {doubt}")
-    return Ready(given, train, held)
+    return Ready(given, train, held, doubts)
 
 
 def _locate(ready: Ready) -> Located:

@@ -224,11 +224,7 @@ def fit(
     if extended:
         progress.stage("extend")
         known = near.problem.hypothesis
-        near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.6))
-        near = extend(near, train, seen, deadline.part(0.62), progress.update)
-        if asks_for_links(near):
-            linked = with_links(near, train, _rng(seed, "links"), deadline.part(0.63))
-            near = near if linked is near else extend(linked, train, seen, deadline.part(0.64), progress.update)
+        near = _with_laws(near, train, seen, seed, deadline, progress)
         h = near.problem.hypothesis
         free, torques = h.bounds[1] > h.bounds[0], near.problem.torques or agreement(h, train)
         if h is not known:  # a new law may be what is scaled alike
@@ -332,6 +328,18 @@ def _scores(corrected: Simulation, train: Prepared, held: Prepared | None, seed:
         )[0]
         for split, p in sets.items()
     }
+
+
+def _with_laws(
+    near: Linearised, train: Prepared, seen: Seen, seed: int, deadline: Deadline, progress: Progress
+) -> Linearised:
+    """The fit with a gear, laws and links that folds ask for; what links leave is asked for laws again."""
+    near = with_gear(near, train, _rng(seed, "gear"), deadline.part(0.6))
+    near = extend(near, train, seen, deadline.part(0.62), progress.update)
+    if not asks_for_links(near):
+        return near
+    linked = with_links(near, train, _rng(seed, "links"), deadline.part(0.63))
+    return near if linked is near else extend(linked, train, seen, deadline.part(0.64), progress.update)
 
 
 def _no_worse(

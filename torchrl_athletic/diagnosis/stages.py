@@ -87,6 +87,8 @@ class Ready:
     given: Given
     train: Prepared
     held: Prepared | None
+    doubts: tuple[str, ...] = ()
+    """What is wrong with columns of commands."""
 
     def splits(self) -> Mapping[str, Prepared]:
         """'train' and, when recordings were kept aside, 'heldout'."""

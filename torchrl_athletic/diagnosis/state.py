@@ -24,7 +24,6 @@ from torchrl_athletic.diagnosis.search import keys
 from torchrl_athletic.diagnosis.simulate import scores_of
 from torchrl_athletic.diagnosis.stages import Decided, Given, Ready, Trial
 from torchrl_athletic.diagnosis.thresholds import STATEMENT
-from torchrl_athletic.diagnosis.torque_columns import column_doubts
 from torchrl_athletic.diagnosis.veto import NOISE, WORSE, veto_sentence, vetoed
 from torchrl_athletic.effects.effect import is_slide
 from torchrl_athletic.recordings import Recording
@@ -202,7 +201,7 @@ def _quality(ready: Ready) -> dict[str, Any]:
         "units": units,
         "drive": ready.given.drive,
         "model_changes": changes,
-        "column_doubts": [*column_doubts(ready.train, ready.held)],
+        "column_doubts": [*ready.doubts],
         "warnings": [*ready.given.warnings],
     }
 

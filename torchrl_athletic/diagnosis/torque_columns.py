@@ -57,8 +57,9 @@ def _doubts(signals: Sequence[Signals]) -> Iterator[tuple[tuple[object, ...], st
         return
     names = driven[0].recording.joint_names
     shares, against = explained(driven)
-    later = [np.diag(explained(driven, delay)[0]) for delay in DELAYS]
-    own, turned = np.max([np.diag(shares), *later], axis=0), np.diag(against)
+    own, turned = np.diag(shares), np.diag(against)
+    if (own < HALF).any() or (turned > HALF).any():  # a late drive is none of it
+        own = np.max([own, *(np.diag(explained(driven, delay)[0]) for delay in DELAYS)], axis=0)
     known: list[int] = np.flatnonzero(~np.isnan(own)).tolist()
     left = np.nan_to_num(1.0 - shares[np.ix_(known, known)], nan=1.0)
     left[np.diag(own[known] >= HALF)] = 0.0  # in order as it is, whatever else would explain it

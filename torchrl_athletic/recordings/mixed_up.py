@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse.csgraph import connected_components
 
 from torchrl_athletic.recordings.recording import Recording
 
@@ -37,22 +38,8 @@ def mixed_up(left: NDArray[np.float64]) -> list[tuple[int, int]]:
     left = np.maximum(left, LEAST * max(float(left.max(initial=0.0)), 1e-300))
     _, column = linear_sum_assignment(np.log(left))
     gains = left[np.arange(len(left)), column] < LEAVES * np.diag(left)
-    return [(j, int(column[j])) for cycle in _cycles(column) if gains[cycle].all() for j in cycle]
-
-
-def _cycles(order: Sequence[int] | NDArray[np.intp]) -> list[list[int]]:
-    """Joints that exchange columns among themselves, of each exchange; a joint that keeps its own is in none."""
-    seen: set[int] = set()
-    out = []
-    for first in range(len(order)):
-        cycle, j = [], first
-        while j not in seen:
-            seen.add(j)
-            cycle.append(j)
-            j = int(order[j])
-        if len(cycle) > 1:
-            out.append(cycle)
-    return out
+    _, exchange = connected_components(np.eye(len(left))[column], directed=False)
+    return [(j, int(k)) for j, k in enumerate(column) if j != k and gains[exchange == exchange[j]].all()]
 
 
 def exchange_sentence(joints: Sequence[str], field: str, pairs: Sequence[tuple[int, int]]) -> str:
