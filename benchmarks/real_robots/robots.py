@@ -26,6 +26,8 @@ at ``24d85ce``
 ``mujoco_menagerie`` at ``b4d7d13``         google-deepmind/mujoco_menagerie         Apache-2.0
 ``figaroh-examples`` at ``c0b5c7f``         thanhndv212/figaroh-examples             Apache-2.0
 ``MultiArm-Pendulum`` at ``e99a7e1``        dynamicslab/MultiArm-Pendulum            MIT
+``Robot_Identification`` at ``9e403c0``      JonasWeigand/Robot_Identification        MIT
+``Jandi_real2sim`` at ``86cccc9``           RnD-king/Jandi_real2sim                  none stated
 ``SydneyCompassGait`` at ``92546f6``        imanchester/SydneyCompassGait            MIT
 ``masterThesisMatlab`` at ``0e2c725``       nielsSkov/masterThesisMatlab             none stated
 ==========================================  =======================================  =======================
@@ -48,6 +50,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.io import loadmat
 from scipy.signal import savgol_filter
+from scipy.spatial.transform import Rotation
 
 from torchrl_athletic.recordings import Column, ColumnMap, Recording, read_recordings
 from torchrl_athletic.recordings.datasets import load_dataset
@@ -650,6 +653,92 @@ def free_pendulum(data: Path, links: Literal["double", "triple"]) -> Robot:
     return Robot(xml, [take("id")], [take("vad")], "not before its first fit")
 
 
+def kr300(data: Path) -> Robot:
+    """KUKA KR300, six joints of an industrial robot with a payload: its authors' motion to fit, two to validate.
+
+    Ten seconds each at 250 Hz. Torques are those of the motors, through their gears; positions are those of the motors,
+    too. The model has the links and the payload of the file beside the logs, without friction, rotors, and the
+    hydraulic counterbalance of its second joint. The last link has no moments of inertia there, and gets some.
+    """
+    home = data / "Robot_Identification"
+    # Denavit-Hartenberg numbers d, a [m] and alpha [rad], the joint's zero [rad], mass [kg], centre of mass [mm] and
+    # inertia about it (xx, yy, zz, xy, yz, xz) [kg·cm²] in the frame behind the link
+    load, flange = 200.0, 17.78
+    quarter = np.pi / 2
+    links = (
+        (-0.675, 0.35, quarter, 0.0, 395.4, (-353, 174, -4), (16.73, 29.80, 32.81, -1.704, 0.129, 4.404)),
+        (-0.189, 1.15, 0.0, -quarter, 339.12, (-709, -1, 23), (7.508, 88.887, 88.674, 0.430, 0.173, -4.397)),
+        (0.189, 0.041, -quarter, 2 * quarter, 105.21, (-18, -18, -76), (10.784, 10.186, 1.943, 0.118, -0.606, -0.102)),
+        (-1.0, 0.0, quarter, 0.0, 35.8, (0, 236, 1), (0.425, 0.218, 0.428, 0, -0.0114, 0)),
+        (0.0, 0.0, -quarter, 0.0, 31.46, (0, -80, -9), (0.284, 0.230, 0.258, 0, -0.0195, -0.0001)),
+        (
+            -0.24,
+            0.0,
+            2 * quarter,
+            0.0,
+            load + flange,
+            (0, 0, (load * 100 - flange * 50) / (load + flange)),
+            (3, 3, 5, 0, 0, 0),
+        ),
+    )
+    names = tuple(f"axis_{k}" for k in range(1, 7))
+    spec = mujoco.MjSpec()
+    spec.option.timestep, spec.option.integrator = 0.001, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    parent, at, turn = spec.worldbody, np.zeros(3), Rotation.from_rotvec([2 * quarter, 0, 0])
+    for name, (d, a, alpha, zero, mass, com, inertia) in zip(names, links, strict=True):
+        turned = turn * Rotation.from_rotvec([0, 0, zero])
+        body = parent.add_body(name=name, pos=at, quat=turned.as_quat(scalar_first=True))
+        body.add_joint(name=name, axis=[0, 0, 1])
+        at, turn = np.array([a, 0.0, d]), Rotation.from_rotvec([alpha, 0, 0])
+        xx, yy, zz, xy, yz, xz = inertia
+        tensor = turn.as_matrix() @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.as_matrix().T
+        body.explicitinertial, body.mass, body.ipos = True, mass, at + turn.apply(1e-3 * np.array(com))
+        body.fullinertia = [*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
+        motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_motor()
+        parent = body
+    spec.compile()
+    gear = np.array([1798 / 7, 1872 / 7, 757 / 3, 221, 5032 / 21, 206793 / 1340])
+
+    def take(letter: str) -> Recording:
+        path = home / f"data/recorded_trajectories/2020-10-21 10s FF {letter} 08ms/data.mat"
+        log = loadmat(path, squeeze_me=True)["rec"]
+        time, position, torque = (log[name].item().T for name in ("time_cont", "act_pos_mot_deg", "act_torque_abs_nm"))
+        return Recording(time, names, np.radians(position), torque_command=gear * torque, source=f"kr300_{letter}")
+
+    return Robot(spec.to_xml(), [take("A")], [take("B"), take("C")], "not before its first fit")
+
+
+def mx106(data: Path, motor: int) -> Robot:
+    """Dynamixel MX-106 with a bare horn, steps and triangles at 100 Hz; sines and the third repeat are kept aside.
+
+    Gains and limit are those that its owners fitted for their humanoid, without their friction, delay and backlash. The
+    model has no rotor: a horn of 15 g is all that moves.
+    """
+    xml = """<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbody><body>
+      <joint name="horn" axis="0 0 1"/><inertial pos="0 0 0" mass="0.015" diaginertia="2e-6 2e-6 2e-6"/>
+      </body></worldbody><actuator><motor joint="horn" ctrlrange="-5.5 5.5"/></actuator></mujoco>"""
+    home = data / f"Jandi_real2sim/data/raw/mode5/mode5_mx106_ID_{motor}/no_load"
+
+    def take(kind: str, repeat: int) -> Recording:
+        rows = np.genfromtxt(home / f"{kind}/repeat_{repeat}/telemetry.csv", delimiter=",", names=True)
+        rows = rows[np.isfinite(rows["q_present_rad"])]
+        position, target = (rows[name][:, None] for name in ("q_present_rad", "q_cmd_rad"))
+        source = f"mx106_{motor}_{kind}_{repeat}"
+        return Recording(
+            rows["time_s"],
+            ("horn",),
+            position,
+            position_target=target,
+            kp=np.array([6.0]),
+            kd=np.array([0.6]),
+            source=source,
+        )
+
+    fitted = [take(kind, repeat) for kind in ("step", "triangle") for repeat in (1, 2)]
+    return Robot(xml, fitted, [take(kind, 3) for kind in ("step", "triangle", "sine")], "not before its first fit")
+
+
 ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     **{n: bench(n) for n in ("pendulum", "xl330", "unbalanced_disk", "emps", "two_link_arm", "two_link_arm:measured")},
     "so101": so101,
@@ -668,6 +757,8 @@ ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     "compass leg": compass_leg,
     "ak80": ak80_pendulum,
     "cart pendulum": cart_pendulum,
+    "kr300": kr300,
+    **{f"mx106, motor {motor}": partial(mx106, motor=motor) for motor in (0, 2, 99)},
     **{f"free {links} pendulum": partial(free_pendulum, links=links) for links in ("double", "triple")},
     **{f"double pendulum {design}": partial(double_pendulum, design=design) for design in ("C.0", "C.1")},
 }
