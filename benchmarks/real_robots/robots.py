@@ -27,6 +27,13 @@ at ``24d85ce``
 ``figaroh-examples`` at ``c0b5c7f``         thanhndv212/figaroh-examples             Apache-2.0
 ``MultiArm-Pendulum`` at ``e99a7e1``        dynamicslab/MultiArm-Pendulum            MIT
 ``Robot_Identification`` at ``9e403c0``      JonasWeigand/Robot_Identification        MIT
+``manipulator_parameter_identification``    zubair-irshad/...                        none stated
+at ``c84fded``
+``Dynamics_identification_Frank`` at        FrankJIE09/...                           none stated
+``758dc8d``
+``Dynamic_Parameter_Identification_for_``   YanjunLIU-ac/...                         none stated
+``Rokae_xMate`` at ``d5855f4``
+``rokae_ros2`` at ``d6a508c``               RokaeRobot/rokae_ros2                    Apache-2.0
 ``Jandi_real2sim`` at ``86cccc9``           RnD-king/Jandi_real2sim                  none stated
 ``SydneyCompassGait`` at ``92546f6``        imanchester/SydneyCompassGait            MIT
 ``masterThesisMatlab`` at ``0e2c725``       nielsSkov/masterThesisMatlab             none stated
@@ -709,6 +716,71 @@ def kr300(data: Path) -> Robot:
     return Robot(spec.to_xml(), [take("A")], [take("B"), take("C")], "not before its first fit")
 
 
+def xmate3(data: Path) -> Robot:
+    """Rokae xMate3 Pro, seven joints at 1 kHz in closed loop: two thirds of a motion of 20 s, and the last kept aside.
+
+    Torques are those of the sensors in the joints. The model is the maker's, which says of itself that its inertia is
+    not correct.
+    """
+    text = (data / "rokae_ros2/rokae_description/urdf/xMatePro3.urdf.xacro").read_text()
+    spec = _arm_of(text.replace("${nameofManipulator}", "xMatePro3"))
+    names = tuple(joint.name for joint in spec.joints)
+    home = data / "Dynamic_Parameter_Identification_for_Rokae_xMate/filtering/data/excit"
+    position, velocity, torque = (np.loadtxt(home / f"excit_{name}_record.txt") for name in ("ang", "vel", "torque"))
+    time = np.arange(len(position)) / 1000
+    whole = Recording(time, names, position, velocity, torque_command=torque, source="xmate3")
+    split = 2 * whole.num_samples // 3
+    aside = whole.slice(split, whole.num_samples)
+    return Robot(spec.to_xml(), [whole.slice(0, split)], [aside], "not before its first fit")
+
+
+def ar5(data: Path) -> Robot:
+    """Rokae AR5-5, seven joints at 50 Hz in closed loop: two thirds of a motion of 60 s, and the last kept aside.
+
+    The arm hangs at a wall. The model is the maker's URDF, as it lies beside the logs.
+    """
+    home = data / "Dynamics_identification_Frank"
+    spec = _arm_of((home / "urdf/AR5-5_07R-W4C4A2.urdf").read_text())
+    spec.option.gravity = [9.81, 0.0, 0.0]
+    columns = ColumnMap(
+        joint_names=tuple(joint.name for joint in spec.joints),
+        file_joint_names=tuple(str(k) for k in range(7)),
+        time="time",
+        position=Column("q{joint}"),
+        velocity=Column("dq{joint}"),
+        torque_command=Column("tau{joint}"),
+    )
+    (whole,) = read_recordings(home / "src/config/dynamics_identification_data_real.csv", columns)
+    spec.compile()
+    split = 2 * whole.num_samples // 3
+    aside = whole.slice(split, whole.num_samples)
+    return Robot(spec.to_xml(), [whole.slice(0, split)], [aside], "not before its first fit")
+
+
+def krang(data: Path) -> Robot:
+    """An arm of seven Schunk modules (Krang), at 100 Hz in closed loop: its authors' log to train, and theirs to test.
+
+    Torques are those of the motors' currents, by the constants and gears in their code. The arm lies on its side.
+    """
+    home = data / "manipulator_parameter_identification"
+    spec = _arm_of((home / "09-URDF/7DOFArm/singlearm.urdf").read_text())
+    spec.option.gravity = [0.0, -9.81, 0.0]
+    names = tuple(joint.name for joint in spec.joints)
+    constant = 1e-3 * np.array([31.4, 31.4, 38.0, 38.0, 16.0, 16.0, 16.0])  # Get_phi_ArmDynamics.cpp [N·m/A]
+    gear = np.array([596.0, 596.0, 625.0, 625.0, 552.0, 552.0, 552.0])
+
+    def take(part: str) -> Recording:
+        time, position, velocity, current = (
+            np.loadtxt(home / f"29-ArmDataCollection/{part}Data/data{name}.txt")
+            for name in ("TimeStamp", "Q", "DotQ_NF", "Cur")
+        )
+        torque = constant * gear * current
+        return Recording(time, names, position, velocity, torque_command=torque, source=f"krang_{part}")
+
+    spec.compile()
+    return Robot(spec.to_xml(), [take("train")], [take("test")], "not before its first fit")
+
+
 def mx106(data: Path, motor: int) -> Robot:
     """Dynamixel MX-106 with a bare horn, steps and triangles at 100 Hz; sines and the third repeat are kept aside.
 
@@ -758,6 +830,9 @@ ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     "ak80": ak80_pendulum,
     "cart pendulum": cart_pendulum,
     "kr300": kr300,
+    "xmate3": xmate3,
+    "ar5": ar5,
+    "krang": krang,
     **{f"mx106, motor {motor}": partial(mx106, motor=motor) for motor in (0, 2, 99)},
     **{f"free {links} pendulum": partial(free_pendulum, links=links) for links in ("double", "triple")},
     **{f"double pendulum {design}": partial(double_pendulum, design=design) for design in ("C.0", "C.1")},
@@ -776,6 +851,17 @@ def without_shapes(path: Path) -> str:
     _delete_shapes(spec)
     spec.compile()
     return str(spec.to_xml())
+
+
+def _arm_of(urdf: str) -> mujoco.MjSpec:
+    """A URDF's links with a motor at each joint, without its shapes."""
+    plain = re.sub(
+        r"<(visual|collision)>.*?</\1>|<xacro:[^>]*/>|<transmission .*?</transmission>", "", urdf, flags=re.S
+    )
+    spec = mujoco.MjSpec.from_string(plain.strip())
+    _add_motors(spec)
+    spec.compile()
+    return spec
 
 
 def _add_motors(spec: mujoco.MjSpec) -> None:
