@@ -43,7 +43,7 @@ sys.path.append(str(Path(__file__).parents[1]))
 
 from benchmarks.concealed.run import _pin, program_digest
 from benchmarks.real_robots.complete import ARMS, complete_arm, loaded_arm
-from benchmarks.real_robots.robots import Robot
+from benchmarks.real_robots.robots.robot import Robot
 from torchrl_athletic.diagnosis import diagnose
 from torchrl_athletic.diagnosis.corrected import Simulation, write_atomically, write_json
 from torchrl_athletic.diagnosis.fit import Hypothesis
@@ -56,7 +56,7 @@ Name = tuple[str, str | None]
 """An effect and its joint; None for the whole robot."""
 
 CLONES = "ATHLETIC_CLONES"
-"""Environment variable that names the folder of clones, see ``real_robots/robots.py``."""
+"""Environment variable that names the folder of clones, see ``real_robots/robots/``."""
 LEAST = 0.05
 """Probability from which a name counts as stated, or as a rival."""
 VISIBLE = 3.0

@@ -16,7 +16,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from benchmarks.real_robots.robots import Robot, airbot, double_pendulum, so101, ur10e_empty, ur10e_loaded
+from benchmarks.real_robots.robots.arms import airbot, so101, ur10e_empty, ur10e_loaded
+from benchmarks.real_robots.robots.benches import double_pendulum
+from benchmarks.real_robots.robots.robot import Robot
 from torchrl_athletic.recordings import Recording
 
 MOTIONS = (

@@ -19,7 +19,8 @@ import numpy as np
 import tyro
 
 from benchmarks.by_case import Row, run_cases
-from benchmarks.real_robots.robots import ROBOTS, Robot
+from benchmarks.real_robots.robots import ROBOTS
+from benchmarks.real_robots.robots.robot import Robot
 from torchrl_athletic.diagnosis.prepare import prepare
 from torchrl_athletic.diagnosis.torque_columns import torque_doubts
 from torchrl_athletic.recordings import Recording, RecordingError, check_quality

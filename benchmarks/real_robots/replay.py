@@ -13,7 +13,7 @@ from mujoco import rollout
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from benchmarks.real_robots.robots import Robot
+from benchmarks.real_robots.robots.robot import Robot
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.replay import Windows, simulate, take_of
 from torchrl_athletic.recordings import Recording, split_at_gaps

@@ -26,7 +26,8 @@ import tyro
 from benchmarks.by_case import Row, commit, run_cases
 from benchmarks.real_robots.replay import JUDGE, Replay
 from benchmarks.real_robots.rivals import RIVALS, SHORT, by_hand, by_pace, by_sysid
-from benchmarks.real_robots.robots import ROBOTS, Robot
+from benchmarks.real_robots.robots import ROBOTS
+from benchmarks.real_robots.robots.robot import Robot
 from torchrl_athletic.diagnosis import fit
 from torchrl_athletic.diagnosis.corrected import Simulation
 

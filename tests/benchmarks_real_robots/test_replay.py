@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.real_robots import replay as module
 from benchmarks.real_robots.replay import NAMES, Replay, smoothed_samples
-from benchmarks.real_robots.robots import Robot
+from benchmarks.real_robots.robots.robot import Robot
 from torchrl_athletic.diagnosis.corrected import Simulation
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.recordings import Recording

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.real_robots.replay import NAMES, Replay
 from benchmarks.real_robots.rivals import by_hand
-from benchmarks.real_robots.robots import Robot
+from benchmarks.real_robots.robots.robot import Robot
 from torchrl_athletic.recordings import Recording
 from torchrl_athletic.robots.benches import pendulum
 

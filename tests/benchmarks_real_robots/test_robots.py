@@ -12,15 +12,10 @@ import pytest
 import torch
 from scipy.io import savemat
 
-from benchmarks.real_robots.robots import (
-    _loaded_pendulum,
-    ak80_pendulum,
-    cart_pendulum,
-    compass_leg,
-    panda,
-    tx40,
-    unitree,
-)
+from benchmarks.real_robots.robots.arms import panda, tx40
+from benchmarks.real_robots.robots.benches import ak80_pendulum, cart_pendulum
+from benchmarks.real_robots.robots.legs import compass_leg, unitree
+from benchmarks.real_robots.robots.servos import _loaded_pendulum
 
 LEG = """
 <mujoco>
