@@ -377,7 +377,7 @@ def test_a_mask_stays_with_its_samples_where_those_of_a_lost_base_went_and_nobod
         alike.append(rest[-1])
         return project_recording(piece, model, noise, velocity_noise, mask, *rest)
 
-    monkeypatch.setattr(preparing, "_unfit", lambda quality: unfit)
+    monkeypatch.setattr(preparing, "_unfit", lambda quality, mended: unfit)
     monkeypatch.setattr(preparing, "with_known_base", without_lost)
     monkeypatch.setattr(preparing, "project_recording", projected)
     monkeypatch.setattr(preparing, "base_moves", lambda r: r.source == "carried.npz")

@@ -27,6 +27,7 @@ from torchrl_athletic.recordings import (
     split_at_gaps,
 )
 from torchrl_athletic.recordings.base import base_moves
+from torchrl_athletic.recordings.misread import bridged, brief
 from torchrl_athletic.recordings.quality import with_known_base
 from torchrl_athletic.recordings.recording import BEGAN, MEAN_READING
 
@@ -37,6 +38,9 @@ SAME_RATE = 0.002
 """Relative difference of sampling rates below which takes share a grid."""
 LOOKS = 500
 """Instants of a take at which contact is looked for."""
+BRIDGED = 2.0
+"""Widths of the test function that good readings may be apart for those between them to be told by them: a cubic misses
+one part in 24 of a motion at the end of its band, and less of slower ones [1]."""
 PAYLOAD = "payload_kg"
 """Key of a recording's metadata: known mass fastened to the far end of the last link, which the model lacks [kg]."""
 
@@ -115,8 +119,11 @@ def prepare(
     left_out: list[str] = []
     for r, q, own, period in zip(recordings, quality, kernels, _periods(recordings), strict=True):
         carried = _carrying(model, xml, r)
+        misread = _misread(q)
+        mended = brief(r.time, misread, BRIDGED * own)
+        r = bridged(r, misread, mended)
         known = with_known_base(r)  # a lost pose must not push the base of a replay
-        unfit = _unfit(q)[np.isin(r.time, known.time)]
+        unfit = _unfit(q, mended)[np.isin(r.time, known.time)]
         refuse_stance(known, model)
         for piece in _pieces(known):
             start = int(np.searchsorted(known.time, piece.time[0]))
@@ -234,13 +241,17 @@ def drive_signals(prepared: Prepared) -> tuple[Signals, ...]:
     return tuple(out)
 
 
-def _unfit(quality: Quality) -> NDArray[np.bool_]:
-    """What not to judge the missing torque by.
+def _misread(quality: Quality) -> NDArray[np.bool_]:
+    return np.asarray(quality.masks["frozen"] | quality.masks["dropout"], dtype=np.bool_)
+
+
+def _unfit(quality: Quality, mended: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """What not to judge the missing torque by, but for misreadings that were ``mended``.
 
     A wrong reading of one joint asks for torque at all that it is coupled to. Shape (T, J).
     """
-    misread = (quality.masks["frozen"] | quality.masks["dropout"]).any(1, keepdims=True)
-    return np.asarray(~quality.usable() | misread, dtype=np.bool_)
+    misread = (_misread(quality) & ~mended).any(1, keepdims=True)
+    return np.asarray(~quality.usable(ignore=("clipped", "frozen", "dropout")) | misread, dtype=np.bool_)
 
 
 def _torque_noise(measured: Array) -> Array:
