@@ -454,10 +454,32 @@ def test_shares_are_of_all_instants_and_warnings_do_not_repeat_their_file(takes)
     assert told["left_out"] == ["y.npz: too short."]
 
 
-def test_a_wrong_reading_counts_at_every_joint_and_what_is_masked_for_other_reasons_at_its_own():
+def test_a_wrong_reading_counts_at_every_joint_unless_it_is_mended_and_other_reasons_at_their_own():
     wrong, other = np.zeros((2, 3, 2), dtype=bool)
     wrong[0, 1] = other[2, 0] = True
     for name in ("frozen", "dropout"):
         masks = {"frozen": np.zeros((3, 2), dtype=bool), "dropout": np.zeros((3, 2), dtype=bool)} | {name: wrong}
-        quality = SimpleNamespace(masks=masks, usable=lambda: ~(wrong | other))
-        assert preparing._unfit(quality).tolist() == [[True, True], [False, False], [True, False]]
+        quality = SimpleNamespace(masks=masks, usable=lambda ignore: ~other)
+        assert preparing._unfit(quality, np.zeros_like(wrong)).tolist() == [[True, True], [False, False], [True, False]]
+        assert preparing._unfit(quality, wrong).tolist() == [[False, False], [False, False], [True, False]]
+
+
+def test_readings_that_repeat_now_and_then_leave_the_torques_what_they_say(takes):
+    rng = np.random.default_rng(1)
+    position = takes[0].position.copy()
+    stale = 3 + 5 * np.flatnonzero(rng.random((len(position) - 5) // 5) < 0.5)  # a tenth of the rows
+    position[stale, 1] = position[stale - 1, 1]
+    repeated = replace(takes[0], position=position)
+    clean, mended = (prepare([r], arm(), kernel=0.02) for r in (takes[0], repeated))
+    assert mended.quality[0].masks["frozen"][:, 1].mean() > 0.02
+    assert mended.signals[0].valid.mean() > 0.9 * clean.signals[0].valid.mean()
+    assert mended.takes[0].recording is not repeated
+    both = clean.signals[0].valid & mended.signals[0].valid
+    difference = (mended.signals[0].missing - clean.signals[0].missing)[both[:, 1], 1]
+    assert difference.std() < 0.05 * clean.signals[0].command[:, 1].std()
+    held = position.copy()
+    held[200:260, 1] = held[200, 1]  # three widths: nobody knows what it did meanwhile
+    (signals,) = prepare([replace(takes[0], position=held)], arm(), kernel=0.02).signals
+    time = signals.fine_time[signals.keep]
+    hidden = (time > takes[0].time[200]) & (time < takes[0].time[259])
+    assert not signals.valid[hidden].any()

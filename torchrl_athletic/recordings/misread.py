@@ -44,10 +44,19 @@ def bridged(recording: Recording, misread: Mask, brief: Mask) -> Recording:
     """
     if not brief.any():
         return recording
-    channels = [recording.position.copy(), None if recording.velocity is None else recording.velocity.copy()]
+    velocity = recording.velocity
+    return replace(
+        recording,
+        position=_through(recording.time, recording.position, misread, brief),
+        velocity=None if velocity is None else _through(recording.time, velocity, misread, brief),
+    )
+
+
+def _through(
+    time: NDArray[np.float64], readings: NDArray[np.float64], misread: Mask, brief: Mask
+) -> NDArray[np.float64]:
+    out = readings.copy()
     for j in np.flatnonzero(brief.any(0)):
         good, rows = ~misread[:, j], brief[:, j]
-        for channel in channels:
-            if channel is not None:
-                channel[rows, j] = CubicSpline(recording.time[good], channel[good, j])(recording.time[rows])
-    return replace(recording, position=channels[0], velocity=channels[1])
+        out[rows, j] = CubicSpline(time[good], readings[good, j])(time[rows])
+    return out
