@@ -75,7 +75,7 @@ def test_a_number_may_be_ten_times_what_the_recordings_hold_and_an_offset_pushes
     assert bounds["torque_offset", "torque"] == (-8.0, 8.0)
     assert bounds["torque_scale", "scale"] == (0.05, 20.0)
     # a limit below a fiftieth of what was asked for would explain any motion; above, the effect's own bound holds
-    assert bounds["torque_saturation", "limit"] == (0.1, 2 * torque_bound(model, address, 0))
+    assert bounds["torque_saturation", "limit"] == (0.1, 2 * 100 * torque_bound(model, address, 0))
     assert -bounds["encoder_offset", "offset"][0] == bounds["encoder_offset", "offset"][1] > 0
     units = by_name(h, lambda p: p.scale)
     assert units["coulomb_friction", "torque"] == units["torque_offset", "torque"] == pytest.approx(0.16)
