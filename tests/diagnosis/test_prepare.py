@@ -377,7 +377,7 @@ def test_a_mask_stays_with_its_samples_where_those_of_a_lost_base_went_and_nobod
         alike.append(rest[-1])
         return project_recording(piece, model, noise, velocity_noise, mask, *rest)
 
-    monkeypatch.setattr(preparing, "_unfit", lambda quality, mended: unfit)
+    monkeypatch.setattr(preparing, "_unfit", lambda quality: unfit)
     monkeypatch.setattr(preparing, "with_known_base", without_lost)
     monkeypatch.setattr(preparing, "project_recording", projected)
     monkeypatch.setattr(preparing, "base_moves", lambda r: r.source == "carried.npz")
@@ -454,14 +454,13 @@ def test_shares_are_of_all_instants_and_warnings_do_not_repeat_their_file(takes)
     assert told["left_out"] == ["y.npz: too short."]
 
 
-def test_a_wrong_reading_counts_at_every_joint_unless_it_is_mended_and_other_reasons_at_their_own():
+def test_a_wrong_reading_counts_at_every_joint_and_what_is_masked_for_other_reasons_at_its_own():
     wrong, other = np.zeros((2, 3, 2), dtype=bool)
     wrong[0, 1] = other[2, 0] = True
     for name in ("frozen", "dropout"):
         masks = {"frozen": np.zeros((3, 2), dtype=bool), "dropout": np.zeros((3, 2), dtype=bool)} | {name: wrong}
-        quality = SimpleNamespace(masks=masks, usable=lambda ignore: ~other)
-        assert preparing._unfit(quality, np.zeros_like(wrong)).tolist() == [[True, True], [False, False], [True, False]]
-        assert preparing._unfit(quality, wrong).tolist() == [[False, False], [False, False], [True, False]]
+        quality = SimpleNamespace(masks=masks, usable=lambda: ~(wrong | other))
+        assert preparing._unfit(quality).tolist() == [[True, True], [False, False], [True, False]]
 
 
 def test_readings_that_repeat_now_and_then_leave_the_torques_what_they_say(takes):
@@ -471,7 +470,7 @@ def test_readings_that_repeat_now_and_then_leave_the_torques_what_they_say(takes
     position[stale, 1] = position[stale - 1, 1]
     repeated = replace(takes[0], position=position)
     clean, mended = (prepare([r], arm(), kernel=0.02) for r in (takes[0], repeated))
-    assert mended.quality[0].masks["frozen"][:, 1].mean() > 0.02
+    assert mended.quality[0].bridged[1] > 0.02 * len(position)
     assert mended.signals[0].valid.mean() > 0.9 * clean.signals[0].valid.mean()
     assert mended.takes[0].recording is not repeated
     both = clean.signals[0].valid & mended.signals[0].valid

@@ -75,7 +75,7 @@ def test_a_number_may_be_ten_times_what_the_recordings_hold_and_an_offset_pushes
     assert bounds["torque_offset", "torque"] == (-8.0, 8.0)
     assert bounds["torque_scale", "scale"] == (0.05, 20.0)
     # a limit below a fiftieth of what was asked for would explain any motion; above, the effect's own bound holds
-    assert bounds["torque_saturation", "limit"] == (0.1, 2 * 100 * torque_bound(model, address, 0))
+    assert bounds["torque_saturation", "limit"] == (0.1, 2e6 * torque_bound(model, address, 0))
     assert -bounds["encoder_offset", "offset"][0] == bounds["encoder_offset", "offset"][1] > 0
     units = by_name(h, lambda p: p.scale)
     assert units["coulomb_friction", "torque"] == units["torque_offset", "torque"] == pytest.approx(0.16)
@@ -92,7 +92,7 @@ def test_what_little_was_seen_narrows_neither_an_effects_own_bound_nor_the_given
     for name in (("reflected_inertia", "armature"), ("actuation_delay", "delay")):
         assert bounds[name] == (0.0, own[name].upper)
     assert bounds["viscous_friction", "damping"] == (0.0, own["viscous_friction", "damping"].nominal) == (0.0, 0.05)
-    asked = replace(SEEN, asked=np.array([1e6]))
+    asked = replace(SEEN, asked=np.array([1e12]))
     limit = own["torque_saturation", "limit"]
     assert by_name(standard_joints(driven, asked), lambda p: p.lower)["torque_saturation", "limit"] == limit.nominal
 

@@ -27,7 +27,7 @@ from torchrl_athletic.recordings import (
     split_at_gaps,
 )
 from torchrl_athletic.recordings.base import base_moves
-from torchrl_athletic.recordings.misread import bridged, brief
+from torchrl_athletic.recordings.misread import mended
 from torchrl_athletic.recordings.quality import with_known_base
 from torchrl_athletic.recordings.recording import BEGAN, MEAN_READING
 
@@ -39,8 +39,8 @@ SAME_RATE = 0.002
 LOOKS = 500
 """Instants of a take at which contact is looked for."""
 BRIDGED = 2.0
-"""Widths of the test function that good readings may be apart for those between them to be told by them: a cubic misses
-one part in 24 of a motion at the end of its band, and less of slower ones [1]."""
+"""Widths of the test function that good readings may be apart for those between them to be told by them: between many
+good ones a cubic misses one part in 24 of a motion at the end of its band, and less of slower ones [1]."""
 PAYLOAD = "payload_kg"
 """Key of a recording's metadata: known mass fastened to the far end of the last link, which the model lacks [kg]."""
 
@@ -109,21 +109,20 @@ def prepare(
         recordings = [r.driven_by_measured_torque() for r in recordings]
     limit = _limit(model, JointAddress.of(model, first.joint_names, first.source))
     old = len(recordings) - joined
-    quality = tuple(_with_known_noise([check_quality(r, limit) for r in recordings], old))
+    checked = _with_known_noise([check_quality(r, limit) for r in recordings], old)
     kernel = kernel_for(recordings[:old] or recordings) if kernel is None else kernel
     kernels = [kernel] * old + [
-        kernel_for([r], q.position_noise, QUICKEST) for r, q in zip(recordings[old:], quality[old:], strict=True)
+        kernel_for([r], q.position_noise, QUICKEST) for r, q in zip(recordings[old:], checked[old:], strict=True)
     ]
+    pairs = [mended(r, q, BRIDGED * own, limit) for r, q, own in zip(recordings, checked, kernels, strict=True)]
+    recordings, quality = [r for r, _ in pairs], tuple(_with_known_noise([q for _, q in pairs], old))
     signals: list[Signals] = []
     takes: list[Take] = []
     left_out: list[str] = []
     for r, q, own, period in zip(recordings, quality, kernels, _periods(recordings), strict=True):
         carried = _carrying(model, xml, r)
-        misread = _misread(q)
-        mended = brief(r.time, misread, BRIDGED * own)
-        r = bridged(r, misread, mended)
         known = with_known_base(r)  # a lost pose must not push the base of a replay
-        unfit = _unfit(q, mended)[np.isin(r.time, known.time)]
+        unfit = _unfit(q)[np.isin(r.time, known.time)]
         refuse_stance(known, model)
         for piece in _pieces(known):
             start = int(np.searchsorted(known.time, piece.time[0]))
@@ -241,17 +240,13 @@ def drive_signals(prepared: Prepared) -> tuple[Signals, ...]:
     return tuple(out)
 
 
-def _misread(quality: Quality) -> NDArray[np.bool_]:
-    return np.asarray(quality.masks["frozen"] | quality.masks["dropout"], dtype=np.bool_)
-
-
-def _unfit(quality: Quality, mended: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """What not to judge the missing torque by, but for misreadings that were ``mended``.
+def _unfit(quality: Quality) -> NDArray[np.bool_]:
+    """What not to judge the missing torque by.
 
     A wrong reading of one joint asks for torque at all that it is coupled to. Shape (T, J).
     """
-    misread = (_misread(quality) & ~mended).any(1, keepdims=True)
-    return np.asarray(~quality.usable(ignore=("clipped", "frozen", "dropout")) | misread, dtype=np.bool_)
+    misread = (quality.masks["frozen"] | quality.masks["dropout"]).any(1, keepdims=True)
+    return np.asarray(~quality.usable() | misread, dtype=np.bool_)
 
 
 def _torque_noise(measured: Array) -> Array:

@@ -230,9 +230,9 @@ def damping(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
 
 
 def torque_bound(model: mujoco.MjModel, address: JointAddress, joint: int) -> float:
-    """A torque that no part of the joint exceeds [N·m].
+    """A torque that hardly a part of the joint exceeds [N·m].
 
-    The motor's limit, else a hundred times :func:`torque_scale`.
+    The motor's limit, else a hundred times :func:`torque_scale`, which rotors and friction of a bare horn can exceed.
     """
     from torchrl_athletic.effects.signals import torque_range
 

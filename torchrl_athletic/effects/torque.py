@@ -37,8 +37,8 @@ _NO_LOAD = (0.8, 1.0, 1.15, 1.35, 1.7, 2.4, 4.0)
 """Shares of the greatest speed: no-load speeds to try."""
 _NO_LIMIT = 1e3
 """No-load speed beyond reach [rad/s, m/s]."""
-_UNSTATED = 100.0
-"""A limit that the model does not state, per what no part of the joint exceeds."""
+_UNSTATED = 1e6
+"""A limit that the model does not state, per :func:`torque_bound`: a rotor may outweigh the link many times."""
 _PERIODS = (*range(2, 31), 36, 40, 48, 60)
 """A revolution, of a joint that travels a radian or more."""
 _ROBUST_ROUNDS = 5
@@ -454,10 +454,7 @@ def _speed_torque(velocity: Array, stall: Array, no_load: Array) -> tuple[Array,
 def _limit_parameter(
     name: str, unit: str, model: mujoco.MjModel, address: JointAddress, joint: int, scale: float
 ) -> Parameter:
-    """A limit below the model's; a model that states none has one beyond reach, and room above it says so.
-
-    Rotors and friction of an industrial wrist ask for more than a hundred times what its links do.
-    """
+    """A limit below the model's; a model that states none has one beyond reach, and room above it says so."""
     bound = torque_bound(model, address, joint)
     stated = bool(np.isfinite(torque_range(model, address)[1][joint]))
     nominal = bound if stated else _UNSTATED * bound

@@ -113,6 +113,8 @@ class Quality:
     """
     warnings: tuple[str, ...]
     """Sentences, each with the mend."""
+    bridged: tuple[int, ...] = ()
+    """Readings of each joint that :func:`~torchrl_athletic.recordings.misread.mended` put between good ones."""
 
     def usable(self, ignore: tuple[str, ...] = ("clipped",)) -> Mask:
         """Where no reason masks. Shape (T, J).
@@ -145,6 +147,7 @@ class Quality:
             "masked_by_joint": {
                 reason: dict(zip(joints, mask.sum(axis=0).tolist(), strict=True)) for reason, mask in self.masks.items()
             },
+            "bridged": dict(zip(joints, self.bridged or [0] * len(joints), strict=True)),
             "jitter": dict(self.jitter),
             "gaps": [{"time": gap.time, "length": gap.length, "row": gap.row} for gap in self.gaps],
             "lost_samples": self.lost_samples,

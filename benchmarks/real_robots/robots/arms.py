@@ -240,11 +240,11 @@ def kr300(data: Path) -> Robot:
 
     Ten seconds each at 250 Hz. Torques are those of the motors, through their gears; positions are those of the motors,
     too. The model has the links and the payload of the file beside the logs, without friction, rotors, and the
-    hydraulic counterbalance of its second joint. The last link has no moments of inertia there, and gets some.
+    hydraulic counterbalance of its second joint. The last link has no moments of inertia there, and gets made up ones.
     """
     home = data / "Robot_Identification"
-    # Denavit-Hartenberg numbers d, a [m] and alpha [rad], the joint's zero [rad], mass [kg], centre of mass [mm] and
-    # inertia about it (xx, yy, zz, xy, yz, xz) [kg·cm²] in the frame behind the link
+    # Denavit-Hartenberg numbers d, a [m] and alpha [rad], zero of the joint, with that of robot_dynamics.m [rad], mass
+    # [kg], centre of mass [mm] and inertia about it (xx, yy, zz, xy, yz, xz) [kg·m²] in the frame behind the link
     load, flange = 200.0, 17.78
     quarter = np.pi / 2
     links = (

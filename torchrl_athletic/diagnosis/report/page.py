@@ -45,6 +45,7 @@ from torchrl_athletic.diagnosis.report.words import (
     IF_KNOWN,
     banners,
     besides,
+    bridged_readings,
     go_on,
     grounds_words,
     joints_and_regimes,
@@ -344,6 +345,7 @@ def _quality(quality: Mapping[str, Any]) -> dict[str, Any]:
                 "rate": quantity(float(r.get("rate", math.nan)), "Hz"),
                 "duration": quantity(float(r.get("duration", math.nan)), "s"),
                 "masked": masked,
+                "bridged": bridged_readings(r),
                 "warnings": [str(w) for w in r.get("warnings", ())],
             }
         )

@@ -17,6 +17,7 @@ from torchrl_athletic.diagnosis.report.words import (
     IF_KNOWN,
     banners,
     besides,
+    bridged_readings,
     joints_and_regimes,
     lead,
     next_takes,
@@ -147,6 +148,8 @@ def _quality(answer: Answer) -> Iterator[str]:
         yield _wrapped(
             "Left out by quality control: " + ", ".join(f"{n} samples ({why})" for why, n in masked.items()) + "."
         )
+    if bridged := sum(map(bridged_readings, answer.quality.get("recordings", ()))):
+        yield _wrapped(f"{bridged} readings that repeat or leave for a moment were put between their neighbours.")
     for warning in warnings:
         yield _wrapped(f"Warning: {warning}", hanging="   ")
 

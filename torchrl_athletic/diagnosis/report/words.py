@@ -232,3 +232,8 @@ def quality_counts(quality: Mapping[str, Any]) -> tuple[dict[str, int], list[str
         masked.update({reason: int(n) for reason, n in recording.get("masked", {}).items() if n})
         warnings += [f"{recording.get('source', 'a recording')}: {w}" for w in recording.get("warnings", ())]
     return dict(masked), warnings
+
+
+def bridged_readings(recording: Mapping[str, Any]) -> int:
+    """How many readings of a recording, of all joints, were put between good ones."""
+    return sum(int(n) for n in recording.get("bridged", {}).values())
