@@ -12,10 +12,10 @@ import pytest
 import torch
 from scipy.io import savemat
 
-from benchmarks.real_robots.robots.arms import panda, tx40
+from benchmarks.real_robots.robots.arms import ar5, kr300, krang, panda, tx40, xmate3
 from benchmarks.real_robots.robots.benches import ak80_pendulum, cart_pendulum
 from benchmarks.real_robots.robots.legs import compass_leg, unitree
-from benchmarks.real_robots.robots.servos import _loaded_pendulum
+from benchmarks.real_robots.robots.servos import _loaded_pendulum, mx106
 
 LEG = """
 <mujoco>
@@ -226,3 +226,111 @@ def test_an_ak80s_pendulum_hangs_at_zero_and_two_controllers_are_kept_aside(tmp_
     data.qpos[:] = 0.1
     mujoco.mj_forward(model, data)
     assert data.qacc[0] < 0.0
+
+
+def test_a_kr300_stands_as_its_authors_say_and_its_motors_turn_through_their_gears(tmp_path):
+    """All angles zero is upright with the forearm level: 1 m ahead of a shoulder of 0.35 m, and 0.041 m below it."""
+    for letter in "ABC":
+        home = tmp_path / f"Robot_Identification/data/recorded_trajectories/2020-10-21 10s FF {letter} 08ms"
+        home.mkdir(parents=True)
+        degrees = np.outer(np.arange(1.0, 7.0), np.arange(60.0))
+        rec = {"time_cont": 0.004 * np.arange(60), "act_pos_mot_deg": degrees, "act_torque_abs_nm": degrees / 10}
+        savemat(home / "data.mat", {"rec": rec})
+    robot = kr300(tmp_path)
+    assert [len(robot.recordings), len(robot.heldout)] == [1, 2]
+    take = robot.recordings[0]
+    assert take.position[10] == pytest.approx(np.radians(10.0 * np.arange(1, 7)))
+    assert take.torque_command[10, 0] == pytest.approx(1798 / 7)
+    model = mujoco.MjModel.from_xml_string(robot.xml)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.body("axis_5").xpos == pytest.approx([1.35, 0.0, 0.675 + 1.15 - 0.041])
+    assert data.body("axis_6").xipos[0] == pytest.approx(1.35 + 0.24 + (200 * 0.1 - 17.78 * 0.05) / 217.78, abs=1e-3)
+    assert data.qfrc_bias[0] == pytest.approx(0.0, abs=1e-6)  # about the vertical
+    ahead = sum(model.body_mass[k] * (data.xipos[k, 0] - 0.35) for k in range(2, 7))
+    assert abs(data.qfrc_bias[1]) == pytest.approx(9.81 * ahead, rel=1e-6)  # of all that hangs on the shoulder
+    for body in range(1, 7):  # moments that a body can have
+        least, middle, most = sorted(model.body_inertia[body])
+        assert 0 < most <= least + middle
+
+
+ARM = """<?xml version="1.0"?>
+<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="absent.xacro"/>
+<link name="${nameofManipulator}_base"/>"""
+
+
+def seven_joints(name: str) -> str:
+    """A URDF of seven links along x, with a mesh that is not there."""
+    out = ARM
+    for k in range(1, 8):
+        parent = "${nameofManipulator}_base" if k == 1 else f"link{k - 1}"
+        out += f"""<link name="link{k}"><visual><geometry><mesh filename="package://a/b.stl"/></geometry></visual>
+          <inertial><origin xyz="0.1 0 0"/><mass value="{k}"/>
+          <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+          <joint name="{name}{k}" type="revolute"><parent link="{parent}"/><child link="link{k}"/>
+          <origin xyz="0.2 0 0"/><axis xyz="0 1 0"/><limit effort="50" lower="-3" upper="3" velocity="1"/></joint>"""
+    return out + "</robot>"
+
+
+def test_rokaes_arms_have_their_shapes_left_out_and_their_own_gravity(tmp_path):
+    (urdf := tmp_path / "rokae_ros2/rokae_description/urdf").mkdir(parents=True)
+    (urdf / "xMatePro3.urdf.xacro").write_text(seven_joints("joint"))
+    (logs := tmp_path / "Dynamic_Parameter_Identification_for_Rokae_xMate/filtering/data/excit").mkdir(parents=True)
+    for k, name in enumerate(("ang", "vel", "torque")):
+        np.savetxt(logs / f"excit_{name}_record.txt", k + np.linspace(0, 1, 900)[:, None] * np.ones(7))
+    robot = xmate3(tmp_path)
+    assert [group[0].num_samples for group in (robot.recordings, robot.heldout)] == [600, 300]
+    assert robot.recordings[0].rate == pytest.approx(1000)
+    assert robot.recordings[0].torque_command[0, 0] == 2.0
+    model = mujoco.MjModel.from_xml_string(robot.xml)
+    assert (model.nv, model.nu, model.ngeom, model.nmesh) == (7, 7, 0, 0)
+    assert model.actuator_forcerange[0].tolist() == [-50.0, 50.0]
+
+    home = tmp_path / "Dynamics_identification_Frank"
+    (home / "urdf").mkdir(parents=True)
+    (home / "src/config").mkdir(parents=True)
+    (home / "urdf/AR5-5_07R-W4C4A2.urdf").write_text(seven_joints("joint").replace("${nameofManipulator}", "arm"))
+    head = ",".join(["time", *(f"{name}{k}" for name in ("q", "dq", "ddq", "tau") for k in range(7))])
+    rows = np.column_stack([0.02 * np.arange(300), np.tile(np.arange(28.0), (300, 1)) + 0.01 * np.arange(300)[:, None]])
+    log = home / "src/config/dynamics_identification_data_real.csv"
+    np.savetxt(log, rows, delimiter=",", header=head, comments="")
+    robot = ar5(tmp_path)
+    take = robot.recordings[0]
+    assert [group[0].num_samples for group in (robot.recordings, robot.heldout)] == [200, 100]
+    assert take.velocity is not None
+    assert (take.position[0, 1], take.velocity[0, 1], take.torque_command[0, 1]) == (1.0, 8.0, 22.0)
+    assert mujoco.MjModel.from_xml_string(robot.xml).opt.gravity.tolist() == [9.81, 0.0, 0.0]
+
+
+def test_krangs_currents_are_torques_by_their_constants_and_gears(tmp_path):
+    home = tmp_path / "manipulator_parameter_identification"
+    (home / "09-URDF/7DOFArm").mkdir(parents=True)
+    (home / "09-URDF/7DOFArm/singlearm.urdf").write_text(seven_joints("LJ").replace("${nameofManipulator}", "arm"))
+    for part, scale in (("train", 1.0), ("test", 2.0)):
+        (folder := home / f"29-ArmDataCollection/{part}Data").mkdir(parents=True)
+        np.savetxt(folder / "dataTimeStamp.txt", 0.01 * np.arange(50))
+        for k, name in enumerate(("Q", "DotQ_NF", "Cur")):
+            np.savetxt(folder / f"data{name}.txt", scale * (k + np.linspace(0, 1, 50)[:, None] * np.ones(7)))
+    robot = krang(tmp_path)
+    assert robot.recordings[0].torque_command[0, [0, 2, 6]] == pytest.approx(
+        2e-3 * np.array([31.4 * 596, 38 * 625, 16 * 552])
+    )
+    assert robot.heldout[0].position[-1, 0] == 2.0
+    assert mujoco.MjModel.from_xml_string(robot.xml).opt.gravity.tolist() == [0.0, -9.81, 0.0]
+
+
+def test_an_mx106_keeps_its_commands_where_a_row_has_no_reading_and_its_sines_aside(tmp_path):
+    for kind in ("step", "triangle", "sine"):
+        for repeat in (1, 2, 3):
+            folder = tmp_path / f"Jandi_real2sim/data/raw/mode5/mode5_mx106_ID_0/no_load/{kind}/repeat_{repeat}"
+            folder.mkdir(parents=True)
+            lines = [f"{k / 100},{k / 10},{'' if k == 7 else k / 20}" for k in range(50)]
+            (folder / "telemetry.csv").write_text("\n".join(["time_s,q_cmd_rad,q_present_rad", *lines]))
+    robot = mx106(tmp_path, 0)
+    assert [r.source[8:] for r in robot.recordings] == ["step_1", "step_2", "triangle_1", "triangle_2"]
+    assert [r.source[8:] for r in robot.heldout] == ["step_3", "triangle_3", "sine_3"]
+    take = robot.recordings[0]
+    assert take.num_samples == 50
+    assert take.position[7, 0] == pytest.approx(0.35)
+    assert take.position_target is not None
+    assert take.position_target[7, 0] == 0.7

@@ -210,7 +210,8 @@ def test_the_robot_has_notes_of_its_findings_and_of_where_the_error_is(verdict, 
 def test_recordings_are_told_with_what_was_masked_and_lasted_together():
     quality = {
         "recordings": [
-            {"source": "a", "rate": 100.0, "duration": 2.0, "masked": {"gap": 3, "stall": 0}, "warnings": ["late"]},
+            {"source": "a", "rate": 100.0, "duration": 2.0, "masked": {"gap": 3, "stall": 0},
+             "bridged": {"hip": 2, "knee": 1}, "warnings": ["late"]},
             {"source": "b", "rate": 100.0, "duration": 3.0},
         ],
         "warnings": ["in all"], "units": {"hip": "rad"}, "left_out": [], "base": None,
@@ -218,7 +219,8 @@ def test_recordings_are_told_with_what_was_masked_and_lasted_together():
     }  # fmt: skip
     told = page._quality(quality)
     assert told["recordings"][0] == {
-        "source": "a", "rate": "100 Hz", "duration": "2.00 s", "masked": {"gap": 3}, "warnings": ["late"]
+        "source": "a", "rate": "100 Hz", "duration": "2.00 s", "masked": {"gap": 3}, "bridged": 3,
+        "warnings": ["late"],
     }  # fmt: skip
     assert told["total"] == "5.00 s"
     assert told["warnings"] == ["in all"]

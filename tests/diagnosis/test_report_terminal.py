@@ -142,6 +142,15 @@ def test_a_model_that_the_recordings_changed_is_told_before_anything_else():
     assert terminal_summary(changed).splitlines()[2] == "0.5 kg hang on the last link."
 
 
+def test_readings_that_were_put_between_others_are_told():
+    answer = arm().answer
+    recordings = [{**r, "bridged": {"hip": 4}} for r in answer.quality["recordings"]]
+    told = terminal_summary(replace(answer, quality={**answer.quality, "recordings": recordings}))
+    said = f"{4 * len(recordings)} readings that repeat or leave for a moment"
+    assert said in told
+    assert said not in terminal_summary(answer)
+
+
 def test_a_long_warning_is_indented_below_its_beginning_and_keeps_its_words_whole():
     """Names of files and of joints can be found again, whatever hyphens they have."""
     name = "-".join(["left-hand"] * 12)  # longer than a line

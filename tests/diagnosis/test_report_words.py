@@ -12,6 +12,7 @@ from torchrl_athletic.diagnosis.report.words import (
     IF_KNOWN,
     banners,
     besides,
+    bridged_readings,
     go_on,
     grounds_words,
     lead,
@@ -128,6 +129,11 @@ def test_masked_samples_add_up_over_the_recordings_and_each_warning_names_its_ow
     counted = quality_counts({"recordings": recordings, "warnings": ["thinned"]})
     assert counted == ({"gap": 5, "frozen": 1}, ["thinned", "a: slow", "a recording: loud"])
     assert quality_counts({}) == ({}, [])
+
+
+def test_readings_that_were_put_between_others_are_counted_over_the_joints():
+    assert bridged_readings({"bridged": {"hip": 2, "knee": 3}}) == 5
+    assert bridged_readings({}) == 0  # of an earlier version's file
 
 
 def test_a_changed_model_is_told_before_a_run_that_was_stopped():

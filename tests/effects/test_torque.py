@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from effects.arm import address, arm, record
@@ -161,6 +162,17 @@ def test_a_model_without_a_limit_is_told_apart_from_one_with_a_high_one():
     free, limited = TorqueSaturation().parameters(slider(), rail, 0), TorqueSaturation().parameters(arm(), address(), 0)
     assert "the model has no limit" in TorqueSaturation().sentence("rail", {"limit": 2.0}, free)
     assert "the model allows 40 N·m" in TorqueSaturation().sentence("shoulder", {"limit": 2.0}, limited)
+
+
+def test_a_limit_that_no_model_states_is_none_for_the_rotor_of_a_bare_horn():
+    """Its link asks for micronewtons; motors that one holds in a hand give a newton metre."""
+    horn = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body><joint name="horn" axis="0 0 1"/>
+      <inertial pos="0 0 0" mass="0.015" diaginertia="2e-6 2e-6 2e-6"/></body></worldbody>
+      <actuator><motor joint="horn"/></actuator></mujoco>""")
+    (limit,) = TorqueSaturation().parameters(horn, JointAddress.of(horn, ("horn",)), 0)
+    assert limit.nominal > 100.0
+    assert limit.lower < 0.01
+    assert limit.upper > limit.nominal
 
 
 # --- ripple ---
