@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from torchrl_athletic.recordings import Recording, check_quality
-from torchrl_athletic.recordings.misread import bridged, brief, mended
+from torchrl_athletic.recordings.misread import _no_noisier, bridged, brief, mended
 
 TIME = np.arange(400) / 100
 MOTION = np.stack([np.sin(2 * np.pi * TIME), np.cos(np.pi * TIME)], -1)
@@ -80,3 +82,15 @@ def test_a_log_is_looked_at_again_once_what_hid_the_others_is_mended():
     assert quality.warnings == raw.warnings
     assert quality.report()["bridged"] == {"a": quality.bridged[0], "b": 0}
     assert quality.report()["masked"]["frozen"] == 0
+
+
+def test_a_mended_log_is_no_noisier_and_keeps_its_encoder():
+    """Two poses in which a joint rests between bridges are no encoder of half a radian."""
+    quality = check_quality(take(MOTION))
+    found = replace(
+        quality, encoder_step=(1.0, None), position_noise=np.array([0.3, 1e-9]), noise_correlation=np.ones(2)
+    )
+    told = _no_noisier(found, quality)
+    assert told.encoder_step == quality.encoder_step
+    assert told.position_noise.tolist() == [quality.position_noise[0], 1e-9]
+    assert told.noise_correlation.tolist() == [quality.noise_correlation[0], 1.0]

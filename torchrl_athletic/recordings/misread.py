@@ -56,8 +56,30 @@ def mended(
             break
         misread = more
     left = {reason: mask & ~short for reason, mask in misread.items()}
-    told = tuple(int(n) for n in short.sum(0))
-    return out, replace(found, masks={**found.masks, **left}, warnings=quality.warnings, bridged=told)
+    return out, replace(
+        _no_noisier(found, quality),
+        masks={**found.masks, **left},
+        warnings=quality.warnings,
+        bridged=tuple(int(n) for n in short.sum(0)),
+    )
+
+
+def _no_noisier(found: Quality, quality: Quality) -> Quality:
+    """What is known of the mended take, with the log's own encoder, and its noise where that is less.
+
+    Bridges lie between the counts of an encoder, so that what is left of a joint at rest can look like a coarse one.
+    """
+    less = found.position_noise <= quality.position_noise
+    velocity = found.velocity_noise
+    if velocity is not None and quality.velocity_noise is not None:
+        velocity = np.minimum(velocity, quality.velocity_noise)
+    return replace(
+        found,
+        encoder_step=quality.encoder_step,
+        position_noise=np.where(less, found.position_noise, quality.position_noise),
+        noise_correlation=np.where(less, found.noise_correlation, quality.noise_correlation),
+        velocity_noise=velocity,
+    )
 
 
 def brief(time: Array, misread: Mask, longest: float) -> Mask:
