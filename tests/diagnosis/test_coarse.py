@@ -14,13 +14,14 @@ from torchrl_athletic.diagnosis.coarse import (
     fit_in_steps_of,
     in_steps_of,
     moves_alike,
+    steps_alike,
 )
 from torchrl_athletic.diagnosis.descent import linearise, linearise_roughly
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis
 from torchrl_athletic.diagnosis.prepare import prepare
-from torchrl_athletic.diagnosis.problem import problem_of
+from torchrl_athletic.diagnosis.problem import GRAIN, problem_of
 from torchrl_athletic.diagnosis.screen import Candidate
-from torchrl_athletic.effects import ViscousFriction
+from torchrl_athletic.effects import ReflectedInertia, ViscousFriction
 
 NOTHING = Hypothesis(())
 
@@ -33,7 +34,7 @@ def takes_of(xml, true_xml=None, start=0.0):
 
 def test_a_take_is_replayed_in_fewer_steps_of_the_same_samples():
     takes = takes_of(pendulum(STEP), pendulum(STEP, 'damping="0.2"'))
-    ((copy, take),) = coarse(takes, NOTHING, np.zeros(0), np.random.default_rng(0)).items()
+    ((copy, take),) = coarse(takes, NOTHING, [np.zeros(0)], np.random.default_rng(0)).items()
     assert take is takes[0]
     assert copy.substeps < take.substeps
     assert copy.model.opt.timestep == pytest.approx(LONGEST[0])
@@ -46,14 +47,42 @@ def test_a_take_stays_what_it_is_where_longer_steps_move_otherwise():
     """A spring of 20 Hz swings otherwise in the steps of a search."""
     springs = (f'stiffness="{k}" damping="0.05"' for k in (1420, 1380))
     takes = takes_of(*(pendulum(5e-4, spring) for spring in springs), start=0.1)
-    assert set(coarse(takes, NOTHING, np.zeros(0), np.random.default_rng(0))) == set(takes)
+    assert set(coarse(takes, NOTHING, [np.zeros(0)], np.random.default_rng(0))) == set(takes)
     bent = takes[0].stepped(takes[0].substeps // 10)
     assert not moves_alike(bent, takes[0], NOTHING, np.zeros(0), np.random.default_rng(0))
 
 
+def test_a_log_whose_samples_are_close_is_replayed_on_fewer_of_them():
+    """At 1 kHz a step cannot be longer than a sample; errors are compared each 5 ms in any case."""
+    true, given = (pendulum(1e-3, f'damping="{damping}"') for damping in (0.2, 0.05))
+    takes = prepare([record(true, smooth_torque(8.0, rate=1e3), rate=1e3)], mujoco.MjModel.from_xml_string(given)).takes
+    ((copy, take),) = coarse(takes, NOTHING, [np.zeros(0)], np.random.default_rng(0)).items()
+    assert take is takes[0]
+    assert copy.period == copy.model.opt.timestep == pytest.approx(GRAIN)
+    rough = problem_of(NOTHING, (copy,), WINDOW, 10, np.random.default_rng(1), np.zeros(0))
+    fine = in_steps_of(rough, {copy: take})
+    for a, b in zip(rough.windows, fine.windows, strict=True):
+        np.testing.assert_allclose(a.take.time[a.index], b.take.time[b.index][:, 4::5])
+    errors = [p.errors(np.zeros((1, 0)))[:, 0] for p in (rough, fine)]  # of the same instants, row by row
+    assert np.abs(errors[0] - errors[1]).max() < 2 * ALIKE * np.abs(errors[1]).max()
+    half = fine.windows[0].take.stepped(2)
+    assert steps_alike({copy: half}, NOTHING, np.zeros(0), np.random.default_rng(0))[copy] is copy
+
+
+def test_steps_that_the_given_model_cannot_bear_are_taken_where_another_start_bears_them():
+    """A spring of 20 Hz swings otherwise in long steps, and in no time with a rotor of a hundred times the link."""
+    takes = takes_of(*(pendulum(5e-4, f'stiffness="{k}" damping="0.05"') for k in (1420, 1380)), start=0.1)
+    law = ReflectedInertia()
+    h = Hypothesis((Candidate(law, 0, "joint", law.parameters(takes[0].model, takes[0].address, 0)),))
+    points = np.array([[0.0], [10.0]])
+    alone, both = (set(coarse(takes, h, p, np.random.default_rng(0))) for p in (points[:1], points))
+    assert alone == set(takes)
+    assert not both & set(takes)
+
+
 def test_how_alike_is_measured_by_the_error_that_there_is():
     takes = takes_of(pendulum(STEP))  # nothing is missing: what the steps change is all there is
-    assert set(coarse(takes, NOTHING, np.zeros(0), np.random.default_rng(0))) == set(takes)
+    assert set(coarse(takes, NOTHING, [np.zeros(0)], np.random.default_rng(0))) == set(takes)
     assert 0 < ALIKE < 1
 
 
@@ -91,7 +120,7 @@ def test_a_fit_is_made_again_in_shorter_steps_until_they_move_alike_by_what_it_f
 
 def test_a_problem_keeps_its_windows_in_other_steps():
     takes = takes_of(pendulum(STEP), pendulum(STEP, 'damping="0.2"'))
-    copies = coarse(takes, NOTHING, np.zeros(0), np.random.default_rng(0))
+    copies = coarse(takes, NOTHING, [np.zeros(0)], np.random.default_rng(0))
     rough = problem_of(NOTHING, tuple(copies), WINDOW, 40, np.random.default_rng(1), np.zeros(0))
     fine = in_steps_of(rough, copies)
     assert [w.take for w in fine.windows] == list(takes)
@@ -109,7 +138,7 @@ def test_slopes_are_those_of_the_longer_steps_and_errors_those_of_the_takes_own(
     takes = takes_of(pendulum(STEP), pendulum(STEP, 'damping="0.2"'))
     law = ViscousFriction()
     h = Hypothesis((Candidate(law, 0, "joint", law.parameters(takes[0].model, takes[0].address, 0)),))
-    copies = coarse(takes, h, h.nominal, np.random.default_rng(0))
+    copies = coarse(takes, h, [h.nominal], np.random.default_rng(0))
     rough = problem_of(h, tuple(copies), WINDOW, 40, np.random.default_rng(1), h.nominal)
     fine, free = in_steps_of(rough, copies), np.ones(1, dtype=bool)
     near, own = linearise_roughly(fine, h.nominal, free), linearise(fine, h.nominal, free)

@@ -813,6 +813,42 @@ def test_half_the_step_is_that_of_every_piece():
     assert half.commands(0.0).shape == (2 * len(joined.commands(0.0)), 1)
 
 
+def test_every_fifth_sample_of_every_piece_is_driven_by_the_mean_command_between_them():
+    whole = record(pendulum(1e-3), smooth_torque(4.0, rate=1e3), rate=1e3)
+    (joined,) = join([take(pendulum(1e-3), whole.slice(*ends), period=1e-3) for ends in ((0, 1503), (2000, 4000))])
+    thin = joined.thinned(5)
+    assert thin.period == thin.model.opt.timestep == pytest.approx(5e-3)
+    assert thin.begins.tolist() == [0, 301]
+    assert joined.period == pytest.approx(1e-3)  # as it was
+    for name in ("time", "measured", "position", "velocity"):
+        own = [getattr(piece, name)[::5] for piece in joined.pieces]
+        np.testing.assert_array_equal(getattr(thin, name), np.concatenate(own))
+    assert thin.start_noise.shape == (2, 701, 1)
+    fine = joined.pieces[1].commands(0.0).reshape(-1, 5, 1).mean(1)
+    np.testing.assert_allclose(thin.commands(0.0)[301:], fine, atol=1e-12)
+
+
+def test_windows_of_every_fifth_sample_are_those_of_all_of_them():
+    whole = record(pendulum(1e-3), smooth_torque(4.0, rate=1e3), rate=1e3)
+    (joined,) = join([take(pendulum(1e-3), whole.slice(*ends), period=1e-3) for ends in ((0, 1503), (2000, 4000))])
+    thin = windows_of(joined.thinned(5), 0.5)
+    own = thin.of(joined)
+    assert len(own.start) == len(thin.start) > 4
+    np.testing.assert_array_equal(own.measured[:, 4::5], thin.measured)
+    np.testing.assert_array_equal(thin.of(thin.take.stepped(3)).start, thin.start)
+
+
+def test_a_base_is_thinned_with_the_joints():
+    t = take(pendulum(), record(pendulum(), smooth_torque(4.0)))
+    count = len(t.time)
+    speed = np.arange(6.0 * count).reshape(count, 6)
+    base = BaseMotion(np.zeros((count, 7)), speed, np.zeros((count, 6)))
+    thin = replace(t, base=base, base_noise=speed).thinned(4)
+    np.testing.assert_array_equal(thin.base.velocity, speed[::4])
+    np.testing.assert_array_equal(thin.base_noise, speed[::4])
+    assert len(thin.base.pose) == len(thin.time)
+
+
 def test_a_base_is_misread_by_the_noise_of_each_of_its_axes():
     t = take(pendulum(), record(pendulum(), smooth_torque(4.0)))
     assert t.misread(np.random.default_rng(0)) is t

@@ -41,7 +41,7 @@ def problem(robot, scale=(1.0, 1.0)):
     taken = record(robot, logged * np.array(scale))
     prepared = prepare([replace(taken, torque_command=logged)], mujoco.MjModel.from_xml_string(arm()))
     h = standard_joints(prepared, seen_in(prepared))
-    takes = tuple(coarse(prepared.takes, h, h.nominal, np.random.default_rng(0)))
+    takes = tuple(coarse(prepared.takes, h, [h.nominal], np.random.default_rng(0)))
     return h, takes, agreement(h, prepared)
 
 
@@ -124,7 +124,7 @@ def test_a_limit_that_clips_is_asked_for_from_where_it_is_known_to_begin():
     prepared = prepare([replace(taken, torque_command=logged)], mujoco.MjModel.from_xml_string(arm()))
     h = standard_joints(prepared, seen_in(prepared))
     limit = next(c for c in h.terms if c.key == ("torque_saturation", "lower"))
-    takes = tuple(coarse(prepared.takes, h, h.nominal, np.random.default_rng(0)))
+    takes = tuple(coarse(prepared.takes, h, [h.nominal], np.random.default_rng(0)))
     asked = np.abs(logged[:, 1]).max()
     starts = {limit: [np.array([share * asked]) for share in (0.4, 0.7, 0.9)]}
     found = select(h, takes, np.random.default_rng(1), Deadline(), agreement(h, prepared), starts)

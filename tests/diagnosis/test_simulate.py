@@ -327,7 +327,7 @@ def test_what_follows_targets_is_tried_in_longer_steps_but_for_gears(monkeypatch
     found = stage._in_long_steps(ready, h, "values")
     assert list(found) == ([*takes] if steps == "own" else ["copy 0", "copy 1"])
     assert list(found.values()) == [*takes]
-    assert told == ([] if steps == "own" else [(takes, h, "values", "coarse")])
+    assert told == ([] if steps == "own" else [(takes, h, ["values"], "coarse")])
 
 
 def test_each_set_of_recordings_is_scored_with_its_own_noise_and_windows(monkeypatch):

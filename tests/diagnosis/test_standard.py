@@ -351,7 +351,7 @@ def test_a_servo_that_sticks_is_asked_about_along_its_targets():
     targets = smooth_torque(8.0, 1.5, 1)
     takes = prepared(record(robot, targets, **gains(8.0, 0.5)))
     h = standard_joints(takes, seen_in(takes))
-    copies = tuple(coarse(takes.takes, h, h.nominal, np.random.default_rng(0)))
+    copies = tuple(coarse(takes.takes, h, [h.nominal], np.random.default_rng(0)))
     found = select(h, copies, np.random.default_rng(1), Deadline(), agreement(h, takes))
     assert found.hypothesis.terms[0].effect.name == "coulomb_friction"
     assert found.values[0] == pytest.approx(0.15, rel=0.1)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.fit import WINDOW, Fitted, Hypothesis, draw_windows, fit
-from torchrl_athletic.diagnosis.problem import Problem
+from torchrl_athletic.diagnosis.problem import GRAIN, Problem
 from torchrl_athletic.diagnosis.replay import Take, simulate
 
 Array = NDArray[np.float64]
@@ -23,21 +23,33 @@ LOOKED_AT = 20
 """Windows by which the two are compared."""
 
 
-def coarse(takes: Sequence[Take], h: Hypothesis, x: Array, rng: np.random.Generator) -> dict[Take, Take]:
-    """Copies of takes in the longest steps that move as the takes do, to values (P,); else a take itself.
+def coarse(takes: Sequence[Take], h: Hypothesis, points: Sequence[Array], rng: np.random.Generator) -> dict[Take, Take]:
+    """Copies of takes in the longest steps that move as the takes do, by some of the points; else a take itself.
+
+    Args:
+        takes: On the grid of their recordings.
+        h: What the values are of.
+        points: Values (P,). A given model without friction and rotors may need steps that no fitted one needs.
+        rng: Draws the windows by which they are compared.
 
     Returns:
         Copy of each take -> the take.
     """
     copies = {}
     for take in takes:
-        tried = (take.stepped(n) for n in (_substeps(take, longest) for longest in LONGEST) if n < take.substeps)
-        copies[next((c for c in tried if moves_alike(c, take, h, x, rng)), take)] = take
+        alike = (c for c in _copies(take) if any(moves_alike(c, take, h, x, rng) for x in points))
+        copies[next(alike, take)] = take
     return copies
 
 
-def _substeps(take: Take, longest: float) -> int:
-    return int(np.ceil(take.period / longest - 1e-3))
+def _copies(take: Take) -> Iterator[Take]:
+    """Copies in steps of :data:`LONGEST`; of a log whose samples are closer than are compared, on those that are."""
+    every = max(1, round(GRAIN / take.period))
+    grid = take.thinned(every) if every > 1 else take
+    for longest in LONGEST:
+        copy = grid.stepped(int(np.ceil(grid.period / longest - 1e-3)))
+        if copy.model.opt.timestep > (1 + 1e-6) * take.model.opt.timestep:
+            yield copy
 
 
 def moves_alike(copy: Take, take: Take, h: Hypothesis, x: Array, rng: np.random.Generator) -> bool:
@@ -45,11 +57,14 @@ def moves_alike(copy: Take, take: Take, h: Hypothesis, x: Array, rng: np.random.
     if copy is take:
         return True
     wrong, error = np.zeros(len(take.address.dof)), np.zeros(len(take.address.dof))
-    windows = draw_windows([take], WINDOW, LOOKED_AT, rng)
+    windows = draw_windows([copy], WINDOW, LOOKED_AT, rng)
+    every = round(copy.period / take.period)
     for w in windows:
-        there, here = (simulate(replace(w, take=t), h.build, x[None])[0] for t in (copy, take))
+        own = w.of(take)
+        there = simulate(w, h.build, x[None])[0]
+        here, measured = simulate(own, h.build, x[None])[0][:, every - 1 :: every], own.measured[:, every - 1 :: every]
         wrong += ((there - here) ** 2).sum((0, 1))
-        error += ((here - w.measured) ** 2).sum((0, 1))
+        error += ((here - measured) ** 2).sum((0, 1))
     return bool(windows) and bool(np.mean(wrong / np.maximum(error, 1e-18)) <= ALIKE**2)
 
 
@@ -72,8 +87,8 @@ def _halved(copy: Take, take: Take) -> Iterator[Take]:
     """A copy, and others in steps of half the length, a quarter and so on, of at most half as many as the take's."""
     yield copy
     count = 2 * copy.substeps
-    while 2 * count <= take.substeps:
-        yield take.stepped(count)
+    while 2 * count * take.period <= take.substeps * copy.period * (1 + 1e-6):
+        yield copy.stepped(count)
         count *= 2
 
 
@@ -98,7 +113,7 @@ def fit_in_steps_of(
 
 def in_steps_of(problem: Problem, steps: Mapping[Take, Take]) -> Problem:
     """The same windows of other copies of their takes; slopes are taken in the longest steps that they had."""
-    windows = tuple(replace(w, take=steps[w.take]) for w in problem.windows)
+    windows = tuple(w.of(steps[w.take]) for w in problem.windows)
     longest = problem.slope_windows or problem.windows
     same = all(a.take is b.take for a, b in zip(windows, longest, strict=True))
     return replace(problem, windows=windows, slope_windows=() if same else longest)

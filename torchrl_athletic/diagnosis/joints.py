@@ -88,7 +88,7 @@ def asked_of_motion(ready: Ready, run: Run, proposed: Sequence[Fitted]) -> Asked
     h, starts = _offered(ready, proposed)
 
     def compute() -> Asked:
-        takes = coarse(train.takes, h, h.nominal, given.rng("coarse"))
+        takes = coarse(train.takes, h, [h.nominal], given.rng("coarse"))
         left = run.left(SPENDING.to_select)
         deadline = Deadline(np.inf if left is None else left)
         found = select(h, tuple(takes), given.rng("motion"), deadline, agreement(h, train), starts)

@@ -156,6 +156,20 @@ class Take:
         model.opt.timestep = self.period / substeps
         return replace(self, model=model, substeps=substeps, pieces=tuple(p.stepped(substeps) for p in self.pieces))
 
+    def thinned(self, every: int) -> Take:
+        """A copy on every so many-th sample, with as many physics steps a second as it had samples."""
+        if self.pieces:
+            return _joined([piece.thinned(every) for piece in self.pieces])
+        model = self.model.__copy__()
+        model.opt.timestep = every * self.period
+        kept = slice(None, None, every)
+        return replace(
+            self, model=model, substeps=1, time=self.time[kept], measured=self.measured[kept],
+            position=self.position[kept], velocity=self.velocity[kept], start_noise=self.start_noise[:, kept],
+            base=None if self.base is None else self.base[kept],
+            base_noise=self.base_noise[kept] if len(self.base_noise) > 1 else self.base_noise,
+        )  # fmt: skip
+
 
 def take_of(
     recording: Recording,
@@ -300,6 +314,13 @@ class Windows:
     def measured(self) -> Array:
         """Shape (W, length, J)."""
         return self.take.measured[self.index]
+
+    def of(self, take: Take) -> Windows:
+        """The same windows of a copy of the take: in other steps, or of which the take is every so many-th sample."""
+        every = round(self.take.period / take.period)
+        piece = np.searchsorted(self.take.begins, self.start, side="right") - 1
+        start = take.begins[piece] + every * (self.start - self.take.begins[piece])
+        return Windows(take, start, every * self.length)
 
 
 def windows_of(take: Take, seconds: float | None) -> Windows:

@@ -226,7 +226,7 @@ def _in_long_steps(ready: Ready, h: Hypothesis, values: Array) -> Mapping[Take, 
     takes = ready.train.takes
     if not follow_targets(takes) or any(c.effect.of_accelerations for c in h.terms):
         return {take: take for take in takes}
-    return coarse(takes, h, values, ready.given.rng("coarse"))
+    return coarse(takes, h, [values], ready.given.rng("coarse"))
 
 
 def _without_small(fitted: Fitted, given: Given) -> Fitted:
