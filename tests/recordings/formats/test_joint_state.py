@@ -184,7 +184,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
         (("/joint_states", "/joint_states_2"), False),
         (("/left/joint_states", "/right/joint_states", "/cmd"), False),
         (("/joint_states", "/cmd", "/desired"), False),
-        (("/joint_states",), False),
+        (("/joint_command",), False),
         ((), False),
     ],
 )
@@ -199,6 +199,39 @@ def test_topics_are_chosen_when_they_are_clear(names, clear):
             RecordingError, match=r"not clear which.*Topics are .*/tf \(tf2_msgs/msg/TFMessage\).*state_topic="
         ):
             read(messages, topics=topics)
+
+
+ALONE = {STATE: JOINT_STATE, "/tf": "tf2_msgs/msg/TFMessage"}
+
+
+def test_of_states_alone_the_effort_drives_if_the_column_map_says_so():
+    messages = [state(t, effort=[10.0 * t], velocity=[1.0]) for t in range(3)]
+    with pytest.raises(RecordingError, match=r"a measured torque, but no command.*--drive measured"):
+        read(messages, topics=ALONE)
+    recording = read(messages, ColumnMap(measured_drives=True), ALONE)
+    assert recording.torque_command[:, 0].tolist() == [0.0, 10.0, 20.0]
+    assert recording.velocity[:, 0].tolist() == [1.0, 1.0, 1.0]
+    assert recording.torque_measured is None
+    amperes = Column("torque_measured", unit="A", torque_constant=2.0)
+    recording = read(messages, ColumnMap(measured_drives=True, torque_measured=amperes), ALONE)
+    assert recording.torque_command[:, 0].tolist() == [0.0, 20.0, 40.0]
+
+
+def test_states_without_effort_or_command_are_refused():
+    with pytest.raises(RecordingError, match=r"/joint_states has no effort. Topics are .*command_topic"):
+        read([state(0), state(1)], topics=ALONE)
+
+
+def test_where_the_effort_drives_no_command_has_to_be_clear_but_a_clear_one_is_read():
+    messages = [state(t, effort=[10.0 * t]) for t in range(3)] + [command(0, 5.0)]
+    driven = ColumnMap(measured_drives=True)
+    more = TOPICS | {"/cmd_other": JOINT_STATE}
+    assert read(messages, driven, more).torque_command[:, 0].tolist() == [0.0, 10.0, 20.0]
+    with pytest.raises(RecordingError, match="not clear which"):
+        read(messages, topics=more)
+    both = read(messages, ColumnMap(measured_drives=True, torque_semantics="link_side"))
+    assert both.torque_command[:, 0].tolist() == [5.0, 5.0, 5.0]
+    assert both.torque_measured[:, 0].tolist() == [0.0, 10.0, 20.0]
 
 
 def test_a_topic_that_is_not_there_is_named():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -55,6 +55,8 @@ def take_from_messages(
     Stamps are those of the headers; when a topic has none (all are 0), the times at which the recorder got the messages
     are taken for both topics, and ``metadata["stamps"]`` says so.
 
+    A bag of states alone has no command: what drove the robot is then their effort, if the column map says so.
+
     Args:
         source: The bag.
         topics: Message type by topic.
@@ -65,9 +67,10 @@ def take_from_messages(
         RecordingError: If topics or joints are not clear, or messages are malformed.
     """
     state_topic, command_topic = _choose_topics(source, topics, columns)
-    tracks = _tracks(source, read({state_topic, command_topic}), (state_topic, command_topic))
-    state, command = tracks[state_topic], tracks[command_topic]
-    headers = all(track.header.any() for track in (state, command))
+    chosen = [topic for topic in (state_topic, command_topic) if topic is not None]
+    tracks = _tracks(source, read(set(chosen)), chosen)
+    state = tracks[state_topic]
+    headers = all(track.header.any() for track in tracks.values())
     joints = columns.file_joint_names or columns.joint_names or _joints(state)
     state_stamps, states = _rows(source, state, state.header if headers else state.received, joints)
     if "position" not in states:
@@ -75,6 +78,23 @@ def take_from_messages(
             f"{source}: topic {state_topic} has no position. Name the topic of the encoders as state_topic of a column "
             "map."
         )
+    fields = {
+        "time": state_stamps / 1e9,
+        "joint_names": np.array(joints, dtype=np.str_),
+        "position": states["position"],
+    }
+    for quantity, name in (("velocity", "velocity"), ("effort", "torque_measured")):
+        if quantity in states:
+            fields[name] = states[quantity]
+    notes: dict[str, Any] = {} if headers else {"stamps": "received"}
+    if command_topic is None:
+        if "torque_measured" not in fields:
+            raise RecordingError(
+                f"{source}: no topic says what the robot was told, and {state_topic} has no effort. {_listed(topics)} "
+                "Record its command as well, or name its topic as command_topic of a column map."
+            )
+        return RawTake(source, fields, notes)
+    command = tracks[command_topic]
     command_stamps, commands = _rows(source, command, command.header if headers else command.received, joints)
     if (np.diff(command_stamps) <= 0).any():
         row = int(np.argmax(np.diff(command_stamps) <= 0)) + 1
@@ -89,25 +109,20 @@ def take_from_messages(
             f"{source}: all of {state_topic} is stamped before the first message of {command_topic}, so no state has a "
             "command. Check the clocks of the two publishers."
         )
-    fields = {
-        "time": state_stamps[known] / 1e9,
-        "joint_names": np.array(joints, dtype=np.str_),
-        "position": states["position"][known],
-    }
-    for quantity, name in (("velocity", "velocity"), ("effort", "torque_measured")):
-        if quantity in states:
-            fields[name] = states[quantity][known]
+    fields = {name: values if name == "joint_names" else values[known] for name, values in fields.items()}
     name, values = _command(source, command_topic, commands, columns)
     fields[name] = values[held[known]]
     age = (state_stamps[known] - command_stamps[held[known]]) / 1e9
-    notes: dict[str, Any] = {} if headers else {"stamps": "received"}
     notes |= {"before_first_command": int((~known).sum())} if not known.all() else {}
     notes |= {"command_age": float(age.mean())} if age.any() else {}
     return RawTake(source, fields, notes)
 
 
-def _choose_topics(source: str, topics: Mapping[str, str], columns: ColumnMap) -> tuple[str, str]:
-    """Topic of the state and topic of the command: as named, else as their names tell."""
+def _choose_topics(source: str, topics: Mapping[str, str], columns: ColumnMap) -> tuple[str, str | None]:
+    """Topic of the state and topic of the command: as named, else as their names tell.
+
+    None for the command where the state's is the only topic, or where the measured effort drives and none is clear.
+    """
     for topic in (columns.state_topic, columns.command_topic):
         if topic is not None and topic not in topics:
             raise RecordingError(f"{source}: no topic {topic}. {_listed(topics)}")
@@ -117,7 +132,8 @@ def _choose_topics(source: str, topics: Mapping[str, str], columns: ColumnMap) -
     states = [topic for topic in candidates if not _COMMAND.search(topic) and topic not in given]
     state = columns.state_topic or (states[0] if len(states) == 1 else None)
     command = columns.command_topic or (commands[0] if len(commands) == 1 else None)
-    if state is None or command is None or state == command:
+    alone = command is None and (columns.measured_drives or candidates == [state])
+    if state is None or (command is None and not alone) or state == command:
         raise RecordingError(
             f"{source}: it is not clear which sensor_msgs/JointState topic is the state and which the command. "
             f"{_listed(topics)} Name them in a column map: ColumnMap(state_topic='/joint_states', "
@@ -130,7 +146,7 @@ def _listed(topics: Mapping[str, str]) -> str:
     return "Topics are " + ", ".join(f"{topic} ({kind})" for topic, kind in sorted(topics.items())) + "."
 
 
-def _tracks(source: str, messages: Iterable[Message], topics: tuple[str, str]) -> dict[str, Track]:
+def _tracks(source: str, messages: Iterable[Message], topics: Sequence[str]) -> dict[str, Track]:
     collected: dict[str, list[tuple[int, int, dict[str, dict[str, float]]]]] = {topic: [] for topic in topics}
     for topic, received, content in messages:
         where = f"{source}: topic {topic}, message {len(collected[topic])}"

@@ -88,17 +88,18 @@ def recording_from_take(take: RawTake, columns: ColumnMap) -> Recording:
             f"{take.source}: the metadata has lists or objects within each other, over {_DEEPEST} levels deep. Make it "
             "flat, or leave it out."
         )
+    alone = "torque_measured" in signals and not {"torque_command", "position_target"} & signals.keys()
+    if alone and not columns.measured_drives:
+        raise RecordingError(
+            f"{take.source}: there is a measured torque, but no command. Let it drive the simulation, with --drive "
+            "measured or ColumnMap(measured_drives=True), or name the command."
+        )
     semantics = _semantics(take, columns, found.get("torque_measured"))
     if "position_target" in signals and (kp is None or kd is None) and all(n in columns.model_gains for n in names):
         of_model = np.array([columns.model_gains[n] for n in names]).T
         kp, kd = (own if given is None else given for given, own in zip((kp, kd), of_model, strict=True))
         metadata["gains"] = "of the model"
-    if "torque_measured" in signals and not {"torque_command", "position_target"} & signals.keys():
-        if not columns.measured_drives:
-            raise RecordingError(
-                f"{take.source}: there is a measured torque, but no command. Let it drive the simulation, with --drive "
-                "measured or ColumnMap(measured_drives=True), or name the command."
-            )
+    if alone:
         signals["torque_command"], semantics = signals.pop("torque_measured"), None
         metadata["driven_by"] = "torque_measured"
     if not_read := [name for name in take.fields if name not in used.union(_TEXTS)]:
