@@ -37,6 +37,9 @@ at ``c84fded``
 ``Jandi_real2sim`` at ``86cccc9``           RnD-king/Jandi_real2sim                  none stated
 ``SydneyCompassGait`` at ``92546f6``        imanchester/SydneyCompassGait            MIT
 ``masterThesisMatlab`` at ``0e2c725``       nielsSkov/masterThesisMatlab             none stated
+``inverse-dynamics-solver`` at ``41e196d``  unisa-acg/inverse-dynamics-solver        BSD-3-Clause
+``openrr-apps-config-sample`` at            OTL/openrr-apps-config-sample            Apache-2.0
+``d361201`` (the UR10's URDF)
 ==========================================  =======================================  =======================
 """
 
@@ -46,7 +49,20 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
-from benchmarks.real_robots.robots.arms import airbot, ar5, gen3, kr300, krang, lwr4, panda, so101, tx40, ur10e, xmate3
+from benchmarks.real_robots.robots.arms import (
+    airbot,
+    ar5,
+    gen3,
+    kr300,
+    krang,
+    lwr4,
+    panda,
+    so101,
+    tx40,
+    ur10,
+    ur10e,
+    xmate3,
+)
 from benchmarks.real_robots.robots.benches import (
     ak80_pendulum,
     bench,
@@ -64,6 +80,7 @@ ROBOTS: Mapping[str, Callable[[Path], Robot]] = {
     "so101": so101,
     "airbot": airbot,
     "airbot, second session": partial(airbot, second=True),
+    "ur10": ur10,
     "ur10e": ur10e,
     **{robot: partial(unitree, robot=robot) for robot in ("go2", "aliengo", "z1")},
     "gen3": gen3,

@@ -81,6 +81,20 @@ def airbot(data: Path, second: bool = False) -> Robot:
     return Robot(xml, fitted, aside, LOOKED if second else "yes")
 
 
+def ur10(data: Path) -> Robot:
+    """UR10, six joints at 125 Hz in closed loop: two thirds of a motion of 27.5 s, and the last third kept aside.
+
+    A ROS 2 bag of joint states and nothing else; efforts are the motors' currents times their gains. The model is a
+    URDF of the maker's numbers, without friction and rotors.
+    """
+    spec = arm_of((data / "openrr-apps-config-sample/urdf/ur10_robot.urdf").read_text())
+    spec.compile()
+    home = data / "inverse-dynamics-solver/ur10_inverse_dynamics_solver"
+    (whole,) = read_recordings(home / "bagfiles/ur10_exciting_trajectory.db3", ColumnMap(measured_drives=True))
+    split = 2 * whole.num_samples // 3
+    return Robot(spec.to_xml(), [whole.slice(0, split)], [whole.slice(split, whole.num_samples)], UNSEEN)
+
+
 def ur10e(data: Path) -> Robot:
     """UR10e, six joints at 95 Hz in closed loop: three takes of 27 to 39 s, kept aside one of 58 s and one to points.
 
