@@ -340,8 +340,30 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
     assert list(dict.fromkeys(spent)) == [(2, 0.3), (2, 0.5), (3, 0.7)]
     assert progress == [0.25, 0.5, 0.7, 0.9]
     assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
-    each = 6 if count == 400 else 2  # of a robot that is cheap to simulate three times as many
-    assert len(moved) == 2 * each + each + each + 1  # those that short windows like and long ones do are the same here
+    best = 6 if count == 400 else 2  # of a robot that is cheap to simulate three times as many
+    assert len(moved) == 6 + 6 + best + 1  # those that short windows like and long ones do are the same here
+
+
+def test_a_joint_that_rests_in_most_windows_has_its_start_chosen_by_those_in_which_it_moves(monkeypatch):
+    """Plain least squares: of five windows a gripper moves in one, and is off there by the first start."""
+    problem, _ = following(monkeypatch, each_its_own(0.0, 0.0, 0.0, 0.0, 2.0))
+    resting, moving = np.zeros(1), np.full(1, 1.0)
+    square = np.array([[0.0, 0.0, 0.0, 0.0, 4.0], [0.1, 0.1, 0.1, 0.1, 1.0]])[:, :, None]
+    for tuning, best in ((np.inf, moving), (3.0, resting)):
+        chosen = module._mixed(replace(problem, tuning=tuning), square, np.stack([resting, moving]), 1)
+        assert chosen == [best]
+
+
+def test_each_joints_best_numbers_are_tried_together():
+    """Two joints that do not know of each other, and two starts of which each suits one of them."""
+    terms = tuple(SimpleNamespace(joint=j, parameters=("p",)) for j in (0, 1))
+    problem = SimpleNamespace(
+        hypothesis=SimpleNamespace(terms=terms), motion=np.full((1, 2), 100.0), tuning=np.inf,
+        mean_square=lambda values: (values**2)[:, None, :],
+    )  # fmt: skip
+    left, right = np.array([0.0, 5.0]), np.array([5.0, 0.0])
+    points = module._and_mixed(problem, [left, right])
+    assert [p.tolist() for p in points] == [[0, 5], [5, 0], [0, 0], [5, 5]]
 
 
 @pytest.mark.parametrize(("reach", "ridge"), [(99.0, module.RIDGE), (1.5, 1.0)])
