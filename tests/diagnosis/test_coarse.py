@@ -7,19 +7,20 @@ import numpy as np
 import pytest
 from diagnosis.plants import STEP, pendulum, record, smooth_torque
 
+from torchrl_athletic.diagnosis import coarse as coarse_module
 from torchrl_athletic.diagnosis.coarse import (
     ALIKE,
     LONGEST,
+    _halved,
     coarse,
     fit_in_steps_of,
     in_steps_of,
     moves_alike,
-    steps_alike,
 )
 from torchrl_athletic.diagnosis.descent import linearise, linearise_roughly
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis
 from torchrl_athletic.diagnosis.prepare import prepare
-from torchrl_athletic.diagnosis.problem import GRAIN, problem_of
+from torchrl_athletic.diagnosis.problem import GRAIN, compared_every, problem_of
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.effects import ReflectedInertia, ViscousFriction
 
@@ -52,7 +53,7 @@ def test_a_take_stays_what_it_is_where_longer_steps_move_otherwise():
     assert not moves_alike(bent, takes[0], NOTHING, np.zeros(0), np.random.default_rng(0))
 
 
-def test_a_log_whose_samples_are_close_is_replayed_on_fewer_of_them():
+def test_a_log_whose_samples_are_close_is_replayed_on_fewer_of_them(monkeypatch):
     """At 1 kHz a step cannot be longer than a sample; errors are compared each 5 ms in any case."""
     true, given = (pendulum(1e-3, f'damping="{damping}"') for damping in (0.2, 0.05))
     takes = prepare([record(true, smooth_torque(8.0, rate=1e3), rate=1e3)], mujoco.MjModel.from_xml_string(given)).takes
@@ -65,19 +66,40 @@ def test_a_log_whose_samples_are_close_is_replayed_on_fewer_of_them():
         np.testing.assert_allclose(a.take.time[a.index], b.take.time[b.index][:, 4::5])
     errors = [p.errors(np.zeros((1, 0)))[:, 0] for p in (rough, fine)]  # of the same instants, row by row
     assert np.abs(errors[0] - errors[1]).max() < 2 * ALIKE * np.abs(errors[1]).max()
-    half = fine.windows[0].take.stepped(2)
-    assert steps_alike({copy: half}, NOTHING, np.zeros(0), np.random.default_rng(0))[copy] is copy
+    assert [(c.period, c.substeps) for c in _halved(copy, take)] == [(pytest.approx(GRAIN), n) for n in (1, 2)]
+    monkeypatch.setattr(coarse_module, "ALIKE", 0.05)  # both are compared at the same instants
+    assert moves_alike(copy, take, NOTHING, np.zeros(0), np.random.default_rng(0))
 
 
-def test_steps_that_the_given_model_cannot_bear_are_taken_where_another_start_bears_them():
-    """A spring of 20 Hz swings otherwise in long steps, and in no time with a rotor of a hundred times the link."""
-    takes = takes_of(*(pendulum(5e-4, f'stiffness="{k}" damping="0.05"') for k in (1420, 1380)), start=0.1)
+@pytest.mark.parametrize("period", [0.002, 0.0019999999, 0.0020000001])
+def test_at_500_hz_every_other_sample_is_compared_whatever_the_last_digit(period):
+    assert compared_every(SimpleNamespace(period=period)) == 2
+
+
+def rotor_missing(stiffness, rotor):
+    """Takes of a sprung pendulum whose model lacks its rotor, and that rotor as a hypothesis."""
+    takes = takes_of(*(pendulum(5e-4, f'stiffness="{stiffness}" armature="{a}"') for a in (0.0, rotor)), start=0.1)
     law = ReflectedInertia()
-    h = Hypothesis((Candidate(law, 0, "joint", law.parameters(takes[0].model, takes[0].address, 0)),))
-    points = np.array([[0.0], [10.0]])
-    alone, both = (set(coarse(takes, h, p, np.random.default_rng(0))) for p in (points[:1], points))
-    assert alone == set(takes)
-    assert not both & set(takes)
+    return takes, Hypothesis((Candidate(law, 0, "joint", law.parameters(takes[0].model, takes[0].address, 0)),))
+
+
+def chosen_step(takes, h, *points):
+    (copy,) = coarse(takes, h, [np.array([x]) for x in points], np.random.default_rng(0))
+    return copy.model.opt.timestep
+
+
+def test_steps_that_the_given_model_cannot_bear_are_taken_where_a_better_start_bears_them():
+    """A spring of 60 Hz swings otherwise in long steps, and at 6 Hz with a rotor, which the robot has."""
+    takes, h = rotor_missing(12800, 10.0)
+    assert chosen_step(takes, h, 0.0) == pytest.approx(5e-4)
+    assert chosen_step(takes, h, 0.0, 8.0) == pytest.approx(5e-3)
+
+
+def test_a_start_that_follows_worse_has_no_say_in_the_steps():
+    """With a rotor of a hundred times the link nothing moves in half a second, in steps of any length."""
+    takes, h = rotor_missing(1400, 0.02)
+    assert chosen_step(takes, h, 10.0) == pytest.approx(5e-3)
+    assert chosen_step(takes, h, 0.018, 10.0) == chosen_step(takes, h, 0.018) < 4e-3
 
 
 def test_how_alike_is_measured_by_the_error_that_there_is():

@@ -335,23 +335,16 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
     for last in ("more_telling", "without_torques"):
         monkeypatch.setattr(module, last, lambda near, deadline: near)
     monkeypatch.setattr(module, "descend", descend)
+    together, mixed = module._and_mixed, []
+    monkeypatch.setattr(module, "_and_mixed", lambda *given: mixed.append(given[0]) or together(*given))
     begin = np.arange(2.0, 12.0)[:, None]
     search(problem.hypothesis, "takes", begin, "dice", deadline, torques="said", progress=progress.append)
     assert list(dict.fromkeys(spent)) == [(2, 0.3), (2, 0.5), (3, 0.7)]
     assert progress == [0.25, 0.5, 0.7, 0.9]
     assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
     best = 6 if count == 400 else 2  # of a robot that is cheap to simulate three times as many
+    assert mixed == 3 * [problem]  # after each horizon
     assert len(moved) == 6 + 6 + best + 1  # those that short windows like and long ones do are the same here
-
-
-def test_a_joint_that_rests_in_most_windows_has_its_start_chosen_by_those_in_which_it_moves(monkeypatch):
-    """Plain least squares: of five windows a gripper moves in one, and is off there by the first start."""
-    problem, _ = following(monkeypatch, each_its_own(0.0, 0.0, 0.0, 0.0, 2.0))
-    resting, moving = np.zeros(1), np.full(1, 1.0)
-    square = np.array([[0.0, 0.0, 0.0, 0.0, 4.0], [0.1, 0.1, 0.1, 0.1, 1.0]])[:, :, None]
-    for tuning, best in ((np.inf, moving), (3.0, resting)):
-        chosen = module._mixed(replace(problem, tuning=tuning), square, np.stack([resting, moving]), 1)
-        assert chosen == [best]
 
 
 def test_each_joints_best_numbers_are_tried_together():

@@ -116,6 +116,17 @@ def test_a_typical_error_is_that_of_the_three_quarters_that_are_followed_best():
     assert module.typical(moving(9.0, np.ones(1), np.ones(2)), square[:2]) == [4.5]  # of two, neither is left out
 
 
+def test_of_a_joint_the_windows_tell_in_which_it_moves():
+    """A gripper that moves in four windows of twenty, and an arm that does in all; neither is followed in the last."""
+    problem = moving(3.0, np.ones(2), np.ones(20))
+    problem.motion[4:, 0] = 1e-6
+    square = np.full((20, 2), 0.01)
+    square[:4, 0], square[3, 0] = 4.0, 8.0
+    assert module.typical(problem, square) == pytest.approx([4.0, 0.01])
+    problem.motion[4:, 0] = 9.0
+    assert module.typical(problem, square) == pytest.approx([0.01, 0.01])
+
+
 def test_a_joint_that_stands_still_has_the_scale_of_its_own_error():
     """A model that sags while the robot holds still is off by much more than the motion, which is none."""
     assert in_units(moving(0.0, np.ones(1), np.ones(8)), np.full((8, 1), 0.04)).unit == pytest.approx([0.2])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.fit import WINDOW, Fitted, Hypothesis, draw_windows, fit
-from torchrl_athletic.diagnosis.problem import GRAIN, Problem
+from torchrl_athletic.diagnosis.problem import Problem, compared_every
 from torchrl_athletic.diagnosis.replay import Take, simulate
 
 Array = NDArray[np.float64]
@@ -29,7 +29,8 @@ def coarse(takes: Sequence[Take], h: Hypothesis, points: Sequence[Array], rng: n
     Args:
         takes: On the grid of their recordings.
         h: What the values are of.
-        points: Values (P,). A given model without friction and rotors may need steps that no fitted one needs.
+        points: Values (P,). A given model without friction and rotors may need steps that no fitted one needs. What
+            follows a take worse than the first of them has no say: it may be one that coasts in any steps.
         rng: Draws the windows by which they are compared.
 
     Returns:
@@ -37,19 +38,28 @@ def coarse(takes: Sequence[Take], h: Hypothesis, points: Sequence[Array], rng: n
     """
     copies = {}
     for take in takes:
-        alike = (c for c in _copies(take) if any(moves_alike(c, take, h, x, rng) for x in points))
+        errors = _errors(take, h, points, rng) if len(points) > 1 else np.zeros(1)
+        asked = [x for x, error in zip(points, errors, strict=True) if error <= errors[0]]
+        alike = (c for c in _copies(take) if any(moves_alike(c, take, h, x, rng) for x in asked))
         copies[next(alike, take)] = take
     return copies
 
 
 def _copies(take: Take) -> Iterator[Take]:
     """Copies in steps of :data:`LONGEST`; of a log whose samples are closer than are compared, on those that are."""
-    every = max(1, round(GRAIN / take.period))
+    every = compared_every(take)
     grid = take.thinned(every) if every > 1 else take
     for longest in LONGEST:
         copy = grid.stepped(int(np.ceil(grid.period / longest - 1e-3)))
         if copy.model.opt.timestep > (1 + 1e-6) * take.model.opt.timestep:
             yield copy
+
+
+def _errors(take: Take, h: Hypothesis, points: Sequence[Array], rng: np.random.Generator) -> Array:
+    """Mean square error of each of some values (P,), over a few windows [rad², m²]. Shape (K,)."""
+    windows = draw_windows([take], WINDOW, LOOKED_AT, rng)
+    square = [((simulate(w, h.build, np.stack(points)) - w.measured) ** 2).mean((1, 2, 3)) for w in windows]
+    return np.asarray(np.sum(square, axis=0), dtype=np.float64).reshape(-1)
 
 
 def moves_alike(copy: Take, take: Take, h: Hypothesis, x: Array, rng: np.random.Generator) -> bool:

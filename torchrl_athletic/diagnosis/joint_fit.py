@@ -43,7 +43,7 @@ SEARCHED = 24
 COMPARED = 40
 """Windows of half a second by which the best of their ends are compared and improved."""
 KEPT = (12, 2)
-"""Starts of the first horizon, and those that go on from the second one."""
+"""Starts that go through the short horizons, and those of their ends that go on to half a second."""
 CHEAP = 3
 """Times as many that go on where :data:`MOST` windows are affordable; in proportion where fewer are."""
 MIXED = 2

@@ -29,10 +29,17 @@ TUNING = 3.0
 """Typical errors at which a window weighs half."""
 WILD = 0.25
 """Share of the windows that say nothing of what a typical error is [1]."""
+RESTS = 0.1
+"""Motion in a window, per the root mean square of all, below which a joint rests [1]."""
 FOLDS = 4
 """Parts of the recordings, each of which is kept aside once."""
 TORQUES = 0.02
 """Share of a joint's squared error that it is worth to halve the unexplained variance of its torque [1]."""
+
+
+def compared_every(take: Take) -> int:
+    """Of how many samples of a take one is compared, such that these are about :data:`GRAIN` apart."""
+    return max(1, round(GRAIN / take.period - 1e-6))  # at 500 Hz 2, whatever the last digit of the period
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +74,7 @@ class Problem:
     def predict(self, values: Array) -> Iterator[tuple[Windows, Array]]:
         """Errors of blocks of windows, thinned. Shapes (K, W, length, J) for values (K, P)."""
         for w in self.windows:
-            every = max(1, round(GRAIN / w.take.period))
+            every = compared_every(w.take)
             for first in range(0, len(w.start), AT_ONCE):
                 block = replace(w, start=w.start[first : first + AT_ONCE])
                 error = simulate(block, self.hypothesis.build, values) - block.measured
@@ -92,7 +99,7 @@ class Problem:
         """Window of each row of the errors; those of a window follow each other. Shape (N,)."""
         joints, sizes = len(self.unit), []
         for w in self.windows:
-            every = max(1, round(GRAIN / w.take.period))
+            every = compared_every(w.take)
             sizes += [len(range(every - 1, w.length, every)) * joints] * len(w.start)
         return np.repeat(np.arange(len(sizes)), sizes)
 
@@ -155,15 +162,17 @@ def in_units(problem: Problem, square: Array) -> Problem:
 def typical(problem: Problem, square: Array) -> Array:
     """Mean square error of the windows that are followed best, of all but :data:`WILD`. Shape (..., J) of (..., W, J).
 
-    A median would be that of standing still where most windows hold still, so that a joint that is stuck looks best. No
-    window counts for more than its motion or the median: up to half of the windows may go astray. Plain least squares
-    takes none for wild: of a gripper that moves in a fifth of the windows these are all that tell.
+    Of a joint those count in which it moves: a gripper that rests in four windows of five is told by the fifth. A
+    median would be that of standing still where most windows hold still, so that a joint that is stuck looks best. No
+    window counts for more than its motion or the median: up to half of the windows may go astray.
     """
-    count = square.shape[-2]
-    wild = 0 if np.isinf(problem.tuning) else int(WILD * count)
+    moves = problem.motion > RESTS**2 * problem.motion.mean(-2)
+    moves |= ~moves.any(0)
     most = np.maximum(problem.motion, np.median(square, axis=-2, keepdims=True))
-    capped = np.sort(np.minimum(square, most), axis=-2)[..., : count - wild, :]
-    return np.asarray(capped.mean(-2), dtype=np.float64)
+    capped = np.sort(np.where(moves, np.minimum(square, most), np.inf), axis=-2)
+    count = moves.sum(0)
+    best = np.arange(square.shape[-2])[:, None] < count - (WILD * count).astype(int)
+    return np.asarray(np.where(best, capped, 0.0).sum(-2) / best.sum(0), dtype=np.float64)
 
 
 def window_cost(problem: Problem, square: Array) -> Array:

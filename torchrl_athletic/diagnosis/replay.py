@@ -157,7 +157,7 @@ class Take:
         return replace(self, model=model, substeps=substeps, pieces=tuple(p.stepped(substeps) for p in self.pieces))
 
     def thinned(self, every: int) -> Take:
-        """A copy on every so many-th sample, with as many physics steps a second as it had samples."""
+        """A copy on every so many-th sample, with one physics step for each of these."""
         if self.pieces:
             return _joined([piece.thinned(every) for piece in self.pieces])
         model = self.model.__copy__()
@@ -318,6 +318,7 @@ class Windows:
     def of(self, take: Take) -> Windows:
         """The same windows of a copy of the take: in other steps, or of which the take is every so many-th sample."""
         every = round(self.take.period / take.period)
+        assert every >= 1, "a window may begin between two samples of a thinner copy"
         piece = np.searchsorted(self.take.begins, self.start, side="right") - 1
         start = take.begins[piece] + every * (self.start - self.take.begins[piece])
         return Windows(take, start, every * self.length)

@@ -1,4 +1,4 @@
-"""Arms: SO-101, AIRBOT Play, UR10e, Kinova Gen3, KUKA LWR4+ and KR300, Franka Panda, Stäubli TX40, Rokae, Krang."""
+"""Arms: SO-101, AIRBOT Play, UR10(e), Kinova Gen3, KUKA LWR4+ and KR300, Franka Panda, Stäubli TX40, Rokae, Krang."""
 
 from __future__ import annotations
 

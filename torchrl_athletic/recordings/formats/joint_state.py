@@ -55,7 +55,7 @@ def take_from_messages(
     Stamps are those of the headers; when a topic has none (all are 0), the times at which the recorder got the messages
     are taken for both topics, and ``metadata["stamps"]`` says so.
 
-    A bag of states alone has no command: what drove the robot is then their effort, if the column map says so.
+    Where no topic of commands is clear, what drove the robot is the effort of the states, if the column map says so.
 
     Args:
         source: The bag.
@@ -78,22 +78,21 @@ def take_from_messages(
             f"{source}: topic {state_topic} has no position. Name the topic of the encoders as state_topic of a column "
             "map."
         )
-    fields = {
-        "time": state_stamps / 1e9,
-        "joint_names": np.array(joints, dtype=np.str_),
-        "position": states["position"],
-    }
+    fields: dict[str, NDArray[Any]] = {"time": state_stamps / 1e9, "position": states["position"]}
     for quantity, name in (("velocity", "velocity"), ("effort", "torque_measured")):
         if quantity in states:
             fields[name] = states[quantity]
+    named = {"joint_names": np.array(joints, dtype=np.str_)}
     notes: dict[str, Any] = {} if headers else {"stamps": "received"}
     if command_topic is None:
-        if "torque_measured" not in fields:
+        if "torque_measured" not in fields or not columns.measured_drives:
+            effort = "let its effort drive, with --drive measured or ColumnMap(measured_drives=True)"
             raise RecordingError(
-                f"{source}: no topic says what the robot was told, and {state_topic} has no effort. {_listed(topics)} "
-                "Record its command as well, or name its topic as command_topic of a column map."
+                f"{source}: no topic of sensor_msgs/JointState says what the robot was told. {_listed(topics)} Name it "
+                "as command_topic of a column map, or record it as well, or "
+                f"{effort if 'torque_measured' in fields else f'record the effort in {state_topic}'}."
             )
-        return RawTake(source, fields, notes)
+        return RawTake(source, fields | named, notes)
     command = tracks[command_topic]
     command_stamps, commands = _rows(source, command, command.header if headers else command.received, joints)
     if (np.diff(command_stamps) <= 0).any():
@@ -109,7 +108,7 @@ def take_from_messages(
             f"{source}: all of {state_topic} is stamped before the first message of {command_topic}, so no state has a "
             "command. Check the clocks of the two publishers."
         )
-    fields = {name: values if name == "joint_names" else values[known] for name, values in fields.items()}
+    fields = {name: values[known] for name, values in fields.items()} | named
     name, values = _command(source, command_topic, commands, columns)
     fields[name] = values[held[known]]
     age = (state_stamps[known] - command_stamps[held[known]]) / 1e9
@@ -132,7 +131,7 @@ def _choose_topics(source: str, topics: Mapping[str, str], columns: ColumnMap) -
     states = [topic for topic in candidates if not _COMMAND.search(topic) and topic not in given]
     state = columns.state_topic or (states[0] if len(states) == 1 else None)
     command = columns.command_topic or (commands[0] if len(commands) == 1 else None)
-    alone = command is None and (columns.measured_drives or candidates == [state])
+    alone = command is None and (columns.measured_drives or set(candidates) <= {state})
     if state is None or (command is None and not alone) or state == command:
         raise RecordingError(
             f"{source}: it is not clear which sensor_msgs/JointState topic is the state and which the command. "
