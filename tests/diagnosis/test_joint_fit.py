@@ -335,28 +335,13 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
     for last in ("more_telling", "without_torques"):
         monkeypatch.setattr(module, last, lambda near, deadline: near)
     monkeypatch.setattr(module, "descend", descend)
-    together, mixed = module._and_mixed, []
-    monkeypatch.setattr(module, "_and_mixed", lambda *given: mixed.append(given[0]) or together(*given))
     begin = np.arange(2.0, 12.0)[:, None]
     search(problem.hypothesis, "takes", begin, "dice", deadline, torques="said", progress=progress.append)
     assert list(dict.fromkeys(spent)) == [(2, 0.3), (2, 0.5), (3, 0.7)]
     assert progress == [0.25, 0.5, 0.7, 0.9]
     assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
-    best = 6 if count == 400 else 2  # of a robot that is cheap to simulate three times as many
-    assert mixed == 3 * [problem]  # after each horizon
-    assert len(moved) == 6 + 6 + best + 1  # those that short windows like and long ones do are the same here
-
-
-def test_each_joints_best_numbers_are_tried_together():
-    """Two joints that do not know of each other, and two starts of which each suits one of them."""
-    terms = tuple(SimpleNamespace(joint=j, parameters=("p",)) for j in (0, 1))
-    problem = SimpleNamespace(
-        hypothesis=SimpleNamespace(terms=terms), motion=np.full((1, 2), 100.0), tuning=np.inf,
-        mean_square=lambda values: (values**2)[:, None, :],
-    )  # fmt: skip
-    left, right = np.array([0.0, 5.0]), np.array([5.0, 0.0])
-    points = module._and_mixed(problem, [left, right])
-    assert [p.tolist() for p in points] == [[0, 5], [5, 0], [0, 0], [5, 5]]
+    each = 6 if count == 400 else 2  # of a robot that is cheap to simulate three times as many
+    assert len(moved) == 2 * each + each + each + 1  # those that short windows like and long ones do are the same here
 
 
 @pytest.mark.parametrize(("reach", "ridge"), [(99.0, module.RIDGE), (1.5, 1.0)])

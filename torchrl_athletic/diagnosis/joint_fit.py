@@ -42,12 +42,10 @@ SEARCHED = 24
 """Windows of those searches."""
 COMPARED = 40
 """Windows of half a second by which the best of their ends are compared and improved."""
-KEPT = (12, 2)
-"""Starts that go through the short horizons, and those of their ends that go on to half a second."""
+KEPT = (4, 2)
+"""Starts that go on to each further horizon."""
 CHEAP = 3
 """Times as many that go on where :data:`MOST` windows are affordable; in proportion where fewer are."""
-MIXED = 2
-"""Starts that are mixed of all: each joint's best numbers, its second best."""
 SLOPES = (2, 2, 3)
 """Jacobians for each start at those horizons, at half a second, and for the best of them at the end."""
 WORK = 5e6
@@ -210,17 +208,17 @@ def search(
     few = plain(h, takes, WINDOW, COMPARED, rng, begin[0]) if count > COMPARED else full
     points = list(begin)
     times = max(1, CHEAP * count // MOST)
-    for horizon, (seconds, kept) in enumerate(zip(HORIZONS, (KEPT[0], times * KEPT[1]), strict=True)):
+    for horizon, (seconds, kept) in enumerate(zip(HORIZONS, (times * k for k in KEPT), strict=True)):
         problem = plain(h, takes, seconds, SEARCHED, rng, points[0])
         if not horizon:
             half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
-            points = _distinct([p for q in (problem, few) for p in _mixed(q, q.mean_square(begin), begin, half)])
+            points = [p for q in (problem, few) for p in _mixed(q, q.mean_square(begin), begin, half)]
         ends = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3)) for x in points]
-        points = best_of(few, _and_mixed(few, [*ends, *points, *begin[:2]]), kept)
+        points = best_of(few, [*ends, *points, *begin[:2]], kept)
         progress((horizon + 1) / 4)
     ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
     progress(0.7)
-    x = best_of(full, _and_mixed(few, [*ends, *points]), 1)[0]
+    x = best_of(full, [*ends, *points], 1)[0]
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
     near = trusted(linearise(weighed(full, x), x, free))
     near = _with_limits(near, few, begin, deadline.part(0.85)) if times > 1 else near
@@ -279,20 +277,10 @@ def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Ar
     return [begin[order[rank, joint], np.arange(len(joint))] for rank in range(min(count, len(begin)))]
 
 
-def _and_mixed(problem: Problem, points: Sequence[Array]) -> list[Array]:
-    """Points, and those of :func:`_mixed`: a joint ends well from one start, and its neighbour from another."""
-    both = np.stack(points)
-    return [*points, *_mixed(problem, problem.mean_square(both), both, MIXED)]
-
-
 def best_of(problem: Problem, points: Sequence[Array], count: int) -> list[Array]:
     """Those of the least cost, none twice; it counts errors in units of the least typical one of each joint."""
-    distinct = _distinct(points)
+    distinct = list({tuple(x): x for x in points}.values())
     return [distinct[k] for k in np.argsort(_costs(problem, np.stack(distinct)))[:count]]
-
-
-def _distinct(points: Sequence[Array]) -> list[Array]:
-    return list({tuple(x): x for x in points}.values())
 
 
 def _costs(problem: Problem, values: Array) -> Array:
