@@ -56,10 +56,11 @@ def _copies(take: Take) -> Iterator[Take]:
 
 
 def _errors(take: Take, h: Hypothesis, points: Sequence[Array], rng: np.random.Generator) -> Array:
-    """Mean square error of each of some values (P,), over a few windows [rad², m²]. Shape (K,)."""
-    windows = draw_windows([take], WINDOW, LOOKED_AT, rng)
-    square = [((simulate(w, h.build, np.stack(points)) - w.measured) ** 2).mean((1, 2, 3)) for w in windows]
-    return np.asarray(np.sum(square, axis=0), dtype=np.float64).reshape(-1)
+    """Squared error of each of some values (P,), summed over a few windows [rad², m²]. Shape (K,)."""
+    out = np.zeros(len(points))
+    for w in draw_windows([take], WINDOW, LOOKED_AT, rng):
+        out += ((simulate(w, h.build, np.stack(points)) - w.measured) ** 2).sum((1, 2, 3))
+    return out
 
 
 def moves_alike(copy: Take, take: Take, h: Hypothesis, x: Array, rng: np.random.Generator) -> bool:

@@ -217,7 +217,8 @@ def fit(
     begin = starts(h, train, seen, _rng(seed, "starts"), DRAWS)
     takes, most = {take: take for take in train.takes}, MOST
     if affordable(h, train.takes, deadline) < SCARCE:
-        takes, most = coarse(train.takes, h, list(begin[:2]), _rng(seed, "coarse")), SCARCE
+        given, regressed = begin[:2]
+        takes, most = coarse(train.takes, h, [given, regressed], _rng(seed, "coarse")), SCARCE
     rng, until, torques = _rng(seed, "search"), deadline.part(0.5), agreement(h, train)
     near = search(h, tuple(takes), begin, rng, until, torques, most, progress.update)
     near = with_given_scales(near, torques, deadline.part(0.55))

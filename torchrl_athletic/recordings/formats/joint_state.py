@@ -86,28 +86,12 @@ def take_from_messages(
     notes: dict[str, Any] = {} if headers else {"stamps": "received"}
     if command_topic is None:
         if "torque_measured" not in fields or not columns.measured_drives:
-            effort = "let its effort drive, with --drive measured or ColumnMap(measured_drives=True)"
-            raise RecordingError(
-                f"{source}: no topic of sensor_msgs/JointState says what the robot was told. {_listed(topics)} Name it "
-                "as command_topic of a column map, or record it as well, or "
-                f"{effort if 'torque_measured' in fields else f'record the effort in {state_topic}'}."
-            )
+            raise RecordingError(_untold(source, topics, state_topic, "torque_measured" in fields))
         return RawTake(source, fields | named, notes)
     command = tracks[command_topic]
     command_stamps, commands = _rows(source, command, command.header if headers else command.received, joints)
-    if (np.diff(command_stamps) <= 0).any():
-        row = int(np.argmax(np.diff(command_stamps) <= 0)) + 1
-        raise RecordingError(
-            f"{source}: topic {command_topic} goes from {command_stamps[row - 1]} ns to {command_stamps[row]} ns at "
-            f"message {row}. Stamps must increase, or it is not clear which command held."
-        )
-    held = np.searchsorted(command_stamps, state_stamps, side="right") - 1
+    held = _held(source, state_topic, state_stamps, command_topic, command_stamps)
     known = held >= 0
-    if not known.any():
-        raise RecordingError(
-            f"{source}: all of {state_topic} is stamped before the first message of {command_topic}, so no state has a "
-            "command. Check the clocks of the two publishers."
-        )
     fields = {name: values[known] for name, values in fields.items()} | named
     name, values = _command(source, command_topic, commands, columns)
     fields[name] = values[held[known]]
@@ -115,6 +99,35 @@ def take_from_messages(
     notes |= {"before_first_command": int((~known).sum())} if not known.all() else {}
     notes |= {"command_age": float(age.mean())} if age.any() else {}
     return RawTake(source, fields, notes)
+
+
+def _untold(source: str, topics: Mapping[str, str], state_topic: str, effort: bool) -> str:
+    """That nothing says what the robot was told, and the mends."""
+    mend = "let its effort drive, with --drive measured or ColumnMap(measured_drives=True)"
+    return (
+        f"{source}: no topic of sensor_msgs/JointState says what the robot was told. {_listed(topics)} Name it as "
+        f"command_topic of a column map, or record it as well, or "
+        f"{mend if effort else f'record the effort in {state_topic}'}."
+    )
+
+
+def _held(
+    source: str, state_topic: str, states: NDArray[np.int64], command_topic: str, commands: NDArray[np.int64]
+) -> NDArray[np.intp]:
+    """Which command holds at each state, by their stamps; -1 before the first. Shape of the states."""
+    if (np.diff(commands) <= 0).any():
+        row = int(np.argmax(np.diff(commands) <= 0)) + 1
+        raise RecordingError(
+            f"{source}: topic {command_topic} goes from {commands[row - 1]} ns to {commands[row]} ns at "
+            f"message {row}. Stamps must increase, or it is not clear which command held."
+        )
+    held = np.searchsorted(commands, states, side="right") - 1
+    if not (held >= 0).any():
+        raise RecordingError(
+            f"{source}: all of {state_topic} is stamped before the first message of {command_topic}, so no state has a "
+            "command. Check the clocks of the two publishers."
+        )
+    return held
 
 
 def _choose_topics(source: str, topics: Mapping[str, str], columns: ColumnMap) -> tuple[str, str | None]:
