@@ -58,7 +58,7 @@ def test_a_step_solves_for_the_windows_that_are_asked_and_for_their_share_of_the
     assert near.step(both, yes).tolist() == [-1.0]
     uneven = linearise(replace(problem, torques=None, weight=np.array([2.0, 6.0])), np.array([2.0]), yes)
     assert uneven.step(both, no) == pytest.approx([(1 + 3 * 3) / 4], rel=1e-4)
-    assert replace(uneven, ridge=1.0).step(both, no) == pytest.approx([2.25], rel=1e-4)  # half of the way
+    assert uneven.step(both, no, 1.0) == pytest.approx([2.25], rel=1e-4)  # half of the way
     alone = linearise(replace(problem, torques=None), np.array([2.0]), yes)
     for high, ends in ((2.5, 2.5), (99.0, 3.0)):
         problem.hypothesis.bounds = (np.array([0.0]), np.array([high]))

@@ -184,8 +184,8 @@ def test_what_a_law_replaces_goes_and_all_else_keeps_its_number(near, swings):
 @pytest.mark.parametrize("name", ["joint_spring", "stribeck_friction"])
 def test_a_law_beside_the_others_is_linearised_as_all_of_it_would_be(near, swings, name):
     law = next(o for o in offers(near, swings, SEEN) if o.candidate.effect.name == name)
-    beside = _beside(replace(near, ridge=0.5), law)
-    assert beside.ridge == 0.5
+    beside = _beside(replace(near, ridges=(0.1, 0.2, 0.3, 0.4)), law)
+    assert beside.ridges == (0.1, 0.2, 0.3, 0.4)
     h, x = _joined(near, [law])
     free = h.bounds[1] > h.bounds[0]
     np.testing.assert_array_equal(beside.values, x)
@@ -341,8 +341,7 @@ def test_of_each_joint_the_best_law_by_its_slope_is_simulated_and_the_best_of_th
         "weak": (3, 0.99, 0.1), "worse": (4, 1.2, 0.1),
     }  # fmt: skip
     tried = [SimpleNamespace(name=name, candidate=SimpleNamespace(joint=joint)) for name, (joint, *_) in laws.items()]
-    parts = []
-    monkeypatch.setattr(extension, "folds_of", parts.append)
+    monkeypatch.setattr(extension, "folds_of", lambda problem: 2 * np.arange(len(problem.weight)))
     monkeypatch.setattr(extension, "_beside", lambda few, offer: offer)
     monkeypatch.setattr(extension, "_nothing", lambda near: None)
     monkeypatch.setattr(extension, "_cost", lambda few, cost: [np.full(9, cost)])
@@ -350,6 +349,7 @@ def test_of_each_joint_the_best_law_by_its_slope_is_simulated_and_the_best_of_th
     def folded(near, trials, fold, first_order=False):
         if not hasattr(near, "name"):
             few.append(near)
+        assert fold.tolist() == (2 * few[0].problem.weight).tolist()  # as of all windows
         return laws[near.name][1 if first_order else 2] if hasattr(near, "name") else 1.0 if first_order else 0.9
 
     monkeypatch.setattr(extension, "folded", folded)
@@ -360,12 +360,12 @@ def test_of_each_joint_the_best_law_by_its_slope_is_simulated_and_the_best_of_th
         problem, np.zeros(2), np.ones(2, dtype=bool), rows, np.stack([rows, -rows], -1), np.ones(3), np.ones((3, 2))
     )
     assert [offer.name for offer in _chosen(near, tried, Deadline(1000.0))] == ["better", "good", "slight"]
-    (part,) = parts
+    part = few[0].problem
     assert part.torques is None
     assert len(part.weight) == 32
     assert part.weight[[0, -1]].tolist() == [0, 99]  # over all of the recordings
     for one in few:
-        assert one.problem is part
+        assert one.problem.weight.tolist() == part.weight.tolist()
         assert one.errors.tolist() == np.repeat(part.weight, 2).tolist()
         assert one.columns.tolist() == np.stack([one.errors, -one.errors], -1).tolist()
         assert (one.pull.shape, one.pull_columns.shape) == ((0,), (0, 2))

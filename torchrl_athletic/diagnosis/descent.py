@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.deadline import Deadline
-from torchrl_athletic.diagnosis.problem import Mask, Problem
+from torchrl_athletic.diagnosis.problem import FOLDS, Mask, Problem, part_of
 from torchrl_athletic.diagnosis.screen import bounded_least_squares
 
 Array = NDArray[np.float64]
@@ -119,8 +119,8 @@ class Linearised:
     """Shape (R, P)."""
     seconds: float = 0.0
     """That it took, or that steps by it may take if that is more [s]."""
-    ridge: float = RIDGE
-    """Pull of a :meth:`step` towards the solution, per what windows say [1]."""
+    ridges: tuple[float, ...] = (RIDGE,) * FOLDS
+    """Pull towards the solution of the step that is asked for by all folds but one, per what they say [1]."""
 
     @cached_property
     def normal(self) -> Array:
@@ -134,15 +134,27 @@ class Linearised:
         both = (self.columns.T * (self.problem.row_weight**2 * self.errors)).T
         return np.asarray(np.add.reduceat(both, self.problem.first, axis=0), dtype=np.float64)
 
-    def step(self, windows: Mask, held: Mask) -> Array:
+    def of_windows(self, windows: Mask) -> Linearised:
+        """The same of some windows alone, without what the torques say."""
+        rows, nothing = windows[self.problem.window], np.zeros((0, int(self.free.sum())))
+        return replace(
+            self,
+            problem=replace(part_of(self.problem, windows), torques=None),
+            errors=self.errors[rows],
+            columns=self.columns[rows],
+            pull=nothing[:, 0],
+            pull_columns=nothing,
+        )
+
+    def step(self, windows: Mask, held: Mask, ridge: float = RIDGE) -> Array:
         """Solution of some windows with some of the free parameters held at the given model's. All parameters."""
         h = self.problem.hypothesis
         out, scale = self.values.copy(), h.scale[self.free]
-        move = self.move(windows, held)
+        move = self.move(windows, held, ridge)
         out[self.free] = np.clip(out[self.free] + move * scale, h.bounds[0][self.free], h.bounds[1][self.free])
         return out
 
-    def move(self, windows: Mask, held: Mask) -> Array:
+    def move(self, windows: Mask, held: Mask, ridge: float = RIDGE) -> Array:
         """The move of the free parameters that those windows ask for, in units of their scale. Shape (P,)."""
         h = self.problem.hypothesis
         scale, start = h.scale[self.free], self.values[self.free]
@@ -153,7 +165,7 @@ class Linearised:
         n = self.normal[windows].sum(0) + share * columns.T @ columns
         hidden = _hidden(np.diag(n), int(windows.sum())) & ~held
         low, high = np.where(hidden, 0.0, low), np.where(hidden, 0.0, high)
-        n = n + self.ridge * np.diag(np.diag(n))
+        n = n + ridge * np.diag(np.diag(n))
         right = self.right[windows].sum(0) + share * columns.T @ self.pull
         return bounded_least_squares(n, -right, low, high)
 

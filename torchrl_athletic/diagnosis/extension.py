@@ -18,7 +18,7 @@ from torchrl_athletic.diagnosis.descent import Linearised, descend, linearise
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.joint_fit import GAIN, folded, follows_better, gain_of, search, stated, trusted
 from torchrl_athletic.diagnosis.prepare import Prepared
-from torchrl_athletic.diagnosis.problem import Mask, evenly, folds_of, independent, part_of, weighed, window_cost
+from torchrl_athletic.diagnosis.problem import Mask, evenly, folds_of, independent, weighed, window_cost
 from torchrl_athletic.diagnosis.screen import Candidate
 from torchrl_athletic.diagnosis.standard import ROOM, STILL, Seen, agreement, columns_of, has_columns
 from torchrl_athletic.effects import (
@@ -270,17 +270,8 @@ def _with(near: Linearised, chosen: Sequence[Offer], prepared: Prepared, deadlin
 def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> list[Offer]:
     """Choose for each joint the law that helps folds most, the best first; no joint has two at a time."""
     problem, mask = near.problem, evenly(near.problem, SCREENED)
-    rows = mask[problem.window]
-    part, nothing = replace(part_of(problem, mask), torques=None), np.zeros((0, int(near.free.sum())))
-    few = replace(
-        near,
-        problem=part,
-        errors=near.errors[rows],
-        columns=near.columns[rows],
-        pull=nothing[:, 0],
-        pull_columns=nothing,
-    )
-    fold, apart = folds_of(few.problem), independent(few.problem)
+    few = near.of_windows(mask)
+    fold, apart = folds_of(problem)[mask], independent(few.problem)
     before = _cost(few, folded(few, [_nothing(few)], fold, first_order=True))[0]
     gains: list[tuple[float, Offer]] = []
     seconds = 0.0
@@ -332,4 +323,4 @@ def _beside(near: Linearised, offer: Offer) -> Linearised:
                 columns[:, at[here]] = near.columns[:, column[there]]
     columns[:, at[free & own]] = new.columns
     nothing = np.zeros((0, int(free.sum())))
-    return Linearised(problem, x, free, new.errors, columns, nothing[:, 0], nothing, new.seconds, near.ridge)
+    return Linearised(problem, x, free, new.errors, columns, nothing[:, 0], nothing, new.seconds, near.ridges)

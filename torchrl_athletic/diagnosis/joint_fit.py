@@ -46,6 +46,8 @@ KEPT = (4, 2)
 """Starts that go on to each further horizon."""
 CHEAP = 3
 """Times as many that go on where :data:`MOST` windows are affordable; in proportion where fewer are."""
+MIXED = 2
+"""Points beside the ends of each horizon: each joint has its best numbers of all of them, or its second best."""
 SLOPES = (2, 2, 3)
 """Jacobians for each start at those horizons, at half a second, and for the best of them at the end."""
 WORK = 5e6
@@ -70,6 +72,8 @@ SURE_WITHOUT = 2.0
 """Standard errors by which a fit must follow folds better that does without the torques [1]."""
 WILD_GAIN = 0.1
 """Share of the error of folds that weights must save that take windows for wild [1]."""
+STAYS = 1e9
+"""A ridge by which a fold's step goes nowhere [1]."""
 
 
 def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
@@ -90,7 +94,7 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
                 best, least = start, error
     if deadline.allows((2 + SLOPES[2]) * near.seconds):
         robust = _from(replace(problem, tuning=TUNING), best, SLOPES[2], deadline)
-        best = robust if _follows_surely(best, robust, WILD_GAIN, SURE) else best
+        best = robust if follows_better(best, robust, WILD_GAIN) else best
     return best
 
 
@@ -114,16 +118,7 @@ def without_torques(near: Linearised, deadline: Deadline) -> Linearised:
     alone = replace(near.problem, torques=None, tuning=np.inf, pooled=False)
     start = replace(near, pull=near.pull[:0], pull_columns=near.pull_columns[:0])
     other = _from(alone, start, slopes, deadline)
-    return other if _follows_surely(near, other, GAIN / 2, SURE_WITHOUT) else near
-
-
-def _follows_surely(near: Linearised, other: Linearised, least: float, sure: float) -> bool:
-    """:func:`follows_better` by a share and a surety of its own, with the larger ridge of the two.
-
-    Else the one whose folds hardly move would be judged by what it was fitted to.
-    """
-    ridge = max(near.ridge, other.ridge)
-    return follows_better(replace(near, ridge=ridge), replace(other, ridge=ridge), least, sure)
+    return other if follows_better(near, other, sure=SURE_WITHOUT) else near
 
 
 def follows_better(near: Linearised, other: Linearised, least: float = GAIN / 2, sure: float = SURE) -> bool:
@@ -214,13 +209,13 @@ def search(
             half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
             points = [p for q in (problem, few) for p in _mixed(q, q.mean_square(begin), begin, half)]
         ends = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3)) for x in points]
-        points = best_of(few, [*ends, *points, *begin[:2]], kept)
+        points = best_mixed(full, [*ends, *points, *begin[:2]], kept)
         progress((horizon + 1) / 4)
     ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
     progress(0.7)
-    x = best_of(full, [*ends, *points], 1)[0]
+    x = best_mixed(full, [*ends, *points], 1)[0]
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
-    near = trusted(linearise(weighed(full, x), x, free))
+    near = escaped(trusted(linearise(weighed(full, x), x, free)), deadline.part(0.8))
     near = _with_limits(near, few, begin, deadline.part(0.85)) if times > 1 else near
     progress(0.9)
     return without_torques(more_telling(near, deadline), deadline)
@@ -277,6 +272,17 @@ def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Ar
     return [begin[order[rank, joint], np.arange(len(joint))] for rank in range(min(count, len(begin)))]
 
 
+def best_mixed(problem: Problem, points: Sequence[Array], count: int) -> list[Array]:
+    """:func:`best_of` them and of two more, in which each joint has the numbers by which it is followed best."""
+    distinct = np.stack(list({tuple(x): x for x in points}.values()))
+    square = problem.mean_square(distinct)
+    mixed = np.stack(_mixed(problem, square, distinct, MIXED))
+    every = np.concatenate([distinct, mixed])
+    costs = _costs_of(problem, every, np.concatenate([square, problem.mean_square(mixed)]))
+    best = {tuple(every[k]): every[k] for k in np.argsort(costs)}
+    return list(best.values())[:count]
+
+
 def best_of(problem: Problem, points: Sequence[Array], count: int) -> list[Array]:
     """Those of the least cost, none twice; it counts errors in units of the least typical one of each joint."""
     distinct = list({tuple(x): x for x in points}.values())
@@ -285,33 +291,54 @@ def best_of(problem: Problem, points: Sequence[Array], count: int) -> list[Array
 
 def _costs(problem: Problem, values: Array) -> Array:
     """Cost of values (K, P), in units of the least typical error of each joint. Shape (K,)."""
-    square = problem.mean_square(values)
+    return _costs_of(problem, values, problem.mean_square(values))
+
+
+def _costs_of(problem: Problem, values: Array, square: Array) -> Array:
+    """:func:`_costs` of known mean squares (K, W, J)."""
     unit = np.sqrt(np.maximum(typical(problem, square).min(0), 1e-18))
     cost = window_cost(replace(problem, unit=unit), square).mean(1)
     return np.asarray(cost + problem.charge(values), dtype=np.float64)
 
 
 def trusted(near: Linearised) -> Linearised:
-    """With the least ridge by which a step from the solution, asked for by all folds but one, does those folds good.
+    """With the ridge for each fold by whose step the others are followed best.
 
-    Far from the solution a simulation is not linear, so that a long step is no fit of the windows that ask for it, and
-    says nothing of the one that is kept aside.
+    Far from the solution a simulation is not linear: the whole step that the other folds ask for may be no fit of them,
+    and says nothing of the fold that is kept aside. A fit of them would try several lengths as well, and stay where
+    none does them good.
     """
-    fold, nothing = folds_of(near.problem), np.zeros(int(near.free.sum()), dtype=bool)
-    for ridge in (RIDGE, *DAMPING[1:]):
-        near = replace(near, ridge=ridge)
-        if all(_does_good(near, fold != k, near.step(fold != k, nothing)) for k in np.unique(fold)):
+    fold, ridges = folds_of(near.problem), list(near.ridges)
+    for k in np.unique(fold):
+        ridges[k] = _best_ridge(near, apart_from(near.problem, fold == k))
+    return replace(near, ridges=tuple(ridges))
+
+
+def _best_ridge(near: Linearised, windows: Mask) -> float:
+    """The ridge by whose step some windows, weighed as they were, are followed best."""
+    part, nothing = part_of(near.problem, windows), np.zeros(int(near.free.sum()), dtype=bool)
+    ridges = (RIDGE, *DAMPING[1:])
+    steps = np.stack([near.step(windows, nothing, ridge) for ridge in ridges])
+    values = np.concatenate([steps, near.values[None]])
+    square = np.concatenate([part.mean_square(steps), near.problem.squares(near.errors)[windows][None]])
+    cost = (part.weight[:, None] * square / part.unit**2).sum((1, 2)) + (part.pull(values) ** 2).sum(0)
+    return (*ridges, STAYS)[int(np.argmin(cost))]
+
+
+def escaped(near: Linearised, deadline: Deadline) -> Linearised:
+    """The solution, or a better one that is found from where fits without one fold end.
+
+    A minimum of all windows is none of most of them unless it is a deep one: those that are left lead out of it.
+    """
+    problem, fold, tried = near.problem, folds_of(near.problem), []
+    for k in np.unique(fold):
+        if not deadline.allows(4 * near.seconds):
             break
-    return near
-
-
-def _does_good(near: Linearised, windows: Mask, x: Array) -> bool:
-    """Whether some windows, weighed as they were, do not follow worse by values (P,) than by the solution."""
-    part = part_of(near.problem, windows)
-    both = np.stack([near.values, x])
-    square = np.stack([near.problem.squares(near.errors)[windows], part.mean_square(x[None])[0]])
-    cost = (part.weight[:, None] * square / part.unit**2).sum((1, 2)) + (part.pull(both) ** 2).sum(0)
-    return bool(cost[1] <= cost[0])
+        others = near.of_windows(apart_from(problem, fold == k))
+        x = descend(others.problem, near.values, near.free, SLOPES[1], deadline, others)
+        tried.append(descend(weighed(problem, x), x, near.free, SLOPES[1], deadline))
+    x = best_of(problem, [near.values, *tried], 1)[0]
+    return near if (x == near.values).all() else trusted(linearise(weighed(problem, x), x, near.free))
 
 
 def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None] = lambda fraction: None) -> Mask:
@@ -376,9 +403,9 @@ def folded(near: Linearised, trials: Sequence[Mask], fold: NDArray[np.intp], fir
             rows = np.isin(problem.window, np.flatnonzero(fold == k))
             for n, held in enumerate(trials):
                 errors = np.zeros(len(rows))
-                errors[rows] = near.errors[rows] + near.columns[rows] @ near.move(others, held)
+                errors[rows] = near.errors[rows] + near.columns[rows] @ near.move(others, held, near.ridges[k])
                 out[n, fold == k] = problem.squares(errors)[fold == k]
         else:
-            values = np.stack([near.step(others, held) for held in trials])
+            values = np.stack([near.step(others, held, near.ridges[k]) for held in trials])
             out[:, fold == k] = part_of(problem, fold == k).mean_square(values)
     return out
