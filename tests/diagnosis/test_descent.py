@@ -65,6 +65,50 @@ def test_a_step_solves_for_the_windows_that_are_asked_and_for_their_share_of_the
         assert alone.step(~first, no) == pytest.approx([ends], rel=1e-4)
 
 
+def both_at_once(w, build, values):
+    """A simulation of the sum of two numbers, which nothing tells apart."""
+    return values.sum(1)[:, None, None, None] * np.ones((*w.index.shape, 1))
+
+
+def test_a_ridge_shortens_a_step_and_not_what_makes_up_for_a_number_that_is_held(monkeypatch):
+    """Two numbers of which only the sum is seen, 2 at the solution: where the first goes, the second takes it all."""
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0), nominal=(0.0, 0.0))
+    problem = replace(problem, unit=np.ones(1))
+    monkeypatch.setattr(windows_module, "simulate", both_at_once)
+    near = linearise(problem, np.array([2.0, 0.0]), np.array([True, True]))
+    both, second, first = np.array([True, True]), np.array([False, True]), np.array([True, False])
+    for ridge in (1e-6, 1.0, 1e9):
+        assert near.step(both, first, ridge) == pytest.approx([0.0, 2.0], abs=1e-4)
+    for ridge, sum_ in ((1e-6, 3.0), (1.0, 2 + 1 / 1.5), (1e9, 2.0)):  # two equal columns: half of the pull on each
+        assert near.step(second, np.array([False, False]), ridge).sum() == pytest.approx(sum_, abs=1e-4)
+        assert near.step(second, first, ridge) == pytest.approx([0.0, 2 + 1 / (1 + ridge)], abs=1e-4)
+
+
+def test_a_ridge_holds_back_what_is_damped_alone(monkeypatch):
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0), nominal=(0.0, 0.0))
+    problem = replace(problem, unit=np.ones(1))
+    monkeypatch.setattr(windows_module, "simulate", both_at_once)
+    near = linearise(problem, np.array([2.0, 0.0]), np.array([True, True]))
+    near = replace(near, damped=np.array([True, False]))
+    assert near.step(np.array([False, True]), np.array([False, False]), 1e9) == pytest.approx([2.0, 1.0], abs=1e-4)
+
+
+def test_some_windows_of_a_problem_are_a_problem_of_them_with_their_share_of_the_torques(monkeypatch):
+    torques = SimpleNamespace(rows=lambda values: 5.0 * (values[:, 0] - 5.0)[None])
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0, 8.0), torques=torques)
+    near = replace(linearise(problem, np.array([2.0]), np.array([True])), ridges=(1.0, 2.0, 3.0, 4.0))
+    chosen, no = np.array([True, False, True]), np.array([False])
+    part = near.of_windows(chosen)
+    assert part.ridges == near.ridges
+    assert part.step(np.array([True, True]), no) == pytest.approx(near.step(chosen, no))
+    again = linearise(part.problem, np.array([2.0]), np.array([True]))
+    for name in ("errors", "columns", "pull", "pull_columns"):
+        np.testing.assert_allclose(getattr(part, name), getattr(again, name), rtol=1e-12)
+    alone = part.alone()
+    assert (alone.problem.torques, alone.pull.size, alone.pull_columns.shape) == (None, 0, (0, 1))
+    assert alone.step(np.array([True, True]), no) == pytest.approx([4.5], rel=1e-5)
+
+
 @pytest.mark.parametrize("x", [0.0, 1.0])
 def test_differences_are_taken_into_the_bounds(monkeypatch, x):
     problem, asked = following(monkeypatch, each_its_own(3.0, 3.0, length=1), nominal=(0.0, 0.0), low=0.0, high=1.0)

@@ -1,6 +1,6 @@
 """Laws beside the standard joint: which a joint may have, where their numbers start, and which are taken."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import mujoco
@@ -186,6 +186,8 @@ def test_a_law_beside_the_others_is_linearised_as_all_of_it_would_be(near, swing
     law = next(o for o in offers(near, swings, SEEN) if o.candidate.effect.name == name)
     beside = _beside(replace(near, ridges=(0.1, 0.2, 0.3, 0.4)), law)
     assert beside.ridges == (0.1, 0.2, 0.3, 0.4)
+    assert beside.damped.tolist() == [c is not law.candidate for c in _joined(near, [law])[0].terms
+                                      for p in c.parameters if p.upper > p.lower]  # fmt: skip
     h, x = _joined(near, [law])
     free = h.bounds[1] > h.bounds[0]
     np.testing.assert_array_equal(beside.values, x)
@@ -231,6 +233,16 @@ def test_the_spring_is_chosen_and_fitted_and_nothing_is_begun_without_time(near,
     assert extend(slow, swings, seen, Deadline(3.9e6)) is slow  # a round takes four times as long
 
 
+@dataclass(frozen=True)
+class Named:
+    """A fit that is no more than its name."""
+
+    name: str
+    problem: object = None
+    seconds: float = 0.0
+    ridges: tuple[float, ...] = (1e-6,) * 4
+
+
 @pytest.mark.parametrize("size", [1.0, 1e-4])
 @pytest.mark.parametrize(("both", "kept"), [(1.5, "a"), (1.005, "a"), (0.992, "a"), (0.985, "ab"), (0.5, "ab")])
 def test_two_laws_that_get_into_each_others_way_leave_the_better_one_and_one_that_does_not_help_none(
@@ -238,13 +250,11 @@ def test_two_laws_that_get_into_each_others_way_leave_the_better_one_and_one_tha
 ):
     """Both together must save a hundredth of an error of any size."""
     costs = {"": size, "ab": both * size, "a": 0.5 * size, "b": 0.4 * size}
-    near = SimpleNamespace(name="", seconds=0.0, problem=None)
+    near = Named("")
     rounds = iter([["a", "b"], []])
     monkeypatch.setattr(extension, "offers", lambda *_: [])
     monkeypatch.setattr(extension, "_chosen", lambda *_: next(rounds))
-    monkeypatch.setattr(
-        extension, "_with", lambda n, chosen, *_: SimpleNamespace(name="".join(chosen), seconds=0.0, problem=None)
-    )
+    monkeypatch.setattr(extension, "_with", lambda n, chosen, *_: Named("".join(chosen)))
     monkeypatch.setattr(joint_fit, "stated_of_windows", lambda n: np.full(9, costs[n.name]))
     monkeypatch.setattr(joint_fit, "independent", lambda problem: 9)
     assert extend(near, None, None, Deadline()).name == kept
@@ -298,11 +308,9 @@ def test_the_soft_one_of_two_joints_is_hinted_at_though_nothing_of_the_first_one
 def test_each_round_builds_on_the_last_one_and_must_save_a_hundredth(monkeypatch):
     costs = {"": 1.0, "a": 0.98, "ab": 0.95, "abc": 0.1}
     seen, told = [], []
-    near = SimpleNamespace(name="", seconds=0.0, problem=None)
+    near = Named("")
     monkeypatch.setattr(extension, "offers", lambda n, *given: seen.append(n.name) or given)
-    monkeypatch.setattr(
-        extension, "_with", lambda n, chosen, *_: SimpleNamespace(name=n.name + chosen[0], seconds=0.0, problem=None)
-    )
+    monkeypatch.setattr(extension, "_with", lambda n, chosen, *_: Named(n.name + chosen[0]))
     monkeypatch.setattr(joint_fit, "stated_of_windows", lambda n: np.full(9, costs[n.name]))
     monkeypatch.setattr(joint_fit, "independent", lambda problem: 9)
     for first, name in ((0.98, "ab"), (0.991, "")):
@@ -363,9 +371,10 @@ def test_of_each_joint_the_best_law_by_its_slope_is_simulated_and_the_best_of_th
     part = few[0].problem
     assert part.torques is None
     assert len(part.weight) == 32
+    assert part.weight.tolist() == np.linspace(0, 99, 32).astype(int).tolist()
     assert part.weight[[0, -1]].tolist() == [0, 99]  # over all of the recordings
     for one in few:
-        assert one.problem.weight.tolist() == part.weight.tolist()
+        assert one.problem is part
         assert one.errors.tolist() == np.repeat(part.weight, 2).tolist()
         assert one.columns.tolist() == np.stack([one.errors, -one.errors], -1).tolist()
         assert (one.pull.shape, one.pull_columns.shape) == ((0,), (0, 2))
@@ -429,5 +438,5 @@ def test_a_law_stays_where_it_saves_a_hundredth_and_more_than_a_standard_error_o
         ("much", 100, True), ("much", 4, False), ("one", 100, False), ("just", 4, True), ("just", 1, False),
         ("little", 100, False), ("", 100, False),
     ):  # fmt: skip
-        near, other = (SimpleNamespace(name=n, problem=count) for n in ("", name))
+        near, other = (Named(n, count) for n in ("", name))
         assert extension.follows_better(near, other) == better

@@ -193,6 +193,7 @@ def test_of_points_the_best_are_kept_once_each_and_the_torques_have_a_say(monkey
     assert [x[0] for x in module.best_of(problem, points, 3)] == [0.9, 1.5, 2.5]
     torques = SimpleNamespace(rows=lambda values: 1e3 * (values[:, 0] - 1.5)[None])
     assert [x[0] for x in module.best_of(replace(problem, torques=torques), points, 2)] == [1.5, 0.9]
+    assert [x[0] for x in module.best_of(problem, points, 3, mixed=2)] == [0.9, 1.5, 2.5]
     points = [np.array([1.1]), np.array([1.5])]  # of 25 and 1 times the least square error, 12.0 and 0.9 robustly
     for size, best in ((20.0, 1.1), (25.0, 1.5)):  # a fiftieth of the torques' squares: 8.0 and 12.5
         told = SimpleNamespace(rows=lambda values, size=size: size * (values[:, 0] < 1.3)[None])
@@ -292,6 +293,67 @@ def test_the_best_step_of_some_windows_is_by_what_they_weigh_in_units_and_with_t
         assert asked == [module.RIDGE, 1e-3, 1e-2, 1e-1, 1.0, 10.0]
 
 
+@pytest.mark.parametrize(("mixed", "found"), [(0, [[1.0, 9.0]]), (1, [[1.0, 2.0]]), (2, [[1.0, 2.0], [5.0, 6.0]])])
+def test_of_points_each_joints_best_numbers_are_tried_together_and_nothing_is_simulated_twice(
+    monkeypatch, mixed, found
+):
+    """One point is right for the first joint, one for the second; the second best of both are together, too."""
+    t = take_like(9, truth=[1.0, 2.0])
+    problem, asked = following(monkeypatch, Windows(t, np.array([0, 4]), 4), nominal=(0.0, 0.0))
+    points = [np.array(x) for x in ([1.0, 9.0], [9.0, 2.0], [5.0, 20.0], [20.0, 6.0], [1.0, 9.0])]
+    best = [x.tolist() for x in module.best_of(problem, points, 6, mixed)]
+    assert best[0] == found[0]
+    assert all(x in best for x in found)
+    simulated = np.concatenate(asked).tolist()
+    assert len(simulated) == len({tuple(x) for x in simulated}) == 4 + mixed
+    alone, asked = following(monkeypatch, each_its_own(1.0, 1.0))
+    module.best_of(alone, [np.array([x]) for x in (4.0, 1.5, 2.5)], 3, mixed)
+    assert len(np.concatenate(asked)) == 3  # of one joint what is mixed is there already
+
+
+@pytest.mark.parametrize("first_order", [False, True])
+@pytest.mark.parametrize(
+    ("ridges", "square"),
+    [((1e-6, 9.0, 1.0, 9.0), [16.0, 9.0]), ((1.0, 9.0, 1e-6, 9.0), [9.0, 16.0]), ((module.STAYS,) * 4, [4.0, 4.0])],
+)
+def test_each_fold_is_told_by_a_step_with_its_own_ridge(monkeypatch, first_order, ridges, square):
+    """Two windows ask for 0 and 4, 2 is the solution of both, and each is told by what the other asks for."""
+    problem, _ = following(monkeypatch, each_its_own(0.0, 4.0))
+    near = replace(linearise(problem, np.array([2.0]), np.array([True])), ridges=ridges)
+    fold = windows_module.folds_of(problem)
+    assert fold.tolist() == [0, 2]
+    told = folded(near, [np.array([False])], fold, first_order)
+    assert told[0, :, 0] == pytest.approx(square, rel=1e-3)
+
+
+@pytest.mark.parametrize(("wild", "ridge"), [(1.0004, module.RIDGE), (1.01, 1e-3), (np.nan, 1e-3)])
+def test_the_least_ridge_is_taken_that_is_as_good_as_the_best(monkeypatch, wild, ridge):
+    """Squares of two windows, per those after the best of the steps."""
+    problem, _ = following(monkeypatch, each_its_own(0.0, 0.0))
+    size = {module.RIDGE: np.sqrt(wild)}
+    near = SimpleNamespace(problem=problem, values=np.array([5.0]), free=np.array([True]), errors=5.0 * np.ones(8),
+                           step=lambda windows, held, ridge: np.array([size.get(ridge, 1.0)]))  # fmt: skip
+    assert module._best_ridge(near, np.array([True, True])) == ridge
+
+
+@pytest.mark.parametrize(("own", "equal", "better"), [(0.5, 0.5, True), (0.5, 1.0, False), (1.0, 0.5, False)])
+def test_a_fit_is_better_by_the_steps_of_both_and_by_the_shorter_of_them(monkeypatch, own, equal, better):
+    problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
+    near = linearise(problem, np.array([0.1]), np.array([True]))
+    here, there = replace(near, ridges=(1.0, 2.0, 3.0, 4.0)), replace(near, ridges=(4.0, 3.0, 2.0, 1.0), seconds=-1.0)
+    asked = []
+
+    def costs(fit):
+        asked.append(fit.ridges)
+        shorter = fit.ridges == (4.0, 3.0, 3.0, 4.0)
+        return np.ones(100) if fit.seconds >= 0.0 else (equal if shorter else own) * np.ones(100)
+
+    monkeypatch.setattr(module, "independent", lambda problem: 100)
+    monkeypatch.setattr(module, "stated_of_windows", costs)
+    assert module.follows_better(here, there) is better
+    assert asked[:2] == [here.ridges, there.ridges]
+
+
 @pytest.mark.parametrize("first_order", [False, True])
 def test_a_fold_is_told_by_the_others_and_never_by_itself(monkeypatch, first_order):
     """Windows ask for 1, 3 and 8: the last says 8 of the first two, they say 2 of it; a number that is held is 0."""
@@ -321,7 +383,7 @@ def test_windows_that_overlap_a_fold_do_not_tell_it(monkeypatch):
 @pytest.mark.parametrize(("count", "asked"), [(400, [(0.5, 400), (0.5, 40)]), (30, [(0.5, 30)])])
 def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(monkeypatch, count, asked):
     problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
-    told, moved, spent, progress = [], [], [], []
+    told, moved, spent, progress, made, compared = [], [], [], [], [], []
     deadline = SimpleNamespace(part=lambda share: share)
 
     def problem_of(h, takes, seconds, most, rng, x, *, torques, tuning):
@@ -329,7 +391,12 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
         told.append((seconds, most, torques))
         assert (h, takes, rng) == (problem.hypothesis, "takes", "dice")
         assert seconds != 0.5 or x is begin[0] or x.tolist() == [2.0]
-        return problem
+        made.append(replace(problem))
+        return made[-1]
+
+    def best_of(problem, points, count, mixed=0, best=module.best_of):
+        compared.append((problem is made[0], mixed))
+        return best(problem, points, count, mixed)
 
     def affordable(*given):
         assert given == (problem.hypothesis, "takes", deadline)
@@ -342,13 +409,17 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
 
     monkeypatch.setattr(module, "affordable", affordable)
     monkeypatch.setattr(module, "problem_of", problem_of)
+    ends = []
     for last in ("escaped", "more_telling", "without_torques"):
-        monkeypatch.setattr(module, last, lambda near, deadline: near)
+        monkeypatch.setattr(module, last, lambda near, deadline, last=last: ends.append((last, deadline)) or near)
+    monkeypatch.setattr(module, "best_of", best_of)
     monkeypatch.setattr(module, "descend", descend)
     begin = np.arange(2.0, 12.0)[:, None]
     search(problem.hypothesis, "takes", begin, "dice", deadline, torques="said", progress=progress.append)
     assert list(dict.fromkeys(spent)) == [(2, 0.3), (2, 0.5), (3, 0.7)]
     assert progress == [0.25, 0.5, 0.7, 0.9]
+    assert compared[:3] == [(True, 2)] * 3  # by all windows, with two mixed points
+    assert ends == [("escaped", 0.8), ("more_telling", deadline), ("without_torques", deadline)]
     assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
     each = 6 if count == 400 else 2  # of a robot that is cheap to simulate three times as many
     assert len(moved) == 2 * each + each + each + 1  # those that short windows like and long ones do are the same here
@@ -370,7 +441,7 @@ def test_a_fold_is_told_by_the_step_that_does_the_other_folds_most_good(monkeypa
 
 
 def test_each_fold_has_a_step_of_its_own_and_is_told_by_windows_that_share_none_of_its_samples(monkeypatch):
-    """The second asks the first for a long step to where only it is followed; of three the middle overlaps both."""
+    """The second of four windows overlaps the first and the third."""
     problem, _ = following(monkeypatch, Windows(take_like(41), np.array([0, 5, 10, 30]), 10))
     told = []
 
@@ -385,7 +456,7 @@ def test_each_fold_has_a_step_of_its_own_and_is_told_by_windows_that_share_none_
                     [True, True, True, False]]  # fmt: skip
 
 
-@pytest.mark.parametrize(("ends", "found"), [(3.5, 3.5), (-9.0, 1.0)])
+@pytest.mark.parametrize(("ends", "found"), [(3.5, 3.5), (-9.0, 1.0), (1.0005, 1.0)])
 def test_a_minimum_that_one_fold_holds_is_left_by_the_others_if_all_are_followed_better_from_there(
     monkeypatch, ends, found
 ):
@@ -394,23 +465,32 @@ def test_a_minimum_that_one_fold_holds_is_left_by_the_others_if_all_are_followed
     near, moved = linearise(problem, np.array([1.0]), np.array([True])), []
 
     def descend(way, x, free, slopes, deadline, first=None):
-        moved.append((len(way.weight), x[0]))
+        moved.append((len(way.weight), x[0], slopes, deadline))
+        assert way.torques is problem.torques
         if len(way.weight) == 2:
-            assert way.torques is problem.torques
-            return np.array([ends]) if x[0] == 7.0 else x
+            assert way.unit == pytest.approx(weighed(problem, x).unit)
+            return np.array([ends])
         assert first.problem is way
-        assert way.torques is None
         return np.array([7.0]) if way.squares(first.errors)[0, 0] > 5.0 else x
 
     monkeypatch.setattr(module, "descend", descend)
-    out = module.escaped(near, Deadline())
+    out, until = module.escaped(near, deadline := Deadline()), 2
     assert out.values.tolist() == [found]
-    assert moved == [(1, 1.0), (2, 1.0), (1, 1.0), (2, 7.0)]
-    if found == 1.0:
-        assert out is near
-    else:
-        assert stated(out) == pytest.approx(1.0, rel=0.01)  # each says of the other: one more, or one less
+    assert moved == [(1, 1.0, until, deadline), (1, 1.0, until, deadline), (2, 7.0, until, deadline)]
+    assert (out is near) == (found == 1.0)
+    if found != 1.0:
+        assert out.errors.tolist() == linearise(problem, out.values, near.free).errors.tolist()
+    moved.clear()
     assert module.escaped(near, Deadline(0.0)) is near
+    assert moved == []
+
+
+def test_what_leads_out_of_a_minimum_shares_no_sample_with_the_fold_that_is_left_out(monkeypatch):
+    problem, _ = following(monkeypatch, Windows(take_like(41), np.array([0, 5, 10, 30]), 10))
+    near, parts = linearise(problem, np.array([1.0]), np.array([True])), []
+    monkeypatch.setattr(module, "descend", lambda way, x, *_: parts.append(len(way.weight)) or x)
+    assert module.escaped(near, Deadline()) is near
+    assert parts == [2, 1, 2, 3]
 
 
 @pytest.mark.parametrize(("step", "count"), [(0.005, 400), (0.0001, 100), (1e-5, 20)])
@@ -444,6 +524,7 @@ class Ended:
     free: str = "free"
     errors: str = ""
     seconds: float = 10.0
+    ridges: tuple[float, ...] = (1e-6,) * 4
 
 
 def test_pooled_and_plain_numbers_stay_by_folds_and_weights_if_they_save_a_tenth(monkeypatch):

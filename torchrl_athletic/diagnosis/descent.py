@@ -120,7 +120,10 @@ class Linearised:
     seconds: float = 0.0
     """That it took, or that steps by it may take if that is more [s]."""
     ridges: tuple[float, ...] = (RIDGE,) * FOLDS
-    """Pull towards the solution of the step that is asked for by all folds but one, per what they say [1]."""
+    """Pull towards the solution of the step that all folds but this one ask for, per what they say [1]; by the labels
+    of all windows' folds."""
+    damped: Mask | None = None
+    """Which of the free parameters those ridges hold back; all of them if none is said. Shape (P,)."""
 
     @cached_property
     def normal(self) -> Array:
@@ -135,16 +138,21 @@ class Linearised:
         return np.asarray(np.add.reduceat(both, self.problem.first, axis=0), dtype=np.float64)
 
     def of_windows(self, windows: Mask) -> Linearised:
-        """The same of some windows alone, without what the torques say."""
-        rows, nothing = windows[self.problem.window], np.zeros((0, int(self.free.sum())))
+        """The same of some windows alone, with their share of the torques."""
+        rows, share = windows[self.problem.window], np.sqrt(np.mean(windows))
         return replace(
             self,
-            problem=replace(part_of(self.problem, windows), torques=None),
+            problem=part_of(self.problem, windows),
             errors=self.errors[rows],
             columns=self.columns[rows],
-            pull=nothing[:, 0],
-            pull_columns=nothing,
+            pull=share * self.pull,
+            pull_columns=share * self.pull_columns,
         )
+
+    def alone(self) -> Linearised:
+        """The same without what the torques say."""
+        problem = replace(self.problem, torques=None)
+        return replace(self, problem=problem, pull=self.pull[:0], pull_columns=self.pull_columns[:0])
 
     def step(self, windows: Mask, held: Mask, ridge: float = RIDGE) -> Array:
         """Solution of some windows with some of the free parameters held at the given model's. All parameters."""
@@ -155,7 +163,10 @@ class Linearised:
         return out
 
     def move(self, windows: Mask, held: Mask, ridge: float = RIDGE) -> Array:
-        """The move of the free parameters that those windows ask for, in units of their scale. Shape (P,)."""
+        """The move of the free parameters that those windows ask for, in units of their scale. Shape (P,).
+
+        A larger ridge shortens it, but not what makes up for those that are held.
+        """
         h = self.problem.hypothesis
         scale, start = h.scale[self.free], self.values[self.free]
         low, high = ((side[self.free] - start) / scale for side in h.bounds)
@@ -165,9 +176,12 @@ class Linearised:
         n = self.normal[windows].sum(0) + share * columns.T @ columns
         hidden = _hidden(np.diag(n), int(windows.sum())) & ~held
         low, high = np.where(hidden, 0.0, low), np.where(hidden, 0.0, high)
-        n = n + ridge * np.diag(np.diag(n))
-        right = self.right[windows].sum(0) + share * columns.T @ self.pull
-        return bounded_least_squares(n, -right, low, high)
+        size, right = np.diag(n), self.right[windows].sum(0) + share * columns.T @ self.pull
+        instead = np.zeros(len(n))
+        if held.any() and ridge > RIDGE:
+            instead = bounded_least_squares(n + RIDGE * np.diag(size), instead, low, high)
+        pull = (ridge if self.damped is None else np.where(self.damped, ridge, RIDGE)) * size
+        return bounded_least_squares(n + np.diag(pull), pull * instead - right, low, high)
 
 
 def linearise(problem: Problem, x: Array, free: Mask) -> Linearised:

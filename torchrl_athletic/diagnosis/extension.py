@@ -270,7 +270,7 @@ def _with(near: Linearised, chosen: Sequence[Offer], prepared: Prepared, deadlin
 def _chosen(near: Linearised, tried: Sequence[Offer], deadline: Deadline) -> list[Offer]:
     """Choose for each joint the law that helps folds most, the best first; no joint has two at a time."""
     problem, mask = near.problem, evenly(near.problem, SCREENED)
-    few = near.of_windows(mask)
+    few = near.alone().of_windows(mask)
     fold, apart = folds_of(problem)[mask], independent(few.problem)
     before = _cost(few, folded(few, [_nothing(few)], fold, first_order=True))[0]
     gains: list[tuple[float, Offer]] = []
@@ -322,5 +322,5 @@ def _beside(near: Linearised, offer: Offer) -> Linearised:
             if free[here]:
                 columns[:, at[here]] = near.columns[:, column[there]]
     columns[:, at[free & own]] = new.columns
-    nothing = np.zeros((0, int(free.sum())))
-    return Linearised(problem, x, free, new.errors, columns, nothing[:, 0], nothing, new.seconds, near.ridges)
+    nothing, damped = np.zeros((0, int(free.sum()))), ~own[free]  # a fold that stays says nothing against a law
+    return Linearised(problem, x, free, new.errors, columns, nothing[:, 0], nothing, new.seconds, near.ridges, damped)

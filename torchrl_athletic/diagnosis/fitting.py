@@ -232,7 +232,7 @@ def fit(
             near = with_given_scales(near, torques, deadline.part(0.65))
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
-    x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free], max(near.ridges))
+    x, y = near.values, near.step(np.ones(len(near.normal), dtype=bool), ~needed[free])
     y = best_of(near.problem, (y, np.where(needed, x, h.nominal)), 1)[0]
     fine, y = _polished(near.problem, takes, y, needed, _rng(seed, "steps"), deadline.part(0.76))
     again = linearise(weighed(fine, y), y, needed)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.deadline import Deadline
-from torchrl_athletic.diagnosis.descent import DAMPING, RIDGE, Linearised, descend, linearise
+from torchrl_athletic.diagnosis.descent import DAMPING, FLAT, RIDGE, Linearised, descend, linearise
 from torchrl_athletic.diagnosis.fit import WINDOW, Hypothesis
 from torchrl_athletic.diagnosis.problem import (
     TUNING,
@@ -41,13 +41,13 @@ HORIZONS = (0.1, 0.2)
 SEARCHED = 24
 """Windows of those searches."""
 COMPARED = 40
-"""Windows of half a second by which the best of their ends are compared and improved."""
+"""Windows of half a second by which starts are compared, and the best of their ends improved."""
 KEPT = (4, 2)
 """Starts that go on to each further horizon."""
 CHEAP = 3
 """Times as many that go on where :data:`MOST` windows are affordable; in proportion where fewer are."""
 MIXED = 2
-"""Points beside the ends of each horizon: each joint has its best numbers of all of them, or its second best."""
+"""Points beside the ends of each horizon: in one each joint has its best numbers, in the other its second best."""
 SLOPES = (2, 2, 3)
 """Jacobians for each start at those horizons, at half a second, and for the best of them at the end."""
 WORK = 5e6
@@ -73,7 +73,7 @@ SURE_WITHOUT = 2.0
 WILD_GAIN = 0.1
 """Share of the error of folds that weights must save that take windows for wild [1]."""
 STAYS = 1e9
-"""A ridge by which a fold's step goes nowhere [1]."""
+"""A ridge by which a fold's step moves nothing but what is held, and what makes up for that [1]."""
 
 
 def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
@@ -115,16 +115,20 @@ def without_torques(near: Linearised, deadline: Deadline) -> Linearised:
     slopes = 2 * SLOPES[2]
     if near.problem.torques is None or not deadline.allows((1 + slopes) * near.seconds):
         return near
-    alone = replace(near.problem, torques=None, tuning=np.inf, pooled=False)
-    start = replace(near, pull=near.pull[:0], pull_columns=near.pull_columns[:0])
-    other = _from(alone, start, slopes, deadline)
+    start = near.alone()
+    other = _from(replace(start.problem, tuning=np.inf, pooled=False), start, slopes, deadline)
     return other if follows_better(near, other, sure=SURE_WITHOUT) else near
 
 
 def follows_better(near: Linearised, other: Linearised, least: float = GAIN / 2, sure: float = SURE) -> bool:
-    """Whether another fit of the same windows has less of the error that is stated, and by more than it is in doubt."""
+    """Whether another fit of the same windows has less of the error that is stated, and by more than it is in doubt.
+
+    By the steps of each, and by the shorter of both: a fold that hardly moves is told by what it was fitted to.
+    """
     count = independent(near.problem)
-    return gain_of(stated_of_windows(near), stated_of_windows(other), count, least, sure) > 0
+    shorter = tuple(map(max, near.ridges, other.ridges))
+    ways = [(near, other), (replace(near, ridges=shorter), replace(other, ridges=shorter))]
+    return all(gain_of(stated_of_windows(a), stated_of_windows(b), count, least, sure) > 0 for a, b in ways)
 
 
 def gain_of(before: Array, after: Array, count: int, least: float = GAIN, sure: float = SURE) -> float:
@@ -209,13 +213,13 @@ def search(
             half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
             points = [p for q in (problem, few) for p in _mixed(q, q.mean_square(begin), begin, half)]
         ends = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3)) for x in points]
-        points = best_mixed(full, [*ends, *points, *begin[:2]], kept)
+        points = best_of(full, [*ends, *points, *begin[:2]], kept, MIXED)
         progress((horizon + 1) / 4)
     ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
     progress(0.7)
-    x = best_mixed(full, [*ends, *points], 1)[0]
+    x = best_of(full, [*ends, *points], 1, MIXED)[0]
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
-    near = escaped(trusted(linearise(weighed(full, x), x, free)), deadline.part(0.8))
+    near = trusted(escaped(linearise(weighed(full, x), x, free), deadline.part(0.8)))
     near = _with_limits(near, few, begin, deadline.part(0.85)) if times > 1 else near
     progress(0.9)
     return without_torques(more_telling(near, deadline), deadline)
@@ -272,21 +276,23 @@ def _mixed(problem: Problem, square: Array, begin: Array, count: int) -> list[Ar
     return [begin[order[rank, joint], np.arange(len(joint))] for rank in range(min(count, len(begin)))]
 
 
-def best_mixed(problem: Problem, points: Sequence[Array], count: int) -> list[Array]:
-    """:func:`best_of` them and of two more, in which each joint has the numbers by which it is followed best."""
-    distinct = np.stack(list({tuple(x): x for x in points}.values()))
-    square = problem.mean_square(distinct)
-    mixed = np.stack(_mixed(problem, square, distinct, MIXED))
-    every = np.concatenate([distinct, mixed])
-    costs = _costs_of(problem, every, np.concatenate([square, problem.mean_square(mixed)]))
-    best = {tuple(every[k]): every[k] for k in np.argsort(costs)}
-    return list(best.values())[:count]
+def best_of(problem: Problem, points: Sequence[Array], count: int, mixed: int = 0) -> list[Array]:
+    """Those of the least cost, none twice; it counts errors in units of the least typical one of each joint.
 
-
-def best_of(problem: Problem, points: Sequence[Array], count: int) -> list[Array]:
-    """Those of the least cost, none twice; it counts errors in units of the least typical one of each joint."""
-    distinct = list({tuple(x): x for x in points}.values())
-    return [distinct[k] for k in np.argsort(_costs(problem, np.stack(distinct)))[:count]]
+    Args:
+        problem: Windows.
+        points: Values. Shapes (P,).
+        count: How many.
+        mixed: Points to try beside them, in which each joint has its best numbers of all, its second best, and so on.
+    """
+    values = np.stack(list({tuple(x): x for x in points}.values()))
+    square = problem.mean_square(values)
+    known = set(map(tuple, values))
+    more = {tuple(x): x for x in _mixed(problem, square, values, mixed) if tuple(x) not in known}
+    if more:
+        values = np.concatenate([values, np.stack(list(more.values()))])
+        square = np.concatenate([square, problem.mean_square(values[len(square) :])])
+    return [values[k] for k in np.argsort(_costs_of(problem, values, square))[:count]]
 
 
 def _costs(problem: Problem, values: Array) -> Array:
@@ -314,31 +320,33 @@ def trusted(near: Linearised) -> Linearised:
     return replace(near, ridges=tuple(ridges))
 
 
-def _best_ridge(near: Linearised, windows: Mask) -> float:
-    """The ridge by whose step some windows, weighed as they were, are followed best."""
-    part, nothing = part_of(near.problem, windows), np.zeros(int(near.free.sum()), dtype=bool)
+def _best_ridge(near: Linearised, telling: Mask) -> float:
+    """The least ridge by whose step some windows, weighed as they were, are followed as well as by the best of them."""
+    part, nothing = part_of(near.problem, telling), np.zeros(int(near.free.sum()), dtype=bool)
     ridges = (RIDGE, *DAMPING[1:])
-    steps = np.stack([near.step(windows, nothing, ridge) for ridge in ridges])
+    steps = np.stack([near.step(telling, nothing, ridge) for ridge in ridges])
     values = np.concatenate([steps, near.values[None]])
-    square = np.concatenate([part.mean_square(steps), near.problem.squares(near.errors)[windows][None]])
+    square = np.concatenate([part.mean_square(steps), near.problem.squares(near.errors)[telling][None]])
     cost = (part.weight[:, None] * square / part.unit**2).sum((1, 2)) + (part.pull(values) ** 2).sum(0)
-    return (*ridges, STAYS)[int(np.argmin(cost))]
+    return (*ridges, STAYS)[int(np.argmax(cost <= (1 + FLAT) * np.nanmin(cost)))]
 
 
 def escaped(near: Linearised, deadline: Deadline) -> Linearised:
-    """The solution, or a better one that is found from where fits without one fold end.
+    """The solution, or a better one: each fold is left out once, and all windows are fitted from where the others lead.
 
-    A minimum of all windows is none of most of them unless it is a deep one: those that are left lead out of it.
+    One fold can hold a search in a minimum that the others would leave, and where all of them meet again further on.
     """
-    problem, fold, tried = near.problem, folds_of(near.problem), []
+    problem, fold, tried = near.problem, folds_of(near.problem), [near.values]
     for k in np.unique(fold):
-        if not deadline.allows(4 * near.seconds):
+        if not deadline.allows(2 * SLOPES[1] * near.seconds):
             break
         others = near.of_windows(apart_from(problem, fold == k))
         x = descend(others.problem, near.values, near.free, SLOPES[1], deadline, others)
-        tried.append(descend(weighed(problem, x), x, near.free, SLOPES[1], deadline))
-    x = best_of(problem, [near.values, *tried], 1)[0]
-    return near if (x == near.values).all() else trusted(linearise(weighed(problem, x), x, near.free))
+        if (x != near.values).any():
+            tried.append(descend(weighed(problem, x), x, near.free, SLOPES[1], deadline))
+    costs = _costs(problem, np.stack(tried))
+    x = tried[int(np.argmin(costs))]
+    return linearise(weighed(problem, x), x, near.free) if costs.min() < (1 - FLAT) * costs[0] else near
 
 
 def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None] = lambda fraction: None) -> Mask:
