@@ -418,7 +418,7 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
     search(problem.hypothesis, "takes", begin, "dice", deadline, torques="said", progress=progress.append)
     assert list(dict.fromkeys(spent)) == [(2, 0.3), (2, 0.5), (3, 0.7)]
     assert progress == [0.25, 0.5, 0.7, 0.9]
-    assert compared[:3] == [(True, 2)] * 3  # by all windows, with two mixed points
+    assert compared == [(True, 2)] * 4  # by all windows, with two mixed points; once more beside other delays
     assert ends == [("escaped", 0.8), ("more_telling", deadline), ("without_torques", deadline)]
     assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
     each = 6 if count == 400 else 2  # of a robot that is cheap to simulate three times as many
@@ -456,6 +456,30 @@ def test_each_fold_has_a_step_of_its_own_and_is_told_by_windows_that_share_none_
                     [True, True, True, False]]  # fmt: skip
 
 
+def test_delays_are_tried_at_all_joints_alike_first_beside_all_else_and_then_with_it(monkeypatch):
+    """Two joints with a number and a delay each, of which the second joint's is fixed."""
+    problem, _ = following(monkeypatch, each_its_own(1.0), nominal=(3.0, 0.005, 5.0, 0.0), high=0.05)
+    names = ("drag", "actuation_delay") * 2
+    terms = [SimpleNamespace(effect=SimpleNamespace(name=n), joint=k // 2, parameters=(None,))
+             for k, n in enumerate(names)]  # fmt: skip
+    problem.hypothesis.terms = tuple(terms)
+    free, moved = np.array([True, True, True, False]), []
+
+    def descend(way, x, free, slopes, until):
+        moved.append((x.tolist(), free.tolist(), slopes))
+        return x + 1.0
+
+    monkeypatch.setattr(module, "descend", descend)
+    monkeypatch.setattr(module, "weighed", lambda problem, x: problem)
+    x = problem.hypothesis.nominal
+    found = module._late(problem, x, free, Deadline())
+    assert [y.tolist() for y in found] == [[5.0, delay + 2.0, 7.0, 2.0] for delay in (0.0, 0.01, 0.02, 0.04, 0.05)]
+    assert moved[::2] == [([3.0, d, 5.0, 0.0], [True, False, True, False], 1) for d in (0.0, 0.01, 0.02, 0.04, 0.05)]
+    assert [(free, slopes) for _, free, slopes in moved[1::2]] == [([True, True, True, False], 1)] * 5
+    assert module._late(problem, x, free, Deadline(0.0)) == []
+    assert module._late(problem, x, np.array([True, False, True, False]), Deadline()) == []
+
+
 @pytest.mark.parametrize(("ends", "found"), [(3.5, 3.5), (-9.0, 1.0), (1.0005, 1.0)])
 def test_a_minimum_that_one_fold_holds_is_left_by_the_others_if_all_are_followed_better_from_there(
     monkeypatch, ends, found
@@ -474,9 +498,9 @@ def test_a_minimum_that_one_fold_holds_is_left_by_the_others_if_all_are_followed
         return np.array([7.0]) if way.squares(first.errors)[0, 0] > 5.0 else x
 
     monkeypatch.setattr(module, "descend", descend)
-    out, until = module.escaped(near, deadline := Deadline()), 2
+    out = module.escaped(near, deadline := Deadline())
     assert out.values.tolist() == [found]
-    assert moved == [(1, 1.0, until, deadline), (1, 1.0, until, deadline), (2, 7.0, until, deadline)]
+    assert moved == [(1, 1.0, 1, deadline), (1, 1.0, 1, deadline), (2, 7.0, 1, deadline)]
     assert (out is near) == (found == 1.0)
     if found != 1.0:
         assert out.errors.tolist() == linearise(problem, out.values, near.free).errors.tolist()

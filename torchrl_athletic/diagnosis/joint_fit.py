@@ -48,6 +48,8 @@ CHEAP = 3
 """Times as many that go on where :data:`MOST` windows are affordable; in proportion where fewer are."""
 MIXED = 2
 """Points beside the ends of each horizon: in one each joint has its best numbers, in the other its second best."""
+LATE = (0.0, 0.01, 0.02, 0.04, 0.08)
+"""Delays that are tried at all joints at once [s]."""
 SLOPES = (2, 2, 3)
 """Jacobians for each start at those horizons, at half a second, and for the best of them at the end."""
 WORK = 5e6
@@ -218,11 +220,29 @@ def search(
     ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
     progress(0.7)
     x = best_of(full, [*ends, *points], 1, MIXED)[0]
+    x = best_of(full, [x, *_late(few, x, free, deadline.part(0.6))], 1, MIXED)[0]
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
     near = trusted(escaped(linearise(weighed(full, x), x, free), deadline.part(0.8)))
     near = _with_limits(near, few, begin, deadline.part(0.85)) if times > 1 else near
     progress(0.9)
     return without_torques(more_telling(near, deadline), deadline)
+
+
+def _late(few: Problem, x: Array, free: Mask, deadline: Deadline) -> list[Array]:
+    """Fits from values (P,) with other delays, the same at all joints, as of one bus; each joint may take its own.
+
+    A fit with a delay that is missing, or too long, has a rotor, gains and friction that make up for it, so that no
+    slope leads from one to the other.
+    """
+    late = free & [c.effect.name == "actuation_delay" for c in few.hypothesis.terms for _ in c.parameters]
+    tried: list[Array] = []
+    for delay in LATE if late.any() else ():
+        if deadline.over:
+            break
+        y = np.where(late, np.clip(delay, *few.hypothesis.bounds), x)
+        y = descend(weighed(few, y), y, free & ~late, 1, deadline)  # beside it, before it leaves
+        tried.append(descend(weighed(few, y), y, free, 1, deadline))
+    return tried
 
 
 def _with_limits(near: Linearised, few: Problem, begin: Array, deadline: Deadline) -> Linearised:
@@ -338,15 +358,15 @@ def escaped(near: Linearised, deadline: Deadline) -> Linearised:
     """
     problem, fold, tried = near.problem, folds_of(near.problem), [near.values]
     for k in np.unique(fold):
-        if not deadline.allows(2 * SLOPES[1] * near.seconds):
+        if not deadline.allows(2 * near.seconds):
             break
         others = near.of_windows(apart_from(problem, fold == k))
-        x = descend(others.problem, near.values, near.free, SLOPES[1], deadline, others)
+        x = descend(others.problem, near.values, near.free, 1, deadline, others)
         if (x != near.values).any():
-            tried.append(descend(weighed(problem, x), x, near.free, SLOPES[1], deadline))
-    costs = _costs(problem, np.stack(tried))
-    x = tried[int(np.argmin(costs))]
-    return linearise(weighed(problem, x), x, near.free) if costs.min() < (1 - FLAT) * costs[0] else near
+            tried.append(descend(weighed(problem, x), x, near.free, 1, deadline))
+    x = best_of(problem, tried, 1, MIXED)[0]
+    costs = _costs(problem, np.stack([near.values, x]))
+    return linearise(weighed(problem, x), x, near.free) if costs[1] < (1 - FLAT) * costs[0] else near
 
 
 def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None] = lambda fraction: None) -> Mask:
