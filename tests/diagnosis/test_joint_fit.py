@@ -380,7 +380,9 @@ def test_windows_that_overlap_a_fold_do_not_tell_it(monkeypatch):
     assert square[0, 0] == pytest.approx([4.0])  # by 3; with the one between by 8 / 3
 
 
-@pytest.mark.parametrize(("count", "asked"), [(400, [(0.5, 400), (0.5, 40)]), (30, [(0.5, 30)])])
+@pytest.mark.parametrize(
+    ("count", "asked"), [(400, [(0.5, 400), (0.5, 40), (0.5, 100)]), (100, [(0.5, 100), (0.5, 40)]), (30, [(0.5, 30)])]
+)
 def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(monkeypatch, count, asked):
     problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
     told, moved, spent, progress, made, compared = [], [], [], [], [], []
@@ -394,9 +396,9 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
         made.append(replace(problem))
         return made[-1]
 
-    def best_of(problem, points, count, mixed=0, best=module.best_of):
-        compared.append((problem is made[0], mixed))
-        return best(problem, points, count, mixed)
+    def best_of(problem, points, most, mixed=0, best=module.best_of):
+        compared.append((problem is made[2 if count > 100 else 0], mixed))
+        return best(problem, points, most, mixed)
 
     def affordable(*given):
         assert given == (problem.hypothesis, "takes", deadline)
@@ -418,7 +420,7 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
     search(problem.hypothesis, "takes", begin, "dice", deadline, torques="said", progress=progress.append)
     assert list(dict.fromkeys(spent)) == [(2, 0.3), (2, 0.5), (3, 0.7)]
     assert progress == [0.25, 0.5, 0.7, 0.9]
-    assert compared == [(True, 2)] * 4  # by all windows, with two mixed points; once more beside other delays
+    assert compared == [(True, 2)] * 4  # by a hundred windows, with two mixed points; once more beside other delays
     assert ends == [("escaped", 0.8), ("more_telling", deadline), ("without_torques", deadline)]
     assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
     each = 6 if count == 400 else 2  # of a robot that is cheap to simulate three times as many

@@ -40,8 +40,10 @@ HORIZONS = (0.1, 0.2)
 """Windows of the searches that forgive a poor start, before those of :data:`WINDOW` [s]."""
 SEARCHED = 24
 """Windows of those searches."""
-COMPARED = 40
+IMPROVED = 40
 """Windows of half a second by which starts are compared, and the best of their ends improved."""
+COMPARED = 100
+"""Windows of half a second by which ends are compared."""
 KEPT = (4, 2)
 """Starts that go on to each further horizon."""
 CHEAP = 3
@@ -206,7 +208,9 @@ def search(
     count = min(affordable(h, takes, deadline), most)
     plain = partial(problem_of, torques=torques, tuning=np.inf)  # as the stated error is
     full = plain(h, takes, WINDOW, count, rng, begin[0])
-    few = plain(h, takes, WINDOW, COMPARED, rng, begin[0]) if count > COMPARED else full
+    few, more = (
+        plain(h, takes, WINDOW, some, rng, begin[0]) if count > some else full for some in (IMPROVED, COMPARED)
+    )
     points = list(begin)
     times = max(1, CHEAP * count // MOST)
     for horizon, (seconds, kept) in enumerate(zip(HORIZONS, (times * k for k in KEPT), strict=True)):
@@ -215,12 +219,12 @@ def search(
             half = kept // 2  # short windows forgive, and like what coasts; long ones know what is right already
             points = [p for q in (problem, few) for p in _mixed(q, q.mean_square(begin), begin, half)]
         ends = [descend(weighed(problem, x), x, free, SLOPES[0], deadline.part(0.3)) for x in points]
-        points = best_of(full, [*ends, *points, *begin[:2]], kept, MIXED)
+        points = best_of(more, [*ends, *points, *begin[:2]], kept, MIXED)
         progress((horizon + 1) / 4)
     ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
     progress(0.7)
-    x = best_of(full, [*ends, *points], 1, MIXED)[0]
-    x = best_of(full, [x, *_late(few, x, free, deadline.part(0.6))], 1, MIXED)[0]
+    x = best_of(more, [*ends, *points], 1, MIXED)[0]
+    x = best_of(more, [x, *_late(few, x, free, deadline.part(0.6))], 1, MIXED)[0]
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
     near = trusted(escaped(linearise(weighed(full, x), x, free), deadline.part(0.8)))
     near = _with_limits(near, few, begin, deadline.part(0.85)) if times > 1 else near
