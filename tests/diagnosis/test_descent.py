@@ -84,6 +84,18 @@ def test_a_ridge_shortens_a_step_and_not_what_makes_up_for_a_number_that_is_held
         assert near.step(second, first, ridge) == pytest.approx([0.0, 2 + 1 / (1 + ridge)], abs=1e-4)
 
 
+def test_what_makes_up_for_a_held_number_stays_within_its_bounds_and_another_takes_the_rest(monkeypatch):
+    """Of three numbers whose sum is 4 the first, 4, goes to nothing; the second may be 1 at most."""
+    problem, _ = following(monkeypatch, each_its_own(4.0, 4.0), nominal=(0.0, 0.0, 0.0))
+    problem = replace(problem, unit=np.ones(1))
+    problem.hypothesis.bounds = (np.full(3, -99.0), np.array([99.0, 1.0, 99.0]))
+    monkeypatch.setattr(windows_module, "simulate", both_at_once)
+    near = linearise(problem, np.array([4.0, 0.0, 0.0]), np.array([True, True, True]))
+    held, both = np.array([True, False, False]), np.array([True, True])
+    for ridge in (1e-6, 1e9):
+        assert near.step(both, held, ridge) == pytest.approx([0.0, 1.0, 3.0], abs=1e-3)
+
+
 def test_a_ridge_holds_back_what_is_damped_alone(monkeypatch):
     problem, _ = following(monkeypatch, each_its_own(1.0, 3.0), nominal=(0.0, 0.0))
     problem = replace(problem, unit=np.ones(1))

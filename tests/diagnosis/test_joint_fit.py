@@ -352,6 +352,10 @@ def test_a_fit_is_better_by_the_steps_of_both_and_by_the_shorter_of_them(monkeyp
     monkeypatch.setattr(module, "stated_of_windows", costs)
     assert module.follows_better(here, there) is better
     assert asked[:2] == [here.ridges, there.ridges]
+    assert asked[2:] == ([(4.0, 3.0, 3.0, 4.0)] * 2 if own < 1.0 else [])
+    asked.clear()
+    module.follows_better(here, replace(there, ridges=here.ridges))
+    assert asked == [here.ridges] * 2  # nothing is simulated twice
 
 
 @pytest.mark.parametrize("first_order", [False, True])
@@ -385,7 +389,7 @@ def test_windows_that_overlap_a_fold_do_not_tell_it(monkeypatch):
 )
 def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(monkeypatch, count, asked):
     problem, _ = following(monkeypatch, each_its_own(1.0, 1.0))
-    told, moved, spent, progress, made, compared = [], [], [], [], [], []
+    told, moved, spent, progress, made, compared, late = [], [], [], [], [], [], []
     deadline = SimpleNamespace(part=lambda share: share)
 
     def problem_of(h, takes, seconds, most, rng, x, *, torques, tuning):
@@ -412,16 +416,39 @@ def test_a_search_compares_few_windows_and_ends_on_all_of_them_and_the_torques(m
     monkeypatch.setattr(module, "affordable", affordable)
     monkeypatch.setattr(module, "problem_of", problem_of)
     ends = []
-    for last in ("escaped", "more_telling", "without_torques"):
+    for last in ("more_telling", "without_torques"):
         monkeypatch.setattr(module, last, lambda near, deadline, last=last: ends.append((last, deadline)) or near)
+
+    def escaped(near, until):
+        assert until == 0.8
+        return replace(near, seconds=-1.0)
+
+    def trusted(near):
+        assert near.seconds == -1.0
+        ends.append("trusted")
+        return near
+
+    def with_delays(problem, few, x, free, until):
+        place = [next(k for k, p in enumerate(made) if p is told) for told in (problem, few)]
+        assert place == {400: [2, 1], 100: [0, 1], 30: [0, 0]}[count]
+        assert (free.tolist(), until) == ([True], 0.6)
+        late.append(len(moved))
+        return np.array([77.0])
+
+    monkeypatch.setattr(module, "escaped", escaped)
+    monkeypatch.setattr(module, "trusted", trusted)
+    monkeypatch.setattr(module, "_with_delays", with_delays)
     monkeypatch.setattr(module, "best_of", best_of)
     monkeypatch.setattr(module, "descend", descend)
     begin = np.arange(2.0, 12.0)[:, None]
     search(problem.hypothesis, "takes", begin, "dice", deadline, torques="said", progress=progress.append)
     assert list(dict.fromkeys(spent)) == [(2, 0.3), (2, 0.5), (3, 0.7)]
     assert progress == [0.25, 0.5, 0.7, 0.9]
-    assert compared == [(True, 2)] * 4  # by a hundred windows, with two mixed points; once more beside other delays
-    assert ends == [("escaped", 0.8), ("more_telling", deadline), ("without_torques", deadline)]
+    assert compared[:3] == [(True, 2)] * 3  # by a hundred windows, with two mixed points
+    assert late == [len(moved) - 1]
+    assert moved[-1].tolist() == [77.0]
+    assert ends[0] == "trusted"
+    assert ends[-2:] == [("more_telling", deadline), ("without_torques", deadline)]
     assert told == [(*each, "said") for each in (*asked, (0.1, 24), (0.2, 24))]
     each = 6 if count == 400 else 2  # of a robot that is cheap to simulate three times as many
     assert len(moved) == 2 * each + each + each + 1  # those that short windows like and long ones do are the same here
@@ -458,28 +485,51 @@ def test_each_fold_has_a_step_of_its_own_and_is_told_by_windows_that_share_none_
                     [True, True, True, False]]  # fmt: skip
 
 
+def late(monkeypatch, *windows, nominal):
+    """A problem of joints with one number each, all but the first of which are delays."""
+    problem, _ = following(monkeypatch, *windows, nominal=nominal)
+    for k, c in enumerate(problem.hypothesis.terms):
+        c.effect.name = "actuation_delay" if k else "drag"
+    return problem
+
+
 def test_delays_are_tried_at_all_joints_alike_first_beside_all_else_and_then_with_it(monkeypatch):
-    """Two joints with a number and a delay each, of which the second joint's is fixed."""
-    problem, _ = following(monkeypatch, each_its_own(1.0), nominal=(3.0, 0.005, 5.0, 0.0), high=0.05)
-    names = ("drag", "actuation_delay") * 2
-    terms = [SimpleNamespace(effect=SimpleNamespace(name=n), joint=k // 2, parameters=(None,))
-             for k, n in enumerate(names)]  # fmt: skip
-    problem.hypothesis.terms = tuple(terms)
-    free, moved = np.array([True, True, True, False]), []
+    """A number and two delays, the last of which is fixed; all windows and the few are other problems."""
+    few = late(monkeypatch, each_its_own(1.0), nominal=(3.0, 0.005, 0.0))
+    free, moved = np.array([True, True, False]), []
+    monkeypatch.setattr(module, "weighed", lambda problem, x: (problem, x.tolist()))
+    monkeypatch.setattr(module, "descend", lambda way, x, *told: moved.append((way, x.tolist(), *told)) or x + 1.0)
+    monkeypatch.setattr(module, "best_of", lambda problem, points, *told: [points[-1]] if told == (1, 2) else None)
+    x, until = few.hypothesis.nominal, Deadline()
+    for cost, delay in ((1.01, 2.08), (1.0, 0.005)):  # it goes back where that is no worse
+        monkeypatch.setattr(module, "_costs", lambda problem, x, cost=cost: np.array([1.0, cost]))
+        assert module._with_delays("all", few, x, free, until).tolist() == [5.0, delay, 2.0]
+    each = zip(moved[:10:2], moved[1:10:2], (0.0, 0.01, 0.02, 0.04, 0.08), strict=True)
+    for (way, at, *beside), (then, ends, *all_), delay in each:
+        assert (way, at) == ((few, [3.0, delay, 0.0]), [3.0, delay, 0.0])
+        assert (then, ends) == ((few, [4.0, delay + 1.0, 1.0]), [4.0, delay + 1.0, 1.0])
+        for told, may in ((beside, [True, False, False]), (all_, [True, True, False])):
+            assert (told[0].tolist(), *told[1:]) == (may, 1, until)
+    moved.clear()
+    assert module._with_delays("all", few, x, free, Deadline(0.0)) is x
+    assert module._with_delays("all", few, x, np.array([True, False, False]), until) is x
+    assert moved == []
 
-    def descend(way, x, free, slopes, until):
-        moved.append((x.tolist(), free.tolist(), slopes))
-        return x + 1.0
 
-    monkeypatch.setattr(module, "descend", descend)
-    monkeypatch.setattr(module, "weighed", lambda problem, x: problem)
-    x = problem.hypothesis.nominal
-    found = module._late(problem, x, free, Deadline())
-    assert [y.tolist() for y in found] == [[5.0, delay + 2.0, 7.0, 2.0] for delay in (0.0, 0.01, 0.02, 0.04, 0.05)]
-    assert moved[::2] == [([3.0, d, 5.0, 0.0], [True, False, True, False], 1) for d in (0.0, 0.01, 0.02, 0.04, 0.05)]
-    assert [(free, slopes) for _, free, slopes in moved[1::2]] == [([True, True, True, False], 1)] * 5
-    assert module._late(problem, x, free, Deadline(0.0)) == []
-    assert module._late(problem, x, np.array([True, False, True, False]), Deadline()) == []
+def test_each_joint_takes_its_own_delay_and_one_that_rests_keeps_what_it_had(monkeypatch):
+    """The second joint asks for 40 ms, the third for 10 ms, and nothing of the last one is seen."""
+    t = take_like(9, truth=[0.0, 0.04, 0.01, 0.0])
+    problem = late(monkeypatch, Windows(t, np.array([0, 4]), 4), nominal=(0.0, 0.0, 0.0, 0.0))
+
+    def simulate(w, build, values):
+        seen = values * [1.0, 1.0, 1.0, 0.0]
+        return seen[:, None, None, :] * np.ones((*w.index.shape, 4))
+
+    monkeypatch.setattr(windows_module, "simulate", simulate)
+    monkeypatch.setattr(module, "descend", lambda problem, x, *_: x)
+    free = np.array([False, True, True, True])
+    x = np.array([0.0, 0.0, 0.08, 0.003])
+    assert module._with_delays(problem, problem, x, free, Deadline()).tolist() == [0.0, 0.04, 0.01, 0.003]
 
 
 @pytest.mark.parametrize(("ends", "found"), [(3.5, 3.5), (-9.0, 1.0), (1.0005, 1.0)])
@@ -507,7 +557,8 @@ def test_a_minimum_that_one_fold_holds_is_left_by_the_others_if_all_are_followed
     if found != 1.0:
         assert out.errors.tolist() == linearise(problem, out.values, near.free).errors.tolist()
     moved.clear()
-    assert module.escaped(near, Deadline(0.0)) is near
+    slow = replace(near, seconds=1.0)
+    assert module.escaped(slow, Deadline(1.9)) is slow  # two Jacobians for each fold
     assert moved == []
 
 
@@ -517,6 +568,23 @@ def test_what_leads_out_of_a_minimum_shares_no_sample_with_the_fold_that_is_left
     monkeypatch.setattr(module, "descend", lambda way, x, *_: parts.append(len(way.weight)) or x)
     assert module.escaped(near, Deadline()) is near
     assert parts == [2, 1, 2, 3]
+    alone, _ = following(monkeypatch, each_its_own(1.0))
+    near = linearise(alone, np.array([2.0]), np.array([True]))
+    assert module.escaped(near, Deadline()) is near  # of one window there are no others
+    assert trusted(near).ridges[0] == module.STAYS
+
+
+def test_from_where_several_folds_lead_each_joint_takes_its_best(monkeypatch):
+    """Without either of two windows, one joint is followed better and the other worse."""
+    t = take_like(9, truth=[1.0, 2.0])
+    problem, _ = following(monkeypatch, Windows(t, np.array([0, 4]), 4), nominal=(0.0, 0.0))
+    near, ends = linearise(problem, np.array([5.0, 5.0]), np.array([True, True])), iter([[1.0, 9.0], [9.0, 2.0]])
+
+    def descend(way, x, *_):
+        return x if len(way.weight) == 2 else np.array(next(ends))
+
+    monkeypatch.setattr(module, "descend", descend)
+    assert module.escaped(near, Deadline()).values.tolist() == [1.0, 2.0]
 
 
 @pytest.mark.parametrize(("step", "count"), [(0.005, 400), (0.0001, 100), (1e-5, 20)])

@@ -1,7 +1,6 @@
 """The search for the standard joints' numbers, in simulation: several starts, growing horizons, one least squares.
 
-What is minimised is the error that is stated, over windows of half a second. A search never ends worse than it began:
-the given model is one of its starts.
+What is minimised is the error that is stated, over windows of half a second. The given model is one of the starts.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ CHEAP = 3
 """Times as many that go on where :data:`MOST` windows are affordable; in proportion where fewer are."""
 MIXED = 2
 """Points beside the ends of each horizon: in one each joint has its best numbers, in the other its second best."""
-LATE = (0.0, 0.01, 0.02, 0.04, 0.08)
+DELAYS = (0.0, 0.01, 0.02, 0.04, 0.08)
 """Delays that are tried at all joints at once [s]."""
 SLOPES = (2, 2, 3)
 """Jacobians for each start at those horizons, at half a second, and for the best of them at the end."""
@@ -89,13 +88,12 @@ def more_telling(near: Linearised, deadline: Deadline) -> Linearised:
     """
     problem, best = near.problem, near
     if len(problem.unit) > 1:
-        start, least = near, stated(near)
+        start = near
         for way, slopes in ((replace(problem, pooled=True), 1), (problem, SLOPES[2])):
             if not deadline.allows((2 + slopes) * near.seconds):
                 break
             start = _from(way, start, slopes, deadline)
-            if (error := stated(start)) < least:
-                best, least = start, error
+            best = start if follows_better(best, start, 0.0, 0.0) else best
     if deadline.allows((2 + SLOPES[2]) * near.seconds):
         robust = _from(replace(problem, tuning=TUNING), best, SLOPES[2], deadline)
         best = robust if follows_better(best, robust, WILD_GAIN) else best
@@ -131,7 +129,9 @@ def follows_better(near: Linearised, other: Linearised, least: float = GAIN / 2,
     """
     count = independent(near.problem)
     shorter = tuple(map(max, near.ridges, other.ridges))
-    ways = [(near, other), (replace(near, ridges=shorter), replace(other, ridges=shorter))]
+    ways = [(near, other)]
+    if near.ridges != other.ridges:
+        ways.append((replace(near, ridges=shorter), replace(other, ridges=shorter)))
     return all(gain_of(stated_of_windows(a), stated_of_windows(b), count, least, sure) > 0 for a, b in ways)
 
 
@@ -208,9 +208,8 @@ def search(
     count = min(affordable(h, takes, deadline), most)
     plain = partial(problem_of, torques=torques, tuning=np.inf)  # as the stated error is
     full = plain(h, takes, WINDOW, count, rng, begin[0])
-    few, more = (
-        plain(h, takes, WINDOW, some, rng, begin[0]) if count > some else full for some in (IMPROVED, COMPARED)
-    )
+    few = plain(h, takes, WINDOW, IMPROVED, rng, begin[0]) if count > IMPROVED else full
+    more = plain(h, takes, WINDOW, COMPARED, rng, begin[0]) if count > COMPARED else full
     points = list(begin)
     times = max(1, CHEAP * count // MOST)
     for horizon, (seconds, kept) in enumerate(zip(HORIZONS, (times * k for k in KEPT), strict=True)):
@@ -224,7 +223,7 @@ def search(
     ends = [descend(weighed(few, x), x, free, SLOPES[1], deadline.part(0.5)) for x in points]
     progress(0.7)
     x = best_of(more, [*ends, *points], 1, MIXED)[0]
-    x = best_of(more, [x, *_late(few, x, free, deadline.part(0.6))], 1, MIXED)[0]
+    x = _with_delays(more, few, x, free, deadline.part(0.6))
     x = descend(weighed(full, x), x, free, SLOPES[2], deadline.part(0.7))
     near = trusted(escaped(linearise(weighed(full, x), x, free), deadline.part(0.8)))
     near = _with_limits(near, few, begin, deadline.part(0.85)) if times > 1 else near
@@ -232,21 +231,38 @@ def search(
     return without_torques(more_telling(near, deadline), deadline)
 
 
-def _late(few: Problem, x: Array, free: Mask, deadline: Deadline) -> list[Array]:
-    """Fits from values (P,) with other delays, the same at all joints, as of one bus; each joint may take its own.
+def _with_delays(problem: Problem, few: Problem, x: Array, free: Mask, deadline: Deadline) -> Array:
+    """Values (P,), or better ones with other delays: the same at all joints, as of one bus, or each joint its own.
 
     A fit with a delay that is missing, or too long, has a rotor, gains and friction that make up for it, so that no
     slope leads from one to the other.
+
+    Args:
+        problem: Windows to compare by.
+        few: Windows to improve by.
+        x: Values. Shape (P,).
+        free: Which of them may move. Shape (P,).
+        deadline: When to come to an end.
     """
-    late = free & [c.effect.name == "actuation_delay" for c in few.hypothesis.terms for _ in c.parameters]
-    tried: list[Array] = []
-    for delay in LATE if late.any() else ():
+    late, tried = free & _of_effect(few, "actuation_delay"), [x]
+    for delay in DELAYS if late.any() else ():
         if deadline.over:
             break
-        y = np.where(late, np.clip(delay, *few.hypothesis.bounds), x)
+        y = np.where(late, delay, x)
         y = descend(weighed(few, y), y, free & ~late, 1, deadline)  # beside it, before it leaves
         tried.append(descend(weighed(few, y), y, free, 1, deadline))
-    return tried
+    if len(tried) == 1:
+        return x
+    y = best_of(problem, tried, 1, MIXED)[0].copy()
+    back = np.where(np.eye(len(x), dtype=bool)[late], x, y)  # of a joint that rests no delay is better than another
+    cost = _costs(problem, np.stack([y, *back]))
+    y[late] = np.where(cost[1:] <= cost[0], x[late], y[late])
+    return y
+
+
+def _of_effect(problem: Problem, name: str) -> Mask:
+    """Which numbers are of an effect. Shape (P,)."""
+    return np.array([c.effect.name == name for c in problem.hypothesis.terms for _ in c.parameters])
 
 
 def _with_limits(near: Linearised, few: Problem, begin: Array, deadline: Deadline) -> Linearised:
@@ -262,7 +278,7 @@ def _with_limits(near: Linearised, few: Problem, begin: Array, deadline: Deadlin
         deadline: When to come to an end.
     """
     problem, h, x = near.problem, near.problem.hypothesis, near.values
-    limit = near.free & [c.effect.name == "torque_saturation" for c in h.terms for _ in c.parameters]
+    limit = near.free & _of_effect(problem, "torque_saturation")
     if not limit.any() or not deadline.allows(10 * near.seconds):
         return near
     limit[limit] = _idle(few, x, limit)
@@ -340,7 +356,8 @@ def trusted(near: Linearised) -> Linearised:
     """
     fold, ridges = folds_of(near.problem), list(near.ridges)
     for k in np.unique(fold):
-        ridges[k] = _best_ridge(near, apart_from(near.problem, fold == k))
+        others = apart_from(near.problem, fold == k)
+        ridges[k] = _best_ridge(near, others) if others.any() else STAYS
     return replace(near, ridges=tuple(ridges))
 
 
@@ -362,12 +379,15 @@ def escaped(near: Linearised, deadline: Deadline) -> Linearised:
     """
     problem, fold, tried = near.problem, folds_of(near.problem), [near.values]
     for k in np.unique(fold):
-        if not deadline.allows(2 * near.seconds):
+        apart = apart_from(problem, fold == k)
+        if not apart.any() or not deadline.allows(2 * near.seconds):
             break
-        others = near.of_windows(apart_from(problem, fold == k))
+        others = near.of_windows(apart)
         x = descend(others.problem, near.values, near.free, 1, deadline, others)
         if (x != near.values).any():
             tried.append(descend(weighed(problem, x), x, near.free, 1, deadline))
+    if len(tried) == 1:
+        return near
     x = best_of(problem, tried, 1, MIXED)[0]
     costs = _costs(problem, np.stack([near.values, x]))
     return linearise(weighed(problem, x), x, near.free) if costs[1] < (1 - FLAT) * costs[0] else near
@@ -378,8 +398,8 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
 
     Backwards: of each joint the parameter goes whose absence costs least to first order, as long as folds that were
     kept aside allow it: their stated error must not rise by more than half its uncertainty, nor, in a fit of weighed
-    windows, the weighed one. The fits without a fold and without a parameter are one bounded Gauss-Newton step from the
-    solution; their errors are simulated.
+    windows, the weighed one. The fits without a fold and without a parameter are one bounded step from the solution,
+    which the fold's ridge shortens; their errors are simulated.
     """
     problem, fold = near.problem, folds_of(near.problem)
     index = np.flatnonzero(near.free)
