@@ -214,14 +214,8 @@ def fit(
     free = h.bounds[1] > h.bounds[0]
 
     progress.stage("search")
-    begin = starts(h, train, seen, _rng(seed, "starts"), DRAWS)
-    takes, most = {take: take for take in train.takes}, MOST
-    if affordable(h, train.takes, deadline) < SCARCE:
-        given, regressed = begin[:2]
-        takes, most = coarse(train.takes, h, [given, regressed], _rng(seed, "coarse")), SCARCE
-    rng, until, torques = _rng(seed, "search"), deadline.part(0.5), agreement(h, train)
-    near = search(h, tuple(takes), begin, rng, until, torques, most, progress.update)
-    near = with_given_scales(near, torques, deadline.part(0.55))
+    near, takes = _searched(h, train, seen, seed, deadline, progress)
+    torques = near.problem.torques or agreement(h, train)
     if extended:
         progress.stage("extend")
         known = near.problem.hypothesis
@@ -277,6 +271,20 @@ def fit(
         result.save(output)
     progress.update(1.0)
     return result
+
+
+def _searched(
+    h: Hypothesis, train: Prepared, seen: Seen, seed: int, deadline: Deadline, progress: Progress
+) -> tuple[Linearised, Mapping[Take, Take]]:
+    """The standard joints where the search of them ends, and the take of each copy that was searched by."""
+    begin = starts(h, train, seen, _rng(seed, "starts"), DRAWS)
+    takes, most = {take: take for take in train.takes}, MOST
+    if affordable(h, train.takes, deadline) < SCARCE:
+        given, regressed = begin[:2]
+        takes, most = coarse(train.takes, h, [given, regressed], _rng(seed, "coarse")), SCARCE
+    rng, until, torques = _rng(seed, "search"), deadline.part(0.5), agreement(h, train)
+    near = search(h, tuple(takes), begin, rng, until, torques, most, progress.update)
+    return with_given_scales(near, torques, deadline.part(0.55)), takes
 
 
 def _polished(

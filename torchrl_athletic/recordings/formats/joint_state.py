@@ -106,7 +106,7 @@ def _untold(source: str, topics: Mapping[str, str], state_topic: str, effort: bo
     mend = "let its effort drive, with --drive measured or ColumnMap(measured_drives=True)"
     return (
         f"{source}: no topic of sensor_msgs/JointState says what the robot was told. {_listed(topics)} Name it as "
-        f"command_topic of a column map, or record it as well, or "
+        "command_topic of a column map, or record it as well, or "
         f"{mend if effort else f'record the effort in {state_topic}'}."
     )
 
