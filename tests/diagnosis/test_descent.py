@@ -11,6 +11,7 @@ from diagnosis.test_problem import each_its_own, following, take_like
 from torchrl_athletic.diagnosis import problem as windows_module
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.descent import Linearised, descend, linearise
+from torchrl_athletic.diagnosis.joint_fit import folded
 from torchrl_athletic.diagnosis.replay import Windows
 
 module = sys.modules["torchrl_athletic.diagnosis.descent"]
@@ -82,6 +83,27 @@ def test_a_ridge_shortens_a_step_and_not_what_makes_up_for_a_number_that_is_held
     for ridge, sum_ in ((1e-6, 3.0), (1.0, 2 + 1 / 1.5), (1e9, 2.0)):  # two equal columns: half of the pull on each
         assert near.step(second, np.array([False, False]), ridge).sum() == pytest.approx(sum_, abs=1e-4)
         assert near.step(second, first, ridge) == pytest.approx([0.0, 2 + 1 / (1 + ridge)], abs=1e-4)
+
+
+@pytest.mark.parametrize("first_order", [True, False])
+def test_a_number_that_acts_no_more_beyond_some_value_is_made_up_for_by_what_it_changes(monkeypatch, first_order):
+    """The motion is a + min(b, 3), 5 by b = 2.5; given, b is a million, so that a loses a half and not a million."""
+    problem, _ = following(monkeypatch, each_its_own(5.0, 5.0), nominal=(0.0, 1e6), low=-1e7, high=1e7)
+    problem = replace(problem, unit=np.ones(1))
+
+    def simulate(w, build, values):
+        return (values[:, 0] + np.minimum(values[:, 1], 3.0))[:, None, None, None] * np.ones((*w.index.shape, 1))
+
+    monkeypatch.setattr(windows_module, "simulate", simulate)
+    near = linearise(problem, np.array([2.5, 2.5]), np.array([True, True]))
+    held, both = np.array([False, True]), np.array([True, True])
+    change = near.changes([held])
+    assert problem.squares(change[:, 0]) == pytest.approx(np.full((2, 1), 0.25))
+    for ridge in (1e-6, 1e9):
+        assert near.step(both, held, ridge, change[:, 0]) == pytest.approx([2.0, 1e6], rel=1e-4)
+        told = folded(replace(near, ridges=(ridge,) * 4), [held], np.array([0, 1]), change, first_order)
+        assert told == pytest.approx(np.zeros((1, 2, 1)), abs=1e-6)
+    assert near.step(both, held)[0] == pytest.approx(2.5 - (1e6 - 2.5), rel=1e-4)  # as slopes would have it
 
 
 def test_what_makes_up_for_a_held_number_stays_within_its_bounds_and_another_takes_the_rest(monkeypatch):

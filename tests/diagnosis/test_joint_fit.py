@@ -138,6 +138,18 @@ def test_without_any_time_there_is_a_result_all_the_same():
     assert fitted.parameters
 
 
+def terms_of(*counts, effect="coulomb_friction"):
+    """A term of each joint, with so many numbers."""
+    law = SimpleNamespace(name=effect)
+    return tuple(SimpleNamespace(joint=j, parameters=(None,) * n, effect=law) for j, n in enumerate(counts))
+
+
+def without_errors(problem, count):
+    """What is linearised of a problem whose folds are told by costs, in place of errors."""
+    changes = lambda trials: np.zeros((0, len(trials)))  # noqa: E731
+    return SimpleNamespace(problem=problem, free=np.ones(count, dtype=bool), errors=np.zeros(0), changes=changes)
+
+
 @dataclass(frozen=True)
 class Costs:
     """A problem whose one parameter is worth ``stated`` and ``weighed`` errors a window, in place of simulations."""
@@ -148,7 +160,7 @@ class Costs:
 
     @property
     def hypothesis(self) -> SimpleNamespace:
-        return SimpleNamespace(terms=(SimpleNamespace(joint=0, parameters=(None,)),))
+        return SimpleNamespace(terms=terms_of(1))
 
     def of(self, without: bool) -> np.ndarray:
         return 1.0 + without * (self.stated if np.isinf(self.tuning) else self.weighed)
@@ -167,10 +179,10 @@ class Costs:
 def test_a_parameter_goes_where_folds_do_not_ask_for_it(monkeypatch, stated, weighed, needed):
     windows = np.tile([-2.0, 2.0], 50)  # a mean of zero, a deviation of two
     problem = Costs(stated + windows * (stated > WORTH), weighed + windows * (weighed > WORTH))
-    near = SimpleNamespace(problem=problem, free=np.ones(1, dtype=bool))
+    near = without_errors(problem, 1)
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
     monkeypatch.setattr(module, "independent", lambda problem: 100)
-    monkeypatch.setattr(module, "folded", lambda near, trials, fold, first_order=False: [t.any() for t in trials])
+    monkeypatch.setattr(module, "folded", lambda near, trials, *_: [t.any() for t in trials])
     monkeypatch.setattr(module, "window_cost", lambda problem, trials: np.array([problem.of(t) for t in trials]))
     assert prune(near, Deadline(np.inf)).tolist() == [needed]
     assert prune(near, Deadline(0.0)).tolist() == [True]  # without time nothing is found to be worthless
@@ -322,7 +334,7 @@ def test_each_fold_is_told_by_a_step_with_its_own_ridge(monkeypatch, first_order
     near = replace(linearise(problem, np.array([2.0]), np.array([True])), ridges=ridges)
     fold = windows_module.folds_of(problem)
     assert fold.tolist() == [0, 2]
-    told = folded(near, [np.array([False])], fold, first_order)
+    told = folded(near, [np.array([False])], fold, first_order=first_order)
     assert told[0, :, 0] == pytest.approx(square, rel=1e-3)
 
 
@@ -364,7 +376,7 @@ def test_a_fold_is_told_by_the_others_and_never_by_itself(monkeypatch, first_ord
     problem, _ = following(monkeypatch, each_its_own(1.0, 3.0, 8.0))
     near = linearise(problem, np.array([4.0]), np.array([True]))
     trials = [np.array([False]), np.array([True])]
-    square = folded(near, trials, np.array([0, 0, 1]), first_order)[:, :, 0]
+    square = folded(near, trials, np.array([0, 0, 1]), first_order=first_order)[:, :, 0]
     np.testing.assert_allclose(square, [[49, 25, 36], [1, 9, 64]], rtol=1e-4)
 
 
@@ -768,16 +780,16 @@ def test_a_search_whose_every_descent_goes_astray_ends_at_the_best_of_its_starts
 def test_of_each_joint_the_least_needed_goes_and_of_two_that_stand_for_each_other_one(monkeypatch, together, needed):
     """Two numbers of two joints: the first of each is worth next to nothing, or, without the other's, a lot."""
     worth = WORTH * np.array([0.1, 20.0, 0.2, 20.0])
-    joints = tuple(SimpleNamespace(joint=j, parameters=(None, None)) for j in (0, 1))
+    joints = terms_of(2, 2)
     problem = replace(Problem(None, (), np.ones(1), np.ones(100)), hypothesis=SimpleNamespace(terms=joints))
-    near = SimpleNamespace(problem=problem, free=np.array([True, True, True, True]))
+    near = without_errors(problem, 4)
 
     def cost(held):
         return 1.0 + worth @ held + WORTH * together * bool(held[0] and held[2])
 
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
     monkeypatch.setattr(module, "independent", lambda problem: 100)
-    monkeypatch.setattr(module, "folded", lambda near, trials, fold, first_order=False: [cost(t) for t in trials])
+    monkeypatch.setattr(module, "folded", lambda near, trials, *_: [cost(t) for t in trials])
     monkeypatch.setattr(module, "window_cost", lambda problem, told: np.array(told)[:, None] * np.ones(100))
     assert prune(near, Deadline()).tolist() == needed
 
@@ -788,14 +800,12 @@ def test_a_joint_gives_up_all_that_it_does_not_need_and_is_left_alone_when_it_ne
     """Beside another joint, before it or after, that needs its only number; in far less time than there is."""
     counts = (3, 1) if first else (1, 3)
     worth = WORTH * np.array([*rank, 20.0] if first else [20.0, *rank])
-    joints = tuple(SimpleNamespace(joint=j, parameters=(None,) * n) for j, n in enumerate(counts))
+    joints = terms_of(*counts)
     problem = replace(Problem(None, (), np.ones(1), np.ones(100)), hypothesis=SimpleNamespace(terms=joints))
-    near, told = SimpleNamespace(problem=problem, free=np.ones(4, dtype=bool)), []
+    near, told = without_errors(problem, 4), []
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
     monkeypatch.setattr(module, "independent", lambda problem: 100)
-    monkeypatch.setattr(
-        module, "folded", lambda near, trials, fold, first_order=False: [1.0 + worth @ t for t in trials]
-    )
+    monkeypatch.setattr(module, "folded", lambda near, trials, *_: [1.0 + worth @ t for t in trials])
     monkeypatch.setattr(module, "window_cost", lambda problem, told: np.array(told)[:, None] * np.ones(100))
     assert prune(near, Deadline(1000.0), told.append).tolist() == (worth > WORTH).tolist()
     assert told == sorted(told)
@@ -813,11 +823,11 @@ def test_a_joint_gives_up_all_that_it_does_not_need_and_is_left_alone_when_it_ne
 )
 def test_what_goes_is_guessed_by_slopes_and_allowed_by_the_best_that_was_found(monkeypatch, guess, truth, needed):
     """One joint has two numbers, worth multiples of the share of the error for which a number is just worth having."""
-    joint = (SimpleNamespace(joint=0, parameters=(None, None)),)
+    joint = terms_of(2)
     problem = replace(Problem(None, (), np.ones(1), np.ones(100)), hypothesis=SimpleNamespace(terms=joint))
-    near = SimpleNamespace(problem=problem, free=np.ones(2, dtype=bool))
+    near = without_errors(problem, 2)
 
-    def folded(near, trials, fold, first_order=False):
+    def folded(near, trials, fold, changes, first_order=False):
         return [1.0 + WORTH * np.array(guess if first_order else truth) @ t for t in trials]
 
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
@@ -825,3 +835,36 @@ def test_what_goes_is_guessed_by_slopes_and_allowed_by_the_best_that_was_found(m
     monkeypatch.setattr(module, "folded", folded)
     monkeypatch.setattr(module, "window_cost", lambda problem, told: np.array(told)[:, None] * np.ones(100))
     assert prune(near, Deadline()).tolist() == list(needed)
+
+
+@pytest.mark.parametrize(
+    ("worth", "doubt", "needed"),
+    [
+        ((0.03, 0.03), 0.0, (True, True)),
+        ((0.03, 0.01), 0.0, (True, False)),
+        ((0.03, 0.03), 0.1, (False, False)),  # a mean of 0.03 in a hundred windows, give or take 0.1 each: within it
+        ((0.015, 0.012), 0.0, (True, False)),  # one or the other may go; together they are missed
+    ],
+)
+def test_a_torque_limit_stays_where_folds_ask_for_it_as_for_a_law(monkeypatch, worth, doubt, needed):
+    """Folds miss a limit by some share of their error without it; a fiftieth and a standard error keep it."""
+    problem = Problem(None, (), np.ones(1), np.ones(100))
+    problem = replace(problem, hypothesis=SimpleNamespace(terms=terms_of(1, 1, effect="torque_saturation")))
+    noise = 10 * doubt * np.tile([-1.0, 1.0], 50)
+    monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
+    monkeypatch.setattr(module, "independent", lambda problem: 100)
+    monkeypatch.setattr(module, "folded", lambda near, trials, *_: np.array(trials) @ np.array(worth))
+    monkeypatch.setattr(
+        module, "window_cost", lambda problem, told: np.array([1.0 + t + noise * bool(t) for t in told])
+    )
+    held, _ = module._doubtful_limits(without_errors(problem, 2), np.zeros(100, dtype=int))
+    assert (~held).tolist() == list(needed)
+
+
+def test_without_limits_none_is_doubtful():
+    problem = replace(
+        Problem(None, (), np.ones(1), np.ones(4)), hypothesis=SimpleNamespace(terms=terms_of(2)), windows=()
+    )
+    held, changes = module._doubtful_limits(without_errors(problem, 2), np.zeros(4, dtype=int))
+    assert not held.any()
+    assert changes.shape == (0,)

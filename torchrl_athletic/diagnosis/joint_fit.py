@@ -404,8 +404,9 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
     problem, fold = near.problem, folds_of(near.problem)
     index = np.flatnonzero(near.free)
     joint = np.array([c.joint for c in problem.hypothesis.terms for _ in c.parameters])[index]
-    held, asking = np.zeros(len(index), dtype=bool), np.ones(len(index), dtype=bool)
-    now = folded(near, [held], fold)
+    alone, asking = near.changes(np.eye(len(index), dtype=bool)), np.ones(len(index), dtype=bool)
+    held, gone = _doubtful_limits(near, fold)
+    now = folded(near, [held], fold, gone[:, None])
     ways, count = (replace(problem, tuning=np.inf), problem), independent(problem)
     least = [window_cost(way, now)[0] for way in ways]
     seconds = 0.0
@@ -413,11 +414,12 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
         begin = time.monotonic()
         left = np.flatnonzero(asking & ~held)
         one = [held | (np.arange(len(index)) == k) for k in left]
-        guess = window_cost(problem, folded(near, one, fold, first_order=True)).mean(1)
+        guess = window_cost(problem, folded(near, one, fold, gone[:, None] + alone[:, left], True)).mean(1)
         chosen = [left[joint[left] == j][np.argmin(guess[joint[left] == j])] for j in np.unique(joint[left])]
         trials = [one[int(np.flatnonzero(left == k)[0])] for k in chosen]
         trials += [np.logical_or.reduce(trials)] if len(trials) > 1 else []
-        square = folded(near, trials, fold)
+        changes = near.changes(trials)
+        square = folded(near, trials, fold, changes)
         allowed, cost = np.ones(len(trials), dtype=bool), np.zeros(len(trials))
         for k, way in enumerate(ways):
             error = window_cost(way, square)  # (trials, W)
@@ -425,11 +427,10 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
             rise = error - least[k]
             cost, doubt = rise.mean(1), rise.std(1) / np.sqrt(count)
             allowed &= cost <= np.maximum(DOUBT * doubt, WORTH * least[k].mean())
-        alone = np.flatnonzero(allowed[: len(chosen)])
-        if allowed[-1]:
-            held = trials[-1]
-        elif len(alone):
-            held = trials[alone[np.argmin(cost[alone])]]
+        single = np.flatnonzero(allowed[: len(chosen)])
+        if allowed[-1] or len(single):
+            best = len(trials) - 1 if allowed[-1] else int(single[np.argmin(cost[single])])
+            held, gone = trials[best], changes[:, best]
         asking &= ~np.isin(joint, joint[[k for n, k in enumerate(chosen) if not allowed[n]]])
         progress(float((held | ~asking).mean()))
         seconds = time.monotonic() - begin
@@ -438,26 +439,62 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
     return needed
 
 
-def folded(near: Linearised, trials: Sequence[Mask], fold: NDArray[np.intp], first_order: bool = False) -> Array:
+def _doubtful_limits(near: Linearised, fold: NDArray[np.intp]) -> tuple[Mask, Array]:
+    """The most torque limits that do not help folds as much as a law must, what helps least alone coming first.
+
+    A limit holds back faster motion than was fitted, of which no fold tells. So half a standard error is not enough.
+
+    Returns:
+        Which of the free parameters these are, shape (P,), and what errors change without them, shape (N,).
+    """
+    limits, count = np.flatnonzero(_of_effect(near.problem, "torque_saturation")[near.free]), independent(near.problem)
+    nothing = np.zeros((1, int(near.free.sum())), dtype=bool)
+
+    def costs(trials: Mask) -> tuple[Array, Array]:
+        changes = near.changes(trials)
+        return window_cost(near.problem, folded(near, trials, fold, changes)), changes
+
+    if not len(limits):
+        return nothing[0], np.zeros(len(near.errors))
+    order = limits[np.argsort(costs(np.eye(len(nothing[0]), dtype=bool)[limits])[0].mean(1), kind="stable")]
+    trials = np.concatenate([nothing, np.cumsum(np.eye(len(nothing[0]), dtype=bool)[order], axis=0) > 0])
+    without, changes = costs(trials)
+    most = max(k for k, cost in enumerate(without) if not gain_of(cost, without[0], count))
+    return trials[most], changes[:, most]
+
+
+def folded(
+    near: Linearised,
+    trials: Sequence[Mask] | Mask,
+    fold: NDArray[np.intp],
+    changes: Array | None = None,
+    first_order: bool = False,
+) -> Array:
     """Mean square error of each window by what the other folds say [rad², m²]. Shape (trials, W, J).
 
     Args:
         near: About the solution of all folds.
         trials: Which of the free parameters are held at the given model's. Shapes (P,).
         fold: Of each window. Shape (W,).
+        changes: Of the errors where these go alone, shape (N, trials); those by the slopes if None.
         first_order: Whether the errors are those of the Jacobian, and not simulated.
     """
     problem = near.problem
     out = np.empty((len(trials), len(fold), len(problem.unit)))
+    each = [None] * len(trials) if changes is None else changes.T
     for k in np.unique(fold):
         others = apart_from(problem, fold == k)
         if first_order:
             rows = np.isin(problem.window, np.flatnonzero(fold == k))
-            for n, held in enumerate(trials):
+            for n, (held, change) in enumerate(zip(trials, each, strict=True)):
+                move = near.move(others, held, near.ridges[k], change)
                 errors = np.zeros(len(rows))
-                errors[rows] = near.errors[rows] + near.columns[rows] @ near.move(others, held, near.ridges[k])
+                if change is None:
+                    errors[rows] = near.errors[rows] + near.columns[rows] @ move
+                else:
+                    errors[rows] = (near.errors + change)[rows] + near.columns[rows] @ np.where(held, 0.0, move)
                 out[n, fold == k] = problem.squares(errors)[fold == k]
         else:
-            values = np.stack([near.step(others, held, near.ridges[k]) for held in trials])
-            out[:, fold == k] = part_of(problem, fold == k).mean_square(values)
+            steps = [near.step(others, held, near.ridges[k], c) for held, c in zip(trials, each, strict=True)]
+            out[:, fold == k] = part_of(problem, fold == k).mean_square(np.stack(steps))
     return out
