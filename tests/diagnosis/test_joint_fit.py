@@ -147,7 +147,9 @@ def terms_of(*counts, effect="coulomb_friction"):
 def without_errors(problem, count):
     """What is linearised of a problem whose folds are told by costs, in place of errors."""
     changes = lambda trials: np.zeros((0, len(trials)))  # noqa: E731
-    return SimpleNamespace(problem=problem, free=np.ones(count, dtype=bool), errors=np.zeros(0), changes=changes)
+    return SimpleNamespace(
+        problem=problem, free=np.ones(count, dtype=bool), errors=np.zeros(0), seconds=0.0, changes=changes
+    )
 
 
 @dataclass(frozen=True)

@@ -165,6 +165,10 @@ class Linearised:
         values[:, self.free] = np.where(np.asarray(trials), home[self.free], values[:, self.free])
         return self.problem.errors(values) - self.errors[:, None]
 
+    def without(self, held: Mask) -> Array:
+        """Solution of all windows with some of the free parameters held at the given model's. All parameters."""
+        return self.step(np.ones(len(self.normal), dtype=bool), held, change=self.changes([held])[:, 0])
+
     def step(self, windows: Mask, held: Mask, ridge: float = RIDGE, change: Array | None = None) -> Array:
         """Solution of some windows with some of the free parameters held at the given model's. All parameters."""
         h = self.problem.hypothesis

@@ -226,8 +226,7 @@ def fit(
             near = with_given_scales(near, torques, deadline.part(0.65))
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
-    x, every = near.values, np.ones(len(near.normal), dtype=bool)
-    y = near.step(every, ~needed[free], change=near.changes([~needed[free]])[:, 0])
+    x, y = near.values, near.without(~needed[free])
     y = best_of(near.problem, (y, np.where(needed, x, h.nominal)), 1)[0]
     fine, y = _polished(near.problem, takes, y, needed, _rng(seed, "steps"), deadline.part(0.76))
     again = linearise(weighed(fine, y), y, needed)

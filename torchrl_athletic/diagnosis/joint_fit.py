@@ -399,13 +399,15 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
     Backwards: of each joint the parameter goes whose absence costs least to first order, as long as folds that were
     kept aside allow it: their stated error must not rise by more than half its uncertainty, nor, in a fit of weighed
     windows, the weighed one. The fits without a fold and without a parameter are one bounded step from the solution,
-    which the fold's ridge shortens; their errors are simulated.
+    which the fold's ridge shortens; their errors are simulated. Torque limits go first, by a rule of their own.
     """
+    if not deadline.allows(near.seconds):
+        return near.free.copy()
     problem, fold = near.problem, folds_of(near.problem)
     index = np.flatnonzero(near.free)
     joint = np.array([c.joint for c in problem.hypothesis.terms for _ in c.parameters])[index]
     alone, asking = near.changes(np.eye(len(index), dtype=bool)), np.ones(len(index), dtype=bool)
-    held, gone = _doubtful_limits(near, fold)
+    held, gone = _doubtful_limits(near, fold)  # gone: how errors change without what is held
     now = folded(near, [held], fold, gone[:, None])
     ways, count = (replace(problem, tuning=np.inf), problem), independent(problem)
     least = [window_cost(way, now)[0] for way in ways]
@@ -487,12 +489,10 @@ def folded(
         if first_order:
             rows = np.isin(problem.window, np.flatnonzero(fold == k))
             for n, (held, change) in enumerate(zip(trials, each, strict=True)):
-                move = near.move(others, held, near.ridges[k], change)
-                errors = np.zeros(len(rows))
-                if change is None:
-                    errors[rows] = near.errors[rows] + near.columns[rows] @ move
-                else:
-                    errors[rows] = (near.errors + change)[rows] + near.columns[rows] @ np.where(held, 0.0, move)
+                move, errors = near.move(others, held, near.ridges[k], change), np.zeros(len(rows))
+                known = 0.0 if change is None else change[rows]  # of what is held, in place of its slopes
+                move = move if change is None else np.where(held, 0.0, move)
+                errors[rows] = near.errors[rows] + known + near.columns[rows] @ move
                 out[n, fold == k] = problem.squares(errors)[fold == k]
         else:
             steps = [near.step(others, held, near.ridges[k], c) for held, c in zip(trials, each, strict=True)]
