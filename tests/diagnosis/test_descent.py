@@ -11,7 +11,6 @@ from diagnosis.test_problem import each_its_own, following, take_like
 from torchrl_athletic.diagnosis import problem as windows_module
 from torchrl_athletic.diagnosis.deadline import Deadline
 from torchrl_athletic.diagnosis.descent import Linearised, descend, linearise
-from torchrl_athletic.diagnosis.joint_fit import folded
 from torchrl_athletic.diagnosis.replay import Windows
 
 module = sys.modules["torchrl_athletic.diagnosis.descent"]
@@ -85,25 +84,44 @@ def test_a_ridge_shortens_a_step_and_not_what_makes_up_for_a_number_that_is_held
         assert near.step(second, first, ridge) == pytest.approx([0.0, 2 + 1 / (1 + ridge)], abs=1e-4)
 
 
-@pytest.mark.parametrize("first_order", [True, False])
-def test_a_number_that_acts_no_more_beyond_some_value_is_made_up_for_by_what_it_changes(monkeypatch, first_order):
-    """The motion is a + min(b, 3), 5 by b = 2.5; given, b is a million, so that a loses a half and not a million."""
-    problem, _ = following(monkeypatch, each_its_own(5.0, 5.0), nominal=(0.0, 1e6), low=-1e7, high=1e7)
-    problem = replace(problem, unit=np.ones(1))
+def with_a_limit(w, build, values):
+    """A simulation of one number and another one of up to 3, beyond which it acts no more."""
+    return (values[:, 0] + np.minimum(values[:, 1], 3.0))[:, None, None, None] * np.ones((*w.index.shape, 1))
 
-    def simulate(w, build, values):
-        return (values[:, 0] + np.minimum(values[:, 1], 3.0))[:, None, None, None] * np.ones((*w.index.shape, 1))
 
-    monkeypatch.setattr(windows_module, "simulate", simulate)
-    near = linearise(problem, np.array([2.5, 2.5]), np.array([True, True]))
-    held, both = np.array([False, True]), np.array([True, True])
-    change = near.changes([held])
-    assert problem.squares(change[:, 0]) == pytest.approx(np.full((2, 1), 0.25))
-    for ridge in (1e-6, 1e9):
-        assert near.step(both, held, ridge, change[:, 0]) == pytest.approx([2.0, 1e6], rel=1e-4)
-        told = folded(replace(near, ridges=(ridge,) * 4), [held], np.array([0, 1]), change, first_order)
-        assert told == pytest.approx(np.zeros((1, 2, 1)), abs=1e-6)
-    assert near.step(both, held)[0] == pytest.approx(2.5 - (1e6 - 2.5), rel=1e-4)  # as slopes would have it
+def test_without_a_number_others_make_up_for_what_it_changes_and_not_for_its_slope(monkeypatch):
+    """Their sum is 5 by 2.5 each; the second, given as a million, acts as 3, so that the first loses a half."""
+    problem, _ = following(
+        monkeypatch, each_its_own(5.0, 5.0), nominal=(0.0, 9.0, 1e6), low=-1e7, high=1e7
+    )  # the second of three numbers is not free
+    problem = replace(problem, unit=np.array([2.0]))
+    monkeypatch.setattr(windows_module, "simulate", lambda w, build, x: with_a_limit(w, build, x[:, ::2]))
+    near = linearise(problem, np.array([2.5, 8.0, 2.5]), np.array([True, False, True]))
+    near, both = replace(near, damped=np.array([True, False])), np.array([True, True])
+    fewer = near.without(np.array([False, True]))
+    assert fewer.values.tolist() == [2.5, 8.0, 1e6]
+    assert fewer.free.tolist() == [True, False, False]
+    assert fewer.damped.tolist() == [True]
+    assert fewer.columns.shape == (len(near.errors), 1)
+    assert problem.squares(fewer.errors) == pytest.approx(np.full((2, 1), 0.25))
+    assert fewer.step(both, np.array([False])) == pytest.approx([2.0, 8.0, 1e6], rel=1e-4)
+    assert near.step(both, np.array([False, True]))[0] == pytest.approx(2.5 - 1e6, rel=1e-3)  # as its slope has it
+    assert near.without(np.array([False, False])) is near
+
+
+def test_where_slopes_are_right_a_fit_without_a_number_is_the_one_that_holds_it(monkeypatch):
+    """Windows of unlike weights, and torques that tell of both numbers."""
+    torques = SimpleNamespace(rows=lambda x: np.stack([3.0 * (x[:, 0] - 5.0), 2.0 * (x[:, 0] + x[:, 1] - 4.0)]))
+    problem, _ = following(monkeypatch, each_its_own(1.0, 3.0), nominal=(0.5, -1.0), torques=torques)
+    problem = replace(problem, unit=np.array([2.0]), weight=np.array([0.3, 1.0]))
+    monkeypatch.setattr(windows_module, "simulate", both_at_once)
+    near = linearise(problem, np.array([2.0, 0.5]), np.array([True, True]))
+    both, one, second = np.array([True, True]), np.array([True, False]), np.array([False, True])
+    for windows in (both, one):
+        held = near.step(windows, second)
+        assert held[1] == -1.0
+        assert abs(held[0] - 2.0) > 0.1
+        assert near.without(second).step(windows, np.array([False])) == pytest.approx(held, rel=1e-4)
 
 
 def test_what_makes_up_for_a_held_number_stays_within_its_bounds_and_another_takes_the_rest(monkeypatch):

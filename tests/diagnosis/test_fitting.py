@@ -645,8 +645,8 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
     h, told, begun = Hypothesis(terms), {}, []
     needed = np.array([True, True, False, False, False])
 
-    def without(held):
-        told["gone"] = held.tolist()
+    def over_needed(near, needed):
+        told["needed"] = needed.tolist()
         return np.array([1.0, 2.0, 0.125, 0.25, 0.375])
 
     class Clock:
@@ -661,7 +661,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
             )
 
     problem = SimpleNamespace(hypothesis=h, torques=None)
-    near = SimpleNamespace(problem=problem, without=without, values=np.full(5, 5.0), seconds=0.0)
+    near = SimpleNamespace(problem=problem, normal=np.zeros((3, 1, 1)), values=np.full(5, 5.0), seconds=0.0)
     again = SimpleNamespace(problem="weighed", seconds=2.0, values=np.array([1.5, 2.5, 0.125, 0.25, 0.375]))
     joint = {"before": 1.0, "after": 1.0, "floor": 0.0625}
     made = iter(["train", "aside"])
@@ -693,6 +693,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
         "with_given_scales": note("given scales", near),
         "asks_for_links": lambda near: True, "with_links": note("links", near),
         "with_gear": note("gear", near), "extend": note("extend", near), "prune": note("prune", needed),
+        "over_needed": over_needed,
         "best_of": note("best_of", [np.array([1.0, 2.0, 0.125, 0.25, 0.375])]), "Deadline": Clock,
         "weighed": lambda problem, x: (problem, x.tolist()), "descend": note("descend", again.values),
         "linearise": note("linearise", again), "_without_unknown": note("without", (again, needed)),
@@ -713,7 +714,7 @@ def test_what_is_needed_is_fitted_again_and_what_recordings_kept_aside_refuse_is
     fitted = fit("model", takes[:1], takes[1:], extended=extended, seed=3, time_budget=60.0, progress=progress)
     assert stages == [name for name in fitting.STAGES if extended or name != "extend"]
     assert (told["done"], told["budget"]) == (1.0, 60.0)
-    assert told["gone"] == [False, False, True, True]
+    assert told["needed"] == [True, True, False, False, False]
     if extended:  # where a search can afford too few windows, it takes longer steps, and what is needed shorter ones
         assert (told["search"][1], told["search"][6]) == (("in longer steps",), fitting.SCARCE)
         assert told["steps"] == [{"in longer steps": "take"}, {"finer": "take"}]

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from diagnosis.plants import behind_a_spring, pendulum, smooth_torque
+from diagnosis.test_descent import with_a_limit
 from diagnosis.test_fitting import NOISE, RATE, STEP, integrated, parameter, recording
 from diagnosis.test_problem import each_its_own, following, moving, take_like
 
@@ -21,10 +22,12 @@ from torchrl_athletic.diagnosis.joint_fit import (
     affordable,
     folded,
     more_telling,
+    over_needed,
     prune,
     search,
     stated,
     trusted,
+    without_doubtful_limits,
     without_torques,
 )
 from torchrl_athletic.diagnosis.prepare import prepare
@@ -138,18 +141,18 @@ def test_without_any_time_there_is_a_result_all_the_same():
     assert fitted.parameters
 
 
+WAVE = np.tile([-1.0, 1.0], 50)
+
+
 def terms_of(*counts, effect="coulomb_friction"):
     """A term of each joint, with so many numbers."""
     law = SimpleNamespace(name=effect)
     return tuple(SimpleNamespace(joint=j, parameters=(None,) * n, effect=law) for j, n in enumerate(counts))
 
 
-def without_errors(problem, count):
-    """What is linearised of a problem whose folds are told by costs, in place of errors."""
-    changes = lambda trials: np.zeros((0, len(trials)))  # noqa: E731
-    return SimpleNamespace(
-        problem=problem, free=np.ones(count, dtype=bool), errors=np.zeros(0), seconds=0.0, changes=changes
-    )
+def told_by_costs(problem, count):
+    """What is linearised of a problem whose folds are told by costs, in place of simulations."""
+    return SimpleNamespace(problem=problem, free=np.ones(count, dtype=bool), seconds=0.0)
 
 
 @dataclass(frozen=True)
@@ -181,10 +184,10 @@ class Costs:
 def test_a_parameter_goes_where_folds_do_not_ask_for_it(monkeypatch, stated, weighed, needed):
     windows = np.tile([-2.0, 2.0], 50)  # a mean of zero, a deviation of two
     problem = Costs(stated + windows * (stated > WORTH), weighed + windows * (weighed > WORTH))
-    near = without_errors(problem, 1)
+    near = told_by_costs(problem, 1)
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
     monkeypatch.setattr(module, "independent", lambda problem: 100)
-    monkeypatch.setattr(module, "folded", lambda near, trials, *_: [t.any() for t in trials])
+    monkeypatch.setattr(module, "folded", lambda near, trials, fold, first_order=False: [t.any() for t in trials])
     monkeypatch.setattr(module, "window_cost", lambda problem, trials: np.array([problem.of(t) for t in trials]))
     assert prune(near, Deadline(np.inf)).tolist() == [needed]
     assert prune(near, Deadline(0.0)).tolist() == [True]  # without time nothing is found to be worthless
@@ -336,7 +339,7 @@ def test_each_fold_is_told_by_a_step_with_its_own_ridge(monkeypatch, first_order
     near = replace(linearise(problem, np.array([2.0]), np.array([True])), ridges=ridges)
     fold = windows_module.folds_of(problem)
     assert fold.tolist() == [0, 2]
-    told = folded(near, [np.array([False])], fold, first_order=first_order)
+    told = folded(near, [np.array([False])], fold, first_order)
     assert told[0, :, 0] == pytest.approx(square, rel=1e-3)
 
 
@@ -378,7 +381,7 @@ def test_a_fold_is_told_by_the_others_and_never_by_itself(monkeypatch, first_ord
     problem, _ = following(monkeypatch, each_its_own(1.0, 3.0, 8.0))
     near = linearise(problem, np.array([4.0]), np.array([True]))
     trials = [np.array([False]), np.array([True])]
-    square = folded(near, trials, np.array([0, 0, 1]), first_order=first_order)[:, :, 0]
+    square = folded(near, trials, np.array([0, 0, 1]), first_order)[:, :, 0]
     np.testing.assert_allclose(square, [[49, 25, 36], [1, 9, 64]], rtol=1e-4)
 
 
@@ -784,14 +787,14 @@ def test_of_each_joint_the_least_needed_goes_and_of_two_that_stand_for_each_othe
     worth = WORTH * np.array([0.1, 20.0, 0.2, 20.0])
     joints = terms_of(2, 2)
     problem = replace(Problem(None, (), np.ones(1), np.ones(100)), hypothesis=SimpleNamespace(terms=joints))
-    near = without_errors(problem, 4)
+    near = told_by_costs(problem, 4)
 
     def cost(held):
         return 1.0 + worth @ held + WORTH * together * bool(held[0] and held[2])
 
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
     monkeypatch.setattr(module, "independent", lambda problem: 100)
-    monkeypatch.setattr(module, "folded", lambda near, trials, *_: [cost(t) for t in trials])
+    monkeypatch.setattr(module, "folded", lambda near, trials, fold, first_order=False: [cost(t) for t in trials])
     monkeypatch.setattr(module, "window_cost", lambda problem, told: np.array(told)[:, None] * np.ones(100))
     assert prune(near, Deadline()).tolist() == needed
 
@@ -804,10 +807,12 @@ def test_a_joint_gives_up_all_that_it_does_not_need_and_is_left_alone_when_it_ne
     worth = WORTH * np.array([*rank, 20.0] if first else [20.0, *rank])
     joints = terms_of(*counts)
     problem = replace(Problem(None, (), np.ones(1), np.ones(100)), hypothesis=SimpleNamespace(terms=joints))
-    near, told = without_errors(problem, 4), []
+    near, told = told_by_costs(problem, 4), []
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
     monkeypatch.setattr(module, "independent", lambda problem: 100)
-    monkeypatch.setattr(module, "folded", lambda near, trials, *_: [1.0 + worth @ t for t in trials])
+    monkeypatch.setattr(
+        module, "folded", lambda near, trials, fold, first_order=False: [1.0 + worth @ t for t in trials]
+    )
     monkeypatch.setattr(module, "window_cost", lambda problem, told: np.array(told)[:, None] * np.ones(100))
     assert prune(near, Deadline(1000.0), told.append).tolist() == (worth > WORTH).tolist()
     assert told == sorted(told)
@@ -827,9 +832,9 @@ def test_what_goes_is_guessed_by_slopes_and_allowed_by_the_best_that_was_found(m
     """One joint has two numbers, worth multiples of the share of the error for which a number is just worth having."""
     joint = terms_of(2)
     problem = replace(Problem(None, (), np.ones(1), np.ones(100)), hypothesis=SimpleNamespace(terms=joint))
-    near = without_errors(problem, 2)
+    near = told_by_costs(problem, 2)
 
-    def folded(near, trials, fold, changes, first_order=False):
+    def folded(near, trials, fold, first_order=False):
         return [1.0 + WORTH * np.array(guess if first_order else truth) @ t for t in trials]
 
     monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
@@ -839,34 +844,94 @@ def test_what_goes_is_guessed_by_slopes_and_allowed_by_the_best_that_was_found(m
     assert prune(near, Deadline()).tolist() == list(needed)
 
 
+@dataclass(frozen=True)
+class Limited:
+    """A fit of torque limits, one a joint, whose absence costs each window something."""
+
+    problem: Problem
+    absence: np.ndarray
+    """Shape (limits, windows)."""
+    held: tuple[int, ...] = ()
+    seconds: float = 1.0
+
+    @property
+    def free(self):
+        return np.isin(np.arange(len(self.absence)), self.held, invert=True)
+
+    def without(self, gone):
+        assert len(gone) == len(self.absence)
+        return replace(self, held=tuple(np.flatnonzero(gone)))
+
+    @property
+    def cost(self):
+        return 1.0 + self.absence[list(self.held)].sum(0)
+
+
+def limited(monkeypatch, *absence, count=100):
+    h = SimpleNamespace(terms=terms_of(*(1,) * len(absence), effect="torque_saturation"))
+    problem = replace(Problem(None, (), np.ones(1), np.ones(100)), hypothesis=h)
+    monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
+    monkeypatch.setattr(module, "independent", lambda problem: count)
+    monkeypatch.setattr(module, "folded", lambda near, trials, fold: near)
+    monkeypatch.setattr(module, "window_cost", lambda problem, near: near.cost[None])
+    return Limited(problem, np.stack([np.broadcast_to(a, 100) for a in absence]))
+
+
 @pytest.mark.parametrize(
-    ("worth", "doubt", "needed"),
+    ("absence", "stay"),
     [
-        ((0.03, 0.03), 0.0, (True, True)),
-        ((0.03, 0.01), 0.0, (True, False)),
-        ((0.03, 0.03), 0.1, (False, False)),  # a mean of 0.03 in a hundred windows, give or take 0.1 each: within it
-        ((0.015, 0.012), 0.0, (True, False)),  # one or the other may go; together they are missed
+        ((0.03, 0.03), [True, True]),
+        ((0.03, 0.01), [True, False]),
+        ((0.015, 0.012), [True, False]),  # either may go; together they are missed
+        ((0.1, 3.0 * WAVE), [True, False]),  # what is missed surely is not hidden behind what is in doubt
+        ((0.1, 0.2 + 3.0 * WAVE), [True, True]),  # nor is anything asked past what is missed surely
+        ((0.02 + 0.5 * WAVE,), [False]),
+        ((0.2 + 0.5 * WAVE,), [True]),
     ],
 )
-def test_a_torque_limit_stays_where_folds_ask_for_it_as_for_a_law(monkeypatch, worth, doubt, needed):
-    """Folds miss a limit by some share of their error without it; a fiftieth and a standard error keep it."""
-    problem = Problem(None, (), np.ones(1), np.ones(100))
-    problem = replace(problem, hypothesis=SimpleNamespace(terms=terms_of(1, 1, effect="torque_saturation")))
-    noise = 10 * doubt * np.tile([-1.0, 1.0], 50)
-    monkeypatch.setattr(module, "folds_of", lambda problem: np.zeros(100, dtype=int))
-    monkeypatch.setattr(module, "independent", lambda problem: 100)
-    monkeypatch.setattr(module, "folded", lambda near, trials, *_: np.array(trials) @ np.array(worth))
+def test_limits_go_that_folds_do_not_ask_for_as_for_a_law(monkeypatch, absence, stay):
+    """A fiftieth of the error of folds and a standard error keep one: of a hundred windows a tenth of their scatter."""
+    near = limited(monkeypatch, *absence)
+    assert without_doubtful_limits(near, Deadline()).free.tolist() == stay
+    assert without_doubtful_limits(near, Deadline(0.5)) is near  # which asks for a second
+
+
+def test_of_limits_nothing_is_said_by_one_window_nor_without_limits(monkeypatch):
+    near = limited(monkeypatch, 0.0, 9.0, count=1)
+    assert without_doubtful_limits(near, Deadline()) is near
+    plain = told_by_costs(replace(near.problem, hypothesis=SimpleNamespace(terms=terms_of(2))), 2)
+    assert without_doubtful_limits(plain, Deadline()) is plain
+
+
+def test_a_limit_stays_that_the_stated_error_asks_for_where_windows_are_weighed(monkeypatch):
+    near = limited(monkeypatch, 1.0)
     monkeypatch.setattr(
-        module, "window_cost", lambda problem, told: np.array([1.0 + t + noise * bool(t) for t in told])
+        module, "window_cost", lambda way, near: np.ones((1, 100)) + (near.cost - 1.0) * np.isinf(way.tuning)
     )
-    held, _ = module._doubtful_limits(without_errors(problem, 2), np.zeros(100, dtype=int))
-    assert (~held).tolist() == list(needed)
+    assert without_doubtful_limits(near, Deadline()).free.all()
 
 
-def test_without_limits_none_is_doubtful():
-    problem = replace(
-        Problem(None, (), np.ones(1), np.ones(4)), hypothesis=SimpleNamespace(terms=terms_of(2)), windows=()
+def test_a_limit_beyond_all_torques_goes_and_what_makes_up_for_it_is_what_it_changed(monkeypatch):
+    """The motion is a number and a limit, of up to 3; each is 2.5, and the limit is not needed."""
+    problem, _ = following(monkeypatch, each_its_own(5.01, 4.99, 5.01, 4.99), nominal=(0.0, 1e6), low=-1e7, high=1e7)
+    problem.hypothesis.terms = tuple(
+        SimpleNamespace(effect=SimpleNamespace(name=name), joint=0, parameters=(None,))
+        for name in ("coulomb_friction", "torque_saturation")
     )
-    held, changes = module._doubtful_limits(without_errors(problem, 2), np.zeros(4, dtype=int))
-    assert not held.any()
-    assert changes.shape == (0,)
+    problem = replace(problem, unit=np.array([0.01]), tuning=np.inf)
+    monkeypatch.setattr(windows_module, "simulate", with_a_limit)
+    near = trusted(linearise(problem, np.array([2.5, 2.5]), np.array([True, True])))
+    needed = prune(near, Deadline())
+    assert needed.tolist() == [True, False]
+    assert over_needed(near, needed) == pytest.approx([2.0, 1e6], rel=1e-3)
+    assert prune(near, Deadline(0.0)).all()
+    problem.hypothesis.nominal[1] = 0.5  # given far too low: all windows ask for another one
+    apart = trusted(linearise(replace(problem, unit=np.array([0.01])), np.array([2.5, 2.5]), np.array([False, True])))
+    assert module._limits(apart).tolist() == [True]
+    assert prune(apart, Deadline()).tolist() == [False, True]
+
+
+def test_a_limit_that_folds_asked_for_is_not_asked_again_by_its_slope(monkeypatch):
+    near = limited(monkeypatch, 0.0)
+    monkeypatch.setattr(module, "without_doubtful_limits", lambda near, deadline: near)
+    assert prune(near, Deadline()).tolist() == [True]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -155,59 +154,59 @@ class Linearised:
         problem = replace(self.problem, torques=None)
         return replace(self, problem=problem, pull=self.pull[:0], pull_columns=self.pull_columns[:0])
 
-    def changes(self, trials: Sequence[Mask] | Mask) -> Array:
-        """How errors change where some free parameters are the given model's, and the others stay. Shape (N, K).
+    def without(self, gone: Mask) -> Linearised:
+        """The same with some of the free parameters at the given model's, and free no more; the others stay.
 
-        By simulations: a slope says nothing of a torque limit that is far beyond every torque, or of a width without
-        what it is the width of.
+        What errors change by that is simulated. For what makes up for it the slopes of before have to do.
+
+        Args:
+            gone: Which of the free parameters. Shape (P,).
         """
-        home, values = self.problem.hypothesis.nominal, np.repeat(self.values[None], len(trials), axis=0)
-        values[:, self.free] = np.where(np.asarray(trials), home[self.free], values[:, self.free])
-        return self.problem.errors(values) - self.errors[:, None]
+        if not gone.any():
+            return self
+        values, free = self.values.copy(), self.free.copy()
+        free[self.free] = ~gone
+        at_home = self.free & ~free
+        values[at_home] = self.problem.hypothesis.nominal[at_home]
+        return replace(
+            self,
+            values=values,
+            free=free,
+            errors=self.problem.errors(values[None])[:, 0],
+            columns=self.columns[:, ~gone],
+            pull=self.problem.pull(values[None])[:, 0],
+            pull_columns=self.pull_columns[:, ~gone],
+            damped=None if self.damped is None else self.damped[~gone],
+        )
 
-    def without(self, held: Mask) -> Array:
-        """Solution of all windows with some of the free parameters held at the given model's. All parameters."""
-        return self.step(np.ones(len(self.normal), dtype=bool), held, change=self.changes([held])[:, 0])
-
-    def step(self, windows: Mask, held: Mask, ridge: float = RIDGE, change: Array | None = None) -> Array:
+    def step(self, windows: Mask, held: Mask, ridge: float = RIDGE) -> Array:
         """Solution of some windows with some of the free parameters held at the given model's. All parameters."""
         h = self.problem.hypothesis
         out, scale = self.values.copy(), h.scale[self.free]
-        move = self.move(windows, held, ridge, change)
+        move = self.move(windows, held, ridge)
         out[self.free] = np.clip(out[self.free] + move * scale, h.bounds[0][self.free], h.bounds[1][self.free])
         return out
 
-    def move(self, windows: Mask, held: Mask, ridge: float = RIDGE, change: Array | None = None) -> Array:
+    def move(self, windows: Mask, held: Mask, ridge: float = RIDGE) -> Array:
         """The move of the free parameters that those windows ask for, in units of their scale. Shape (P,).
 
         A larger ridge shortens it, but not what makes up for those that are held.
-
-        Args:
-            windows: That ask. Shape (W,).
-            held: Which go to the given model's. Shape (P,).
-            ridge: Pull towards the solution, per what the windows say [1].
-            change: Of the errors where these go alone, shape (N,); that by the slopes if None.
         """
         h = self.problem.hypothesis
         scale, start = h.scale[self.free], self.values[self.free]
         low, high = ((side[self.free] - start) / scale for side in h.bounds)
-        home = np.where(held, (h.nominal[self.free] - start) / scale, 0.0)
+        home = (h.nominal[self.free] - start) / scale
+        low, high = np.where(held, home, low), np.where(held, home, high)
         share, columns = float(np.mean(windows)), self.pull_columns
         n = self.normal[windows].sum(0) + share * columns.T @ columns
-        stays = held | _hidden(np.diag(n), int(windows.sum()))
-        low, high = np.where(stays, 0.0, low), np.where(stays, 0.0, high)
+        hidden = _hidden(np.diag(n), int(windows.sum())) & ~held
+        low, high = np.where(hidden, 0.0, low), np.where(hidden, 0.0, high)
         size, right = np.diag(n), self.right[windows].sum(0) + share * columns.T @ self.pull
-        away = n @ home if change is None else self._towards(windows, change) + share * columns.T @ (columns @ home)
         instead = np.zeros(len(n))
         if held.any() and ridge > RIDGE:
-            instead = bounded_least_squares(n + RIDGE * np.diag(size), -away, low, high)
+            instead = bounded_least_squares(n + RIDGE * np.diag(size), instead, low, high)
         pull = (ridge if self.damped is None else np.where(self.damped, ridge, RIDGE)) * size
-        return home + bounded_least_squares(n + np.diag(pull), pull * instead - right - away, low, high)
-
-    def _towards(self, windows: Mask, errors: Array) -> Array:
-        """Gradient of half the squared error of some windows, if these are the errors (N,). Shape (P,)."""
-        rows = windows[self.problem.window]
-        return np.asarray(self.columns[rows].T @ ((self.problem.row_weight**2 * errors)[rows]), dtype=np.float64)
+        return bounded_least_squares(n + np.diag(pull), pull * instead - right, low, high)
 
 
 def linearise(problem: Problem, x: Array, free: Mask) -> Linearised:

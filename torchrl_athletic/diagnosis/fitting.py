@@ -23,7 +23,7 @@ from torchrl_athletic.diagnosis.extension import extend, with_gear
 from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.folder import locked
 from torchrl_athletic.diagnosis.given_scale import held_back, with_given_scales
-from torchrl_athletic.diagnosis.joint_fit import MOST, affordable, best_of, prune, search
+from torchrl_athletic.diagnosis.joint_fit import MOST, affordable, best_of, over_needed, prune, search
 from torchrl_athletic.diagnosis.links import asks_for_links, with_links
 from torchrl_athletic.diagnosis.memory import free_memory
 from torchrl_athletic.diagnosis.model import Model, load_model
@@ -226,7 +226,7 @@ def fit(
             near = with_given_scales(near, torques, deadline.part(0.65))
     progress.stage("prune")
     needed = prune(near, deadline.part(0.7), progress.update)
-    x, y = near.values, near.without(~needed[free])
+    x, y = near.values, over_needed(near, needed)
     y = best_of(near.problem, (y, np.where(needed, x, h.nominal)), 1)[0]
     fine, y = _polished(near.problem, takes, y, needed, _rng(seed, "steps"), deadline.part(0.76))
     again = linearise(weighed(fine, y), y, needed)

@@ -401,14 +401,12 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
     windows, the weighed one. The fits without a fold and without a parameter are one bounded step from the solution,
     which the fold's ridge shortens; their errors are simulated. Torque limits go first, by a rule of their own.
     """
-    if not deadline.allows(near.seconds):
-        return near.free.copy()
+    near = without_doubtful_limits(near, deadline)
     problem, fold = near.problem, folds_of(near.problem)
     index = np.flatnonzero(near.free)
     joint = np.array([c.joint for c in problem.hypothesis.terms for _ in c.parameters])[index]
-    alone, asking = near.changes(np.eye(len(index), dtype=bool)), np.ones(len(index), dtype=bool)
-    held, gone = _doubtful_limits(near, fold)  # gone: how errors change without what is held
-    now = folded(near, [held], fold, gone[:, None])
+    held, asking = np.zeros(len(index), dtype=bool), ~_limits(near)
+    now = folded(near, [held], fold)
     ways, count = (replace(problem, tuning=np.inf), problem), independent(problem)
     least = [window_cost(way, now)[0] for way in ways]
     seconds = 0.0
@@ -416,12 +414,11 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
         begin = time.monotonic()
         left = np.flatnonzero(asking & ~held)
         one = [held | (np.arange(len(index)) == k) for k in left]
-        guess = window_cost(problem, folded(near, one, fold, gone[:, None] + alone[:, left], True)).mean(1)
+        guess = window_cost(problem, folded(near, one, fold, first_order=True)).mean(1)
         chosen = [left[joint[left] == j][np.argmin(guess[joint[left] == j])] for j in np.unique(joint[left])]
         trials = [one[int(np.flatnonzero(left == k)[0])] for k in chosen]
         trials += [np.logical_or.reduce(trials)] if len(trials) > 1 else []
-        changes = near.changes(trials)
-        square = folded(near, trials, fold, changes)
+        square = folded(near, trials, fold)
         allowed, cost = np.ones(len(trials), dtype=bool), np.zeros(len(trials))
         for k, way in enumerate(ways):
             error = window_cost(way, square)  # (trials, W)
@@ -429,10 +426,11 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
             rise = error - least[k]
             cost, doubt = rise.mean(1), rise.std(1) / np.sqrt(count)
             allowed &= cost <= np.maximum(DOUBT * doubt, WORTH * least[k].mean())
-        single = np.flatnonzero(allowed[: len(chosen)])
-        if allowed[-1] or len(single):
-            best = len(trials) - 1 if allowed[-1] else int(single[np.argmin(cost[single])])
-            held, gone = trials[best], changes[:, best]
+        alone = np.flatnonzero(allowed[: len(chosen)])
+        if allowed[-1]:
+            held = trials[-1]
+        elif len(alone):
+            held = trials[alone[np.argmin(cost[alone])]]
         asking &= ~np.isin(joint, joint[[k for n, k in enumerate(chosen) if not allowed[n]]])
         progress(float((held | ~asking).mean()))
         seconds = time.monotonic() - begin
@@ -441,60 +439,67 @@ def prune(near: Linearised, deadline: Deadline, progress: Callable[[float], None
     return needed
 
 
-def _doubtful_limits(near: Linearised, fold: NDArray[np.intp]) -> tuple[Mask, Array]:
-    """The most torque limits that do not help folds as much as a law must, what helps least alone coming first.
+def without_doubtful_limits(near: Linearised, deadline: Deadline) -> Linearised:
+    """The fit without the torque limits that folds do not ask for as clearly as for a law, the least asked for first.
 
-    A limit holds back faster motion than was fitted, of which no fold tells. So half a standard error is not enough.
-
-    Returns:
-        Which of the free parameters these are, shape (P,), and what errors change without them, shape (N,).
+    A limit holds back faster motion than was fitted, of which no fold tells. And it has no slope beyond the largest
+    torque: to hold it at the given model's by its slope would make up for what never happens.
     """
-    limits, count = np.flatnonzero(_of_effect(near.problem, "torque_saturation")[near.free]), independent(near.problem)
-    nothing = np.zeros((1, int(near.free.sum())), dtype=bool)
+    problem, fold, limits = near.problem, folds_of(near.problem), _limits(near)
+    if not limits.any() or independent(problem) < 2 or not deadline.allows(near.seconds):
+        return near
 
-    def costs(trials: Mask) -> tuple[Array, Array]:
-        changes = near.changes(trials)
-        return window_cost(near.problem, folded(near, trials, fold, changes)), changes
+    def costs(fit: Linearised) -> list[Array]:
+        square = folded(fit, [np.zeros(int(fit.free.sum()), dtype=bool)], fold)
+        return [window_cost(way, square)[0] for way in (replace(problem, tuning=np.inf), problem)]
 
-    if not len(limits):
-        return nothing[0], np.zeros(len(near.errors))
-    order = limits[np.argsort(costs(np.eye(len(nothing[0]), dtype=bool)[limits])[0].mean(1), kind="stable")]
-    trials = np.concatenate([nothing, np.cumsum(np.eye(len(nothing[0]), dtype=bool)[order], axis=0) > 0])
-    without, changes = costs(trials)
-    most = max(k for k, cost in enumerate(without) if not gain_of(cost, without[0], count))
-    return trials[most], changes[:, most]
+    each = np.eye(len(limits), dtype=bool)[limits]
+    order = np.argsort([costs(near.without(one))[1].mean() for one in each], kind="stable")
+    gone, left = np.zeros(len(limits), dtype=bool), near
+    every = now = costs(near)
+    for one in each[order]:
+        fewer = near.without(gone | one)
+        without = costs(fewer)
+        asked = [
+            gain_of(*both, independent(problem)) for kept in (every, now) for both in zip(without, kept, strict=True)
+        ]
+        if any(asked) or deadline.over:
+            break
+        gone, left, now = gone | one, fewer, without
+    return left
 
 
-def folded(
-    near: Linearised,
-    trials: Sequence[Mask] | Mask,
-    fold: NDArray[np.intp],
-    changes: Array | None = None,
-    first_order: bool = False,
-) -> Array:
+def over_needed(near: Linearised, needed: Mask) -> Array:
+    """Values (P,) to first order over what is needed, shape (P,); limits that are not are gone as they were asked."""
+    near = near.without(_limits(near) & ~needed[near.free])
+    return near.step(np.ones(len(near.normal), dtype=bool), ~needed[near.free])
+
+
+def _limits(near: Linearised) -> Mask:
+    """Which of the free parameters are torque limits. Shape (P,)."""
+    return _of_effect(near.problem, "torque_saturation")[near.free]
+
+
+def folded(near: Linearised, trials: Sequence[Mask], fold: NDArray[np.intp], first_order: bool = False) -> Array:
     """Mean square error of each window by what the other folds say [rad², m²]. Shape (trials, W, J).
 
     Args:
         near: About the solution of all folds.
         trials: Which of the free parameters are held at the given model's. Shapes (P,).
         fold: Of each window. Shape (W,).
-        changes: Of the errors where these go alone, shape (N, trials); those by the slopes if None.
         first_order: Whether the errors are those of the Jacobian, and not simulated.
     """
     problem = near.problem
     out = np.empty((len(trials), len(fold), len(problem.unit)))
-    each = [None] * len(trials) if changes is None else changes.T
     for k in np.unique(fold):
         others = apart_from(problem, fold == k)
         if first_order:
             rows = np.isin(problem.window, np.flatnonzero(fold == k))
-            for n, (held, change) in enumerate(zip(trials, each, strict=True)):
-                move, errors = near.move(others, held, near.ridges[k], change), np.zeros(len(rows))
-                known = 0.0 if change is None else change[rows]  # of what is held, in place of its slopes
-                move = move if change is None else np.where(held, 0.0, move)
-                errors[rows] = near.errors[rows] + known + near.columns[rows] @ move
+            for n, held in enumerate(trials):
+                errors = np.zeros(len(rows))
+                errors[rows] = near.errors[rows] + near.columns[rows] @ near.move(others, held, near.ridges[k])
                 out[n, fold == k] = problem.squares(errors)[fold == k]
         else:
-            steps = [near.step(others, held, near.ridges[k], c) for held, c in zip(trials, each, strict=True)]
-            out[:, fold == k] = part_of(problem, fold == k).mean_square(np.stack(steps))
+            values = np.stack([near.step(others, held, near.ridges[k]) for held in trials])
+            out[:, fold == k] = part_of(problem, fold == k).mean_square(values)
     return out
