@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from diagnosis.sample import RATE, arm, nothing_missing, slider
 
+from torchrl_athletic.diagnosis.corrected import Simulation
+from torchrl_athletic.diagnosis.fit import Hypothesis
 from torchrl_athletic.diagnosis.report.figures import (
     _broken_at_restarts,
     fit_figure,
@@ -30,7 +32,9 @@ from torchrl_athletic.diagnosis.report.telling import (
     telling_window,
     visible_energy,
 )
+from torchrl_athletic.effects.payload import with_payload
 from torchrl_athletic.recordings import Recording
+from torchrl_athletic.robots import benches
 
 
 def lines(figure) -> dict[str, np.ndarray]:
@@ -441,6 +445,7 @@ class Still:
 
     def __init__(self, xml, by):
         self.model, self.by = mujoco.MjModel.from_xml_string(xml), by
+        self.joint_names = tuple(self.model.joint(j).name for j in range(self.model.njnt))
 
     def rollout(self, recording):
         return recording.position + self.by
@@ -459,7 +464,9 @@ def test_a_fit_is_shown_on_what_was_kept_aside_with_the_worst_joints_first_and_t
     errors = {"rail": {"before": 0.5, "after": 0.1, "floor": 0.0}, "hip": {"before": 0.25, "after": 0.2, "floor": 0.0}}
     worse = {name: {**e, "before": 1.0 if name == "hip" else 0.1} for name, e in errors.items()}
     scores = {"heldout": SimpleNamespace(per_joint=errors), "train": SimpleNamespace(per_joint=worse)}
-    fit = SimpleNamespace(nominal=Still(xml, 0.25), corrected=Still(xml, 0.125), scores=scores, recordings=takes[:1])
+    fit = SimpleNamespace(
+        nominal=Still(xml, 0.25), corrected=Still(xml, 0.125), xml=xml, scores=scores, recordings=takes[:1]
+    )
     for heldout, order, where in ((takes[1:], [0, 1], "kept aside: aside"), ([], [1, 0], "fitted: fitted")):
         fit.heldout = heldout
         figure = fit_picture(fit)
@@ -489,6 +496,7 @@ def test_a_given_model_that_falls_does_not_flatten_what_is_fitted(fell, left):
     fit = SimpleNamespace(
         nominal=Still(xml, fell * time[:, None]),
         corrected=Still(xml, 0.01),
+        xml=xml,
         scores=scores,
         recordings=[],
         heldout=[take],
@@ -500,3 +508,24 @@ def test_a_given_model_that_falls_does_not_flatten_what_is_fitted(fell, left):
     assert high - low < 3.5 * np.ptp(take.position)
     assert axes.get_title(loc="left").endswith("leaves the picture") == left
     assert axes.get_xlabel() == "time [s], kept aside: aside.csv"
+
+
+def test_a_take_with_a_weight_is_shown_beside_simulations_that_carry_it():
+    xml, mass, period, torque = benches.pendulum(timestep=0.01), 2.0, 0.01, 3.0
+    loaded = with_payload(xml, ("pendulum",), mass)
+    data, path = mujoco.MjData(loaded), []
+    data.qfrc_applied[0] = torque
+    for _ in range(200):
+        path.append(data.qpos.copy())
+        mujoco.mj_step(loaded, data)
+    time, command = period * np.arange(200), np.full((200, 1), torque)
+    take = Recording(
+        time, ("pendulum",), np.array(path), torque_command=command, metadata={"payload_kg": mass}, source="loaded.csv"
+    )
+    given = Simulation(mujoco.MjModel.from_xml_string(xml), ("pendulum",), Hypothesis(()), np.zeros(0))
+    scores = {"heldout": SimpleNamespace(per_joint={"pendulum": {"before": 0.1, "after": 0.1, "floor": 0.0}})}
+    fit = SimpleNamespace(nominal=given, corrected=given, xml=xml, scores=scores, recordings=[], heldout=[take])
+    _, *simulated = fit_picture(fit).axes[0].lines
+    for line in simulated:
+        assert np.abs(line.get_ydata() - take.position[:, 0]).max() < 0.01
+    assert np.abs(given.rollout(take) - take.position).max() > 0.1

@@ -41,6 +41,9 @@ class Simulation:
     def rollout(self, recording: Recording, window: float | None = 0.5) -> Array:
         """Positions that the encoders would read if the simulated robot got the recorded command.
 
+        What the metadata say was fastened to the robot (``payload_kg``) is not in :attr:`model`: replace it by
+        :func:`~torchrl_athletic.diagnosis.prepare.carrying` for such a take.
+
         Args:
             recording: Of the same joints.
             window: Restart from the measured state every so often [s]; None is one open-loop rollout.

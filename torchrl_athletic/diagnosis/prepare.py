@@ -120,7 +120,7 @@ def prepare(
     takes: list[Take] = []
     left_out: list[str] = []
     for r, q, own, period in zip(recordings, quality, kernels, _periods(recordings), strict=True):
-        carried = _carrying(model, xml, r)
+        carried = carrying(model, xml, r)
         known = with_known_base(r)  # a lost pose must not push the base of a replay
         unfit = _unfit(q)[np.isin(r.time, known.time)]
         refuse_stance(known, model)
@@ -211,8 +211,26 @@ def _with_known_noise(quality: Sequence[Quality], old: int) -> list[Quality]:
     return [*known, *(q if q.velocity_noise is None else replace(q, velocity_noise=velocity) for q in told)]
 
 
-def _carrying(model: mujoco.MjModel, xml: str, recording: Recording) -> mujoco.MjModel:
-    """The model with what a take says was fastened to it."""
+def carrying(model: mujoco.MjModel, xml: str, recording: Recording) -> mujoco.MjModel:
+    """The model with what a take says was fastened to the last link (:data:`PAYLOAD`); itself without.
+
+    Args:
+        model: The robot.
+        xml: Its MJCF, which is read only where something was fastened.
+        recording: In the order of joints whose last one moves the link that carries.
+
+    Raises:
+        RecordingError: If the mass is negative or not finite, or if there is one and no MJCF.
+
+    Example:
+        >>> from torchrl_athletic.robots.benches import pendulum
+        >>> xml = pendulum()
+        >>> bare, time = mujoco.MjModel.from_xml_string(xml), np.arange(10) / 100
+        >>> still = np.zeros((10, 1))
+        >>> take = Recording(time, ("pendulum",), still, torque_command=still, metadata={"payload_kg": 2.0})
+        >>> float(carrying(bare, xml, take).body_mass.sum() - bare.body_mass.sum())
+        2.0
+    """
     mass = float(recording.metadata.get(PAYLOAD, 0.0))
     if not 0.0 <= mass < np.inf:
         raise RecordingError(f"{recording.source}: {PAYLOAD} is {mass}. A mass of 0 kg or more was needed.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_athletic.diagnosis.model import position_unit
+from torchrl_athletic.diagnosis.prepare import carrying
 from torchrl_athletic.diagnosis.report.figures import AFTER, BEFORE, INK
 from torchrl_athletic.diagnosis.thresholds import SIMULATION
 
@@ -16,7 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from torchrl_athletic.diagnosis.corrected import Simulation
     from torchrl_athletic.diagnosis.fitting import Fit
+    from torchrl_athletic.recordings import Recording
 
 Array = NDArray[np.float64]
 
@@ -34,7 +38,7 @@ def fit_picture(fit: Fit) -> Figure:
     split = "heldout" if fit.heldout else "train"
     score = fit.scores[split]
     names = sorted(score.per_joint, key=lambda name: -score.per_joint[name]["before"])[:MOST]
-    paths = [simulation.rollout(recording) for simulation in (fit.nominal, fit.corrected)]
+    paths = [_loaded(simulation, fit.xml, recording).rollout(recording) for simulation in (fit.nominal, fit.corrected)]
     shown = recording.time - recording.time[0] <= SECONDS
     figure = Figure(figsize=(9, 1.2 + 1.9 * len(names)), layout="constrained")
     for axes, name in zip(np.ravel(figure.subplots(len(names), 1, sharex=True, squeeze=False)), names, strict=True):
@@ -53,6 +57,12 @@ def fit_picture(fit: Fit) -> Figure:
     lines, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(lines, labels, frameon=False, ncols=3, loc="outside upper right", fontsize=9)
     return figure
+
+
+def _loaded(simulation: Simulation, xml: str, recording: Recording) -> Simulation:
+    """The simulation with what was fastened to the robot, as the fit had it."""
+    model = carrying(simulation.model, xml, recording.ordered(simulation.joint_names))
+    return simulation if model is simulation.model else replace(simulation, model=model)
 
 
 def _look_at(axes: Axes, recorded: Array, given: Array, fitted: Array) -> bool:
